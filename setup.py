@@ -1,0 +1,58 @@
+"""ament_python package of spacearm_ident; metadata for ROS lives in package.xml."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = "spacearm_ident"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(include=[package_name, f"{package_name}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+        (f"share/{package_name}/config", glob("config/*")),
+        (f"share/{package_name}/launch", glob("launch/*.launch.py")),
+    ],
+    python_requires=">=3.11",
+    install_requires=[
+        "setuptools",
+        "canopen",
+        "clarabel",
+        "matplotlib",
+        "mcap",
+        "numpy",
+        "pin",
+        "python-can",
+        "pyyaml",
+        "rich",
+        "scipy",
+    ],
+    extras_require={
+        # A ROS 2 Jazzy machine has these from its own packages; elsewhere they come from wheels.
+        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "test": ["pytest", "hypothesis", "rosbags", "mcap-ros2-support", "ruff"],
+    },
+    zip_safe=False,
+    maintainer="spacearm_ident maintainers",
+    maintainer_email="maintainers@example.org",
+    description="On-line identification of manipulator dynamics, and of what the model leaves out.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "spacearm = spacearm_ident.cli.main:main",
+            *(
+                f"{node} = spacearm_ident.nodes.main:{node}"
+                for node in (
+                    "canopen_driver",
+                    "trajectory",
+                    "identifier",
+                    "recorder",
+                    "simulated_arm",
+                )
+            ),
+        ],
+    },
+)

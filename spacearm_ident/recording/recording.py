@@ -1,0 +1,108 @@
+"""`Recording`: what one bag holds, as arrays, with what was found wrong with it.
+
+Everything above the recording package works on this object and never on files. Arrays follow one joint
+order (`joints`), whatever order the messages had; time is seconds from `start_ns`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Issue:
+    """One kind of defect found in a recording, with its place and count.
+
+    Attributes:
+        kind: Stable short name, for programs: `gap`, `repeated_stamp`, `backward_stamp`, `nan`,
+            `missing_joint`, `cut_off`, `corrupt_chunk`, `undecodable_message`, `log_time_used`, ...
+        message: One sentence for a person: what was found, and what was done about it.
+        count: How many samples, messages or places.
+        where_s: Time of the first occurrence, seconds from the start of the recording (None: whole file).
+    """
+
+    kind: str
+    message: str
+    count: int = 1
+    where_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Series:
+    """A time series on its own clock: `time` (N,) seconds from the recording's start, `values` (N, ...)."""
+
+    time: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where data came from: the file as named by the user, its size and the SHA-256 of its bytes."""
+
+    path: str
+    bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Joint signals of one run. SI units, output side; times strictly increasing; no NaN in the arrays.
+
+    Attributes:
+        joints: Names of the n joints, the column order of every array.
+        time: (N,) seconds from `start_ns`, strictly increasing.
+        position: (N, n) rad (m for prismatic joints).
+        velocity: (N, n) rad/s, or None where the recording has none.
+        effort: (N, n) N·m (N), motor torque on the output side.
+        segments: Runs of samples without a gap inside; filters never reach across their borders.
+        start_ns: Epoch time of `time == 0`, nanoseconds.
+        command: Set-points (M, n) on their own clock, where recorded.
+        temperatures: Joint name -> °C on its own clock.
+        urdf: Robot description, where recorded.
+        issues: What was found wrong and what was done about it.
+        sources: The files behind it.
+    """
+
+    joints: tuple[str, ...]
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray | None
+    effort: FloatArray
+    segments: tuple[slice, ...]
+    start_ns: int = 0
+    command: Series | None = None
+    temperatures: dict[str, Series] = field(default_factory=dict)
+    urdf: str | None = None
+    issues: tuple[Issue, ...] = ()
+    sources: tuple[Source, ...] = ()
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sample rate in Hz."""
+        return float(1.0 / np.median(np.diff(self.time)))
+
+    def in_order(self, joints: tuple[str, ...]) -> Recording:
+        """The same recording with its columns in the order (and subset) of `joints`.
+
+        Raises:
+            KeyError: A joint is not in the recording.
+        """
+        missing = [name for name in joints if name not in self.joints]
+        if missing:
+            raise KeyError(", ".join(missing))
+        columns = [self.joints.index(name) for name in joints]
+        return replace(
+            self,
+            joints=tuple(joints),
+            position=self.position[:, columns],
+            velocity=None if self.velocity is None else self.velocity[:, columns],
+            effort=self.effort[:, columns],
+            command=None
+            if self.command is None
+            else Series(self.command.time, self.command.values[:, columns]),
+        )
