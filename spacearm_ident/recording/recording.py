@@ -86,6 +86,20 @@ class Recording:
         """Median sample rate in Hz."""
         return float(1.0 / np.median(np.diff(self.time)))
 
+    def between(self, start_s: float, stop_s: float) -> Recording:
+        """The samples with start_s <= time < stop_s; times, command, temperatures and issues stay as they are."""
+        first, last = (int(k) for k in np.searchsorted(self.time, (start_s, stop_s)))
+        cut = [slice(max(s.start, first) - first, min(s.stop, last) - first) for s in self.segments]
+        part = slice(first, last)
+        return replace(
+            self,
+            time=self.time[part],
+            position=self.position[part],
+            velocity=None if self.velocity is None else self.velocity[part],
+            effort=self.effort[part],
+            segments=tuple(s for s in cut if s.stop > s.start),
+        )
+
     def in_order(self, joints: tuple[str, ...]) -> Recording:
         """The same recording with its columns in the order (and subset) of `joints`.
 

@@ -1,0 +1,238 @@
+"""`Arm`: what is known of the arm before any data: kinematics, CAD inertials, limits, drives, gravity.
+
+Kinematics and CAD inertials come from a URDF through Pinocchio, which merges fixed joints; an arm YAML adds
+what a URDF cannot say. A joint's twist axis and placement are all the batched regressor needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import yaml
+from numpy.typing import NDArray
+
+from ..errors import UserError
+
+FloatArray = NDArray[np.float64]
+ARM_SCHEMA = "spacearm_ident/arm/1"
+EARTH = (0.0, 0.0, -9.81)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One actuated joint and the link it moves.
+
+    Attributes:
+        name: As in the URDF and the recordings.
+        parent: Index of the joint that carries it, -1 for the base.
+        revolute: Whether it turns; a prismatic joint slides.
+        axis: (3,) unit axis in the joint frame.
+        rotation: (3, 3) joint frame to parent joint frame, at zero position.
+        translation: (3,) origin in the parent joint frame, m.
+        inertial: (10,) CAD parameters m, m·c, I about the joint frame, in Pinocchio's order.
+        lower, upper: Position limits, rad or m (infinite where none).
+        velocity_limit, effort_limit: From the URDF, or the arm YAML (infinite where none).
+        acceleration_limit: From the arm YAML (infinite where none).
+        gear_ratio: Motor turns a joint turn.
+        torque_constant: N·m/A at the motor.
+    """
+
+    name: str
+    parent: int
+    revolute: bool
+    axis: FloatArray
+    rotation: FloatArray
+    translation: FloatArray
+    inertial: FloatArray
+    lower: float = -np.inf
+    upper: float = np.inf
+    velocity_limit: float = np.inf
+    effort_limit: float = np.inf
+    acceleration_limit: float = np.inf
+    gear_ratio: float = 1.0
+    torque_constant: float = 1.0
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A motor that several joints drive: its angle is `sum(ratio[joint] * q[joint])`."""
+
+    name: str
+    ratios: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An open chain (or tree) of n revolute and prismatic joints on a fixed base."""
+
+    name: str
+    joints: tuple[Joint, ...]
+    urdf: str
+    gravity: FloatArray = field(default_factory=lambda: np.array(EARTH))
+    couplings: tuple[Coupling, ...] = ()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in the order of every array."""
+        return tuple(joint.name for joint in self.joints)
+
+    def with_gravity(self, gravity: FloatArray) -> Arm:
+        """The same arm under another gravity vector (3,), m/s^2, base frame."""
+        return replace(self, gravity=np.asarray(gravity, dtype=float))
+
+    def supports(self, link: int) -> tuple[int, ...]:
+        """The joints that carry link `link`, itself first, the base's last."""
+        chain = [link]
+        while self.joints[chain[-1]].parent >= 0:
+            chain.append(self.joints[chain[-1]].parent)
+        return tuple(chain)
+
+
+def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
+    """Read an arm from the text of a URDF.
+
+    Raises:
+        UserError: Not a URDF, no actuated joint, or a joint that is neither revolute nor prismatic.
+    """
+    model = _pinocchio_model(urdf)
+    joints = []
+    for index in range(1, model.njoints):
+        kind = model.joints[index]
+        name = model.names[index]
+        if kind.nv != 1:
+            raise UserError(
+                f"joint {name!r} is of type {kind.shortname()}: make it revolute, continuous, prismatic or fixed"
+            )
+        twist = _twist(kind)
+        placement = model.jointPlacements[index]
+        bounded = kind.nq == 1
+        joints.append(
+            Joint(
+                name=name,
+                parent=model.parents[index] - 1,
+                revolute=bool(np.any(twist[3:])),
+                axis=twist[3:] if np.any(twist[3:]) else twist[:3],
+                rotation=placement.rotation.copy(),
+                translation=placement.translation.copy(),
+                inertial=np.array(model.inertias[index].toDynamicParameters()),
+                lower=float(model.lowerPositionLimit[kind.idx_q]) if bounded else -np.inf,
+                upper=float(model.upperPositionLimit[kind.idx_q]) if bounded else np.inf,
+                velocity_limit=float(model.velocityLimit[kind.idx_v]) or np.inf,
+                effort_limit=float(model.effortLimit[kind.idx_v]) or np.inf,
+            )
+        )
+    if not joints:
+        raise UserError("the URDF has no actuated joint: check that its joints are not all fixed")
+    vector = np.array(EARTH) if gravity is None else np.asarray(gravity, dtype=float)
+    return Arm(model.name, tuple(joints), urdf, vector)
+
+
+def _pinocchio_model(urdf: str) -> pin.Model:
+    if "<robot" not in urdf:
+        raise UserError("this is not a URDF: it has no <robot> element")
+    try:
+        return pin.buildModelFromXML(urdf)
+    except Exception as error:
+        detail = str(error).strip().splitlines() or ["it could not be parsed"]
+        raise UserError(f"the URDF cannot be read: {detail[0]}") from error
+
+
+def _twist(kind: Any) -> FloatArray:
+    """(6,) motion axis, linear then angular, in the joint frame."""
+    data = kind.createData()
+    neutral = np.zeros(kind.nq)
+    if kind.nq == 2:  # Pinocchio keeps an unbounded angle as its cosine and sine.
+        neutral[0] = 1.0
+    kind.calc(data, neutral)
+    return np.array(data.S).reshape(6)
+
+
+def load_arm(path: Path) -> Arm:
+    """Read an arm from a URDF, or from an arm YAML that names one.
+
+    Raises:
+        UserError: The file is missing or not understood; the message says which key.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"cannot read the arm {path}: {error}") from error
+    if path.suffix not in (".yaml", ".yml"):
+        return arm_from_urdf(text)
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise UserError(f"{path} is not valid YAML: {str(error).splitlines()[0]}") from error
+    if not isinstance(data, dict) or data.get("schema") != ARM_SCHEMA:
+        raise UserError(f"{path} is not an arm description: its first line should be 'schema: {ARM_SCHEMA}'")
+    unknown = set(data) - {"schema", "name", "urdf", "gravity_m_s2", "joints", "couplings"}
+    if unknown:
+        raise UserError(f"{path}: unknown key {sorted(unknown)[0]!r}")
+    try:
+        urdf = (path.parent / str(data["urdf"])).read_text(encoding="utf-8")
+    except KeyError as error:
+        raise UserError(f"{path}: the key 'urdf' is missing: name the arm's URDF file") from error
+    except OSError as error:
+        raise UserError(f"{path}: cannot read its URDF: {error}") from error
+    return arm_from_description(urdf, data, str(path))
+
+
+def arm_from_description(urdf: str, data: Mapping[str, Any], where: str) -> Arm:
+    """An arm from its URDF text and the keys of an arm YAML (`where` names it in errors)."""
+    arm = arm_from_urdf(urdf, _vector(data.get("gravity_m_s2", EARTH), f"{where}: gravity_m_s2"))
+    given = data.get("joints") or {}
+    unknown = set(given) - set(arm.joint_names)
+    if unknown:
+        raise UserError(f"{where}: joint {sorted(unknown)[0]!r} is not in the URDF")
+    joints = tuple(_with_drive(joint, given.get(joint.name) or {}, where) for joint in arm.joints)
+    couplings = tuple(_coupling(item, arm.joint_names, where) for item in data.get("couplings") or ())
+    return replace(arm, name=str(data.get("name", arm.name)), joints=joints, couplings=couplings)
+
+
+_JOINT_KEYS = {
+    "gear_ratio": "gear_ratio",
+    "torque_constant_Nm_per_A": "torque_constant",
+    "position_lower_rad": "lower",
+    "position_upper_rad": "upper",
+    "velocity_limit_rad_s": "velocity_limit",
+    "acceleration_limit_rad_s2": "acceleration_limit",
+    "torque_limit_Nm": "effort_limit",
+}
+
+
+def _with_drive(joint: Joint, data: Mapping[str, Any], where: str) -> Joint:
+    unknown = set(data) - set(_JOINT_KEYS)
+    if unknown:
+        raise UserError(f"{where}: {joint.name} has an unknown key {sorted(unknown)[0]!r}")
+    try:
+        values: dict[str, Any] = {_JOINT_KEYS[key]: float(value) for key, value in data.items()}
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{where}: {joint.name} needs numbers: {error}") from error
+    return replace(joint, **values)
+
+
+def _coupling(data: Any, joints: tuple[str, ...], where: str) -> Coupling:
+    """Read `{name: NAME, ratios: {JOINT: RATIO, ...}}`."""
+    ratios = data.get("ratios") if isinstance(data, dict) else None
+    if not isinstance(ratios, dict) or len(ratios) < 2 or not set(ratios) <= set(joints):
+        raise UserError(
+            f"{where}: a coupling needs 'name' and 'ratios' of at least two of the arm's joints, not {data!r}"
+        )
+    return Coupling(
+        str(data.get("name", "+".join(ratios))), {key: float(value) for key, value in ratios.items()}
+    )
+
+
+def _vector(value: Any, where: str) -> FloatArray:
+    try:
+        vector = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise UserError(f"{where} needs three numbers, m/s^2 in the base frame, not {value!r}")
+    return vector

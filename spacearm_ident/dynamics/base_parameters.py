@@ -1,0 +1,122 @@
+"""Base parameters: the combinations of parameters that any motion can reveal (Gautier 1991, Khalil and Dombre 2002).
+
+Columns of the regressor that are combinations of earlier ones, whatever the motion, are found numerically on
+random motions; their parameters regroup into the earlier ones: A x = A[:, independent] (K x).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..recording.motion import Motion
+from .arm import FloatArray
+from .model import TorqueModel
+
+SAMPLES_A_PARAMETER = 6
+RANK_TOLERANCE = 1e-8
+COEFFICIENT_TOLERANCE = 1e-7
+# Within a link the parameters that usually regroup into the link before come last.
+ORDER = ("Izz", "Ixx", "Ixy", "Ixz", "Iyz", "mcx", "mcy", "Iyy", "mcz", "m")
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """The regrouping of p parameters into b base parameters.
+
+    Attributes:
+        independent: (b,) numbers of the parameters that lead a base parameter.
+        regrouping: (b, p) K: base values = K @ parameters; identity on `independent`.
+        names: What each base parameter is made of, such as `Izz[j1] + J_m[j1] + 0.36 m[j3]`.
+        unseen: Numbers of the parameters that no motion moves any torque with.
+    """
+
+    independent: tuple[int, ...]
+    regrouping: FloatArray
+    names: tuple[str, ...]
+    unseen: tuple[int, ...]
+
+    def alone(self, parameter: int) -> bool:
+        """Whether a parameter is a base parameter by itself."""
+        if parameter not in self.independent:
+            return False
+        return int(np.count_nonzero(self.regrouping[self.independent.index(parameter)])) == 1
+
+
+def base_parameters(model: TorqueModel, seed: int = 0) -> BaseParameters:
+    """The base parameters of a model, whatever the motion."""
+    columns = _random_columns(model, seed)
+    norms = np.linalg.norm(columns, axis=0)
+    seen = norms > RANK_TOLERANCE * norms.max()
+    order = [k for k in _preference(model) if seen[k]]
+    scaled = columns[:, order] / norms[order]
+    independent, dependent = _independent(scaled)
+    solution = np.linalg.lstsq(scaled[:, independent], scaled[:, dependent], rcond=None)[0]
+    regrouping = np.zeros((len(independent), columns.shape[1]))
+    lead = [order[k] for k in independent]
+    for b, k in enumerate(lead):
+        regrouping[b, k] = 1.0
+    for d, k in enumerate(dependent):
+        follower = order[k]
+        coefficients = solution[:, d] * norms[follower] / norms[lead]
+        coefficients[np.abs(solution[:, d]) < COEFFICIENT_TOLERANCE] = 0.0
+        regrouping[:, follower] = coefficients
+    sort = np.argsort(lead)
+    regrouping = regrouping[sort]
+    lead = [lead[k] for k in sort]
+    names = tuple(_name(model, row, first) for row, first in zip(regrouping, lead))
+    unseen = tuple(int(k) for k in np.flatnonzero(~seen))
+    return BaseParameters(tuple(lead), regrouping, names, unseen)
+
+
+def _random_columns(model: TorqueModel, seed: int) -> FloatArray:
+    """All columns on random motion states, (samples * n, p)."""
+    joints = len(model.arm.joints)
+    count = len(model.parameters)
+    samples = max(64, SAMPLES_A_PARAMETER * count // joints)
+    rng = np.random.default_rng(seed)
+    position, velocity, acceleration = rng.uniform(-2.0, 2.0, (3, samples, joints))
+    zero = np.zeros(joints)
+    torque = np.zeros_like(position)
+    motion = Motion(model.arm.joint_names, 1.0, 0.0, position, velocity, acceleration, torque, zero, zero)
+    load = rng.normal(size=position.shape)
+    whole = np.zeros((joints, samples, count))
+    for term, first, _ in model.numbered():
+        # The middle of a grid is where a constant's columns differ most from each other.
+        middle = [constant.grid[len(constant.grid) // 2] for constant in term.constants]
+        for row, (indices, columns) in term.columns(motion, middle, load).items():
+            whole[row][:, first + np.array(indices)] = columns
+    return whole.reshape(joints * samples, count)
+
+
+def _preference(model: TorqueModel) -> list[int]:
+    """Parameters in the order in which they should lead: base to tip, and as `ORDER` says within a link."""
+    joints = model.arm.joint_names
+
+    def rank(number: int) -> tuple[int, int, int]:
+        parameter = model.parameters[number]
+        link = joints.index(parameter.joint) if parameter.joint in joints else len(joints)
+        inner = ORDER.index(parameter.symbol) if parameter.symbol in ORDER else len(ORDER)
+        return (link, inner, number)
+
+    return sorted(range(len(model.parameters)), key=rank)
+
+
+def _independent(scaled: FloatArray) -> tuple[list[int], list[int]]:
+    """Columns independent of the ones before them, and the others: the diagonal of an unpivoted QR."""
+    diagonal = np.abs(np.diag(np.linalg.qr(scaled, mode="r")))
+    independent = [int(k) for k in np.flatnonzero(diagonal > RANK_TOLERANCE)]
+    return independent, [k for k in range(scaled.shape[1]) if k not in set(independent)]
+
+
+def _name(model: TorqueModel, row: FloatArray, lead: int) -> str:
+    parts = [model.parameters[lead].name]
+    for k in np.flatnonzero(row):
+        if k == lead:
+            continue
+        sign = "-" if row[k] < 0 else "+"
+        size = abs(row[k])
+        factor = "" if abs(size - 1) < 1e-6 else f"{size:.4g} "
+        parts.append(f"{sign} {factor}{model.parameters[k].name}")
+    return " ".join(parts)

@@ -1,0 +1,181 @@
+"""`TorqueModel`: the terms whose sum is the joint torque, and its values once they are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import UserError
+from ..recording.motion import Motion
+from .arm import Arm, FloatArray
+from .coupling import CoupledMotor
+from .friction import StribeckFriction, ViscousFriction
+from .rigid_body import JointSpring, RigidBody, RotorInertia, TorqueOffset
+from .term import Constant, Parameter, Term
+
+CATALOGUE: dict[str, type[Term]] = {
+    kind.kind: kind
+    for kind in (
+        RigidBody,
+        RotorInertia,
+        JointSpring,
+        StribeckFriction,
+        ViscousFriction,
+        CoupledMotor,
+        TorqueOffset,
+    )
+}
+
+Structure = dict[str, dict[str, Any]]
+"""Term kind -> its options: what a model is made of, before any value is known."""
+
+
+FRICTION_LAWS: dict[str, Structure] = {
+    "paper": {"stribeck_friction": {}, "viscous_friction": {"quadratic": "even"}},
+    "paper-odd": {"stribeck_friction": {}, "viscous_friction": {"quadratic": "odd"}},
+    "vacuum": {"stribeck_friction": {}, "viscous_friction": {"vacuum": True}},
+    "coulomb-viscous": {
+        "stribeck_friction": {"stribeck": False, "presliding": False},
+        "viscous_friction": {"vacuum": True},
+    },
+}
+"""Named friction laws: the paper's eq. 2 as printed, with qd |qd|, in vacuum (§2.2.2), and the textbook's."""
+
+
+def structure_of(arm: Arm, friction: str = "paper") -> Structure:
+    """The paper's 18 parameters a joint (§2, Table 1) under a named friction law, and the arm's couplings.
+
+    Raises:
+        UserError: No friction law of that name.
+    """
+    if friction not in FRICTION_LAWS:
+        raise UserError(f"no friction law {friction!r}: choose one of {', '.join(FRICTION_LAWS)}")
+    structure: Structure = {
+        "rigid_body": {},
+        "rotor_inertia": {},
+        "joint_spring": {},
+        **FRICTION_LAWS[friction],
+    }
+    if arm.couplings:
+        structure["coupled_motor"] = {}
+    return structure
+
+
+@dataclass(frozen=True)
+class TorqueModel:
+    """An arm and its terms; parameters and constants are numbered through in the order of the terms."""
+
+    arm: Arm
+    structure: Structure
+
+    @cached_property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms, built from the catalogue.
+
+        Raises:
+            UserError: A kind the catalogue does not have.
+        """
+        unknown = set(self.structure) - set(CATALOGUE)
+        if unknown:
+            raise UserError(f"unknown term {sorted(unknown)[0]!r}: this version knows {', '.join(CATALOGUE)}")
+        return tuple(
+            term
+            for kind, options in self.structure.items()
+            for term in CATALOGUE[kind].build(self.arm, options)
+        )
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All linear parameters."""
+        return tuple(parameter for term in self.terms for parameter in term.parameters)
+
+    @cached_property
+    def constants(self) -> tuple[Constant, ...]:
+        """All nonlinear constants."""
+        return tuple(constant for term in self.terms for constant in term.constants)
+
+    def numbered(self) -> Iterator[tuple[Term, int, int]]:
+        """Each term with the numbers of its first parameter and first constant."""
+        parameter = constant = 0
+        for term in self.terms:
+            yield term, parameter, constant
+            parameter += len(term.parameters)
+            constant += len(term.constants)
+
+    def torque(
+        self,
+        motion: Motion,
+        parameters: FloatArray,
+        constants: FloatArray,
+        kinds: Sequence[str] | None = None,
+    ) -> FloatArray:
+        """Torque of the model, or of some of its terms.
+
+        Args:
+            motion: N samples.
+            parameters: (p,) in the order of `self.parameters`.
+            constants: (c,) in the order of `self.constants`.
+            kinds: Only the terms of these kinds.
+
+        Returns:
+            (N, n) N·m.
+        """
+        load = None
+        if self.needs_load and (kinds is None or "stribeck_friction" in kinds):
+            load = self.torque(motion, parameters, constants, ("rigid_body",))
+        total = np.zeros_like(motion.position)
+        for term, first, first_constant in self.numbered():
+            if kinds is not None and term.kind not in kinds:
+                continue
+            values = constants[first_constant : first_constant + len(term.constants)]
+            for row, (indices, columns) in term.columns(motion, values, load).items():
+                total[:, row] += columns @ parameters[first + np.array(indices)]
+        return total
+
+    @property
+    def needs_load(self) -> bool:
+        """Whether a term needs the rigid body's torque."""
+        return any(isinstance(term, StribeckFriction) and term.loaded for term in self.terms)
+
+
+@dataclass(frozen=True)
+class IdentifiedModel:
+    """A torque model with values: everything needed to predict torque again.
+
+    Attributes:
+        model: Structure.
+        parameters: (p,) values of `model.parameters`.
+        constants: (c,) values of `model.constants`.
+        cutoff_hz: Bandwidth it was identified in, Hz; None where it was not identified.
+        provenance: Where it comes from (sources with checksums, versions, configuration).
+    """
+
+    model: TorqueModel
+    parameters: FloatArray
+    constants: FloatArray
+    cutoff_hz: float | None = None
+    provenance: Mapping[str, Any] | None = None
+
+    def torque(self, motion: Motion, kinds: Sequence[str] | None = None) -> FloatArray:
+        """(N, n) predicted torque at full rate, N·m."""
+        return self.model.torque(motion, self.parameters, self.constants, kinds)
+
+    def value(self, symbol: str, joint: str) -> float:
+        """A parameter or constant by name.
+
+        Raises:
+            KeyError: The model has none of that name.
+        """
+        name = f"{symbol}[{joint}]"
+        for known, values in (
+            (self.model.parameters, self.parameters),
+            (self.model.constants, self.constants),
+        ):
+            for item, value in zip(known, values):
+                if item.name == name:
+                    return float(value)
+        raise KeyError(name)

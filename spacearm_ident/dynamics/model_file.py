@@ -1,0 +1,138 @@
+"""`model.yaml`: a torque model with its values, as text that loads back to the same numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ..errors import UserError
+from .arm import FloatArray, arm_from_description
+from .model import IdentifiedModel, Structure, TorqueModel
+
+MODEL_SCHEMA = "spacearm_ident/model/1"
+
+
+def model_to_dict(identified: IdentifiedModel) -> dict[str, Any]:
+    """Plain data of a model file: terms with options and values by symbol and joint, the URDF inside."""
+    arm = identified.model.arm
+    values: dict[str, dict[str, dict[str, float]]] = {kind: {} for kind in identified.model.structure}
+    for term, first, first_constant in identified.model.numbered():
+        for known, array, start in (
+            (term.parameters, identified.parameters, first),
+            (term.constants, identified.constants, first_constant),
+        ):
+            for k, item in enumerate(known):
+                values[term.kind].setdefault(item.symbol, {})[item.joint] = float(array[start + k])
+    terms = [
+        {"kind": kind, **({"options": dict(options)} if options else {}), "values": values[kind]}
+        for kind, options in identified.model.structure.items()
+    ]
+    return {
+        "schema": MODEL_SCHEMA,
+        "name": arm.name,
+        "joints": list(arm.joint_names),
+        "gravity_m_s2": [float(g) for g in arm.gravity],
+        "bandwidth_hz": identified.cutoff_hz,
+        "drives": {
+            joint.name: {
+                "gear_ratio": joint.gear_ratio,
+                "torque_constant_Nm_per_A": joint.torque_constant,
+                **(
+                    {}
+                    if np.isinf(joint.acceleration_limit)
+                    else {"acceleration_limit_rad_s2": joint.acceleration_limit}
+                ),
+            }
+            for joint in arm.joints
+        },
+        "couplings": [{"name": c.name, "ratios": dict(c.ratios)} for c in arm.couplings],
+        "terms": terms,
+        "provenance": dict(identified.provenance or {}),
+        "urdf": arm.urdf,
+    }
+
+
+def save_model(identified: IdentifiedModel, path: Path) -> None:
+    """Write a model file; floats keep every digit."""
+    text = yaml.dump(model_to_dict(identified), sort_keys=False, width=100, Dumper=_Dumper)
+    path.write_text(text, encoding="utf-8")
+
+
+def load_model(path: Path) -> IdentifiedModel:
+    """Read a model file.
+
+    Raises:
+        UserError: Missing, not a model file, an unknown term, or a value that is missing.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"cannot read the model {path}: {error}") from error
+    except yaml.YAMLError as error:
+        raise UserError(f"{path} is not valid YAML: {str(error).splitlines()[0]}") from error
+    if not isinstance(data, dict) or data.get("schema") != MODEL_SCHEMA:
+        raise UserError(f"{path} is not a model file: it should begin with 'schema: {MODEL_SCHEMA}'")
+    try:
+        return _model_from_dict(data, path)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UserError(
+            f"{path}: {type(error).__name__} {error}: the file is incomplete or edited wrongly"
+        ) from error
+
+
+def _model_from_dict(data: Mapping[str, Any], path: Path) -> IdentifiedModel:
+    urdf = data.get("urdf")
+    if urdf is None:
+        urdf_path = path.parent / str(data["urdf_file"])
+        try:
+            urdf = urdf_path.read_text(encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"{path}: cannot read its URDF: {error}") from error
+    description = {
+        "name": data["name"],
+        "gravity_m_s2": data["gravity_m_s2"],
+        "joints": data.get("drives") or {},
+        "couplings": data.get("couplings") or [],
+    }
+    arm = arm_from_description(urdf, description, str(path))
+    structure: Structure = {term["kind"]: dict(term.get("options") or {}) for term in data["terms"]}
+    values = {term["kind"]: term["values"] for term in data["terms"]}
+    model = TorqueModel(arm, structure)
+    return IdentifiedModel(
+        model,
+        _values(model, values, "parameters"),
+        _values(model, values, "constants"),
+        data.get("bandwidth_hz"),
+        data.get("provenance") or {},
+    )
+
+
+def _values(model: TorqueModel, values: Mapping[str, Any], which: str) -> FloatArray:
+    """Values by kind, symbol and joint in the model's order; all must be there and finite."""
+    ordered = []
+    for term in model.terms:
+        for item in getattr(term, which):
+            by_joint = values[term.kind].get(item.symbol)
+            if by_joint is None or item.joint not in by_joint:
+                raise UserError(f"the model has no value for {item.name} of {term.kind}")
+            value = float(by_joint[item.joint])
+            if not np.isfinite(value):
+                raise UserError(f"the model's {item.name} is not a finite number")
+            ordered.append(value)
+    return np.array(ordered)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Multi-line text as a block, floats with all their digits."""
+
+
+def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = "|" if "\n" in text and not any(line != line.rstrip() for line in text.split("\n")) else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _text)

@@ -1,0 +1,107 @@
+"""`Term`: one physical contribution to the joint torques, and all the solver ever learns of it.
+
+tau = sum over terms of columns(motion; constants) @ parameters. The parameters enter linearly; the few constants
+that do not (a Stribeck velocity, a presliding distance) are what a solver has to search. Rigid body, friction,
+couplings and every effect found later are all terms: a new one is a class here, and fit, file and report know it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..recording.motion import Motion
+from .arm import Arm, FloatArray
+
+Columns = dict[int, tuple[list[int], FloatArray]]
+"""Joint row -> (indices into the term's parameters, their columns (N, k), N·m per unit of the parameter)."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A quantity the torque is linear in.
+
+    Attributes:
+        symbol: As in the literature: `m`, `f_c`, `J_m`, ...
+        joint: The joint (or coupling) it belongs to.
+        unit: SI.
+        prior: What is believed before the data (CAD value, or 0).
+        scale: How far from the prior it may well be (one standard deviation); None: whatever would make its
+            torque as large as the joint's whole torque, from `dimension`. Zero: held at its prior.
+        dimension: Powers of position, velocity and acceleration that multiply it in the torque.
+        anchor: Symbol of the parameter of the same term and joint that the prior is relative to: a static friction
+            that no data show is believed equal to the Coulomb friction, not zero.
+        lower, upper: Physical bounds.
+    """
+
+    symbol: str
+    joint: str
+    unit: str
+    prior: float = 0.0
+    scale: float | None = None
+    dimension: tuple[int, int, int] = (0, 0, 0)
+    anchor: str | None = None
+    lower: float = -np.inf
+    upper: float = np.inf
+
+    @property
+    def name(self) -> str:
+        """Unique name in a model: `f_c[joint_1]`."""
+        return f"{self.symbol}[{self.joint}]"
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A quantity the torque is not linear in, searched over `grid`, then refined between its bounds.
+
+    `grid[0] == 0` stands for "not there"; a constant that ends on the first or last value is at a bound. One that
+    is a `speed` cannot be seen below the speeds that the motion and its bandwidth resolve.
+    """
+
+    symbol: str
+    joint: str
+    unit: str
+    grid: tuple[float, ...]
+    speed: bool = False
+
+    @property
+    def name(self) -> str:
+        """Unique name in a model: `v_b[joint_1]`."""
+        return f"{self.symbol}[{self.joint}]"
+
+
+@dataclass(frozen=True)
+class Term(ABC):
+    """One contribution to the joint torques of an arm.
+
+    Subclasses set `kind` (its name in model files), `parameters` and `constants`, and compute `columns`.
+    `options` are the choices that shape it, as a model file keeps them.
+    """
+
+    kind: ClassVar[str]
+    parameters: tuple[Parameter, ...]
+    constants: tuple[Constant, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    @abstractmethod
+    def build(cls, arm: Arm, options: Mapping[str, Any]) -> tuple[Term, ...]:
+        """The terms of this kind for an arm: one, or one a joint where constants are searched joint by joint."""
+
+    def plausible(self, parameters: FloatArray, constants: Sequence[float]) -> bool:
+        """Whether this term could have these values (in its own order); a search passes over those it could not."""
+        return True
+
+    @abstractmethod
+    def columns(self, motion: Motion, constants: Sequence[float], load: FloatArray | None) -> Columns:
+        """The columns at full rate.
+
+        Args:
+            motion: N samples of n joints.
+            constants: Values in the order of `self.constants`.
+            load: (N, n) torque of the rigid body as last estimated, N·m; None where not yet known.
+        """

@@ -1,0 +1,1 @@
+"""Motions that make an arm tell its parameters: trajectories, their limits, their files."""

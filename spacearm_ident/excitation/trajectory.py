@@ -1,0 +1,361 @@
+"""Trajectories: a run is a list of segments (rest, quintic, Fourier series) that join without a jump.
+
+A segment is anything with a duration that can be evaluated analytically (`Segment`); new kinds (sweeps,
+slow reversals, chirps) are one class here and one entry in `trajectory_file`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spacearm_ident.errors import UserError
+
+FloatArray = NDArray[np.float64]
+
+_GRID_S = 0.002
+"""Step of the grid on which limits are verified: at 5 Hz, far above any excitation here, it misses 5e-4."""
+_LONGEST_MOVE_S = 120.0
+_MOVE_POINTS = 401
+"""Between these a fifth-order polynomial's extremes exceed the sampled ones by less than 1e-4."""
+_JOIN_TOLERANCE = 1e-6
+_PHASES = 40
+_DRAWS = 10
+
+
+class Motion(NamedTuple):
+    """Position, velocity, acceleration, (T, n) each; rad, rad/s, rad/s²."""
+
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+
+    def at(self, row: int) -> Motion:
+        """The state at one instant, three (n,) arrays."""
+        return Motion(self.q[row], self.qd[row], self.qdd[row])
+
+
+class Segment(Protocol):
+    """A piece of a run: analytic motion on [0, `duration_s`]."""
+
+    @property
+    def duration_s(self) -> float:
+        """How long the segment lasts, s."""
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at the times `t` (T,), seconds from the start of the segment."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """What the arm may do: positions in [lower, upper], |velocity|, |acceleration|, (n,) each, SI."""
+
+    lower: FloatArray
+    upper: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+    def usage(self, motion: Motion) -> FloatArray:
+        """Largest share of each joint's limits a motion (T, n) uses, (n,); above 1 it breaks one.
+
+        Position counts as the distance from the middle of the range over half the range.
+        """
+        middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
+        shares = (
+            np.abs(motion.q - middle) / half,
+            np.abs(motion.qd) / self.velocity,
+            np.abs(motion.qdd) / self.acceleration,
+        )
+        return np.max([share.max(axis=0) for share in shares], axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Standing still at `position` (n,)."""
+
+    position: FloatArray
+    duration_s: float
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at `t` (T,): constant position."""
+        q = np.tile(self.position, (np.atleast_1d(t).size, 1))
+        return Motion(q, np.zeros_like(q), np.zeros_like(q))
+
+
+@dataclass(frozen=True, eq=False)
+class Quintic:
+    """The fifth-order polynomial from one state (q, qd, qdd; (n,) each) to another in `duration_s`."""
+
+    start: Motion
+    end: Motion
+    duration_s: float
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at `t` (T,), s."""
+        T = self.duration_s
+        s = (np.atleast_1d(np.asarray(t, dtype=float)) / T)[:, None]
+        # In s = t/T the first three coefficients are the start state; the rest close on the end state.
+        c0, c1, c2 = self.start.q, T * self.start.qd, T**2 * self.start.qdd / 2
+        dq = self.end.q - (c0 + c1 + c2)
+        dv = T * self.end.qd - (c1 + 2 * c2)
+        da = T**2 * self.end.qdd - 2 * c2
+        c3, c4, c5 = 10 * dq - 4 * dv + da / 2, -15 * dq + 7 * dv - da, 6 * dq - 3 * dv + da / 2
+        return Motion(
+            c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5)))),
+            (c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / T,
+            (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / T**2,
+        )
+
+    @classmethod
+    def within(cls, limits: MotionLimits, start: Motion, end: Motion, shortest_s: float = 1.0) -> Quintic:
+        """The quickest such move, in steps of some 10 % from `shortest_s`, that keeps the limits.
+
+        Raises:
+            UserError: No duration up to two minutes does.
+        """
+        duration = shortest_s
+        while duration < _LONGEST_MOVE_S:
+            move = cls(start, end, duration)
+            if limits.usage(move.evaluate(np.linspace(0.0, duration, _MOVE_POINTS))).max() <= 1.0:
+                return move
+            # Whole tenths, so that what follows starts on a sample at any usual rate.
+            duration = math.ceil(11.0 * duration) / 10.0
+        raise UserError(
+            "no smooth move joins the start posture and the trajectory within the limits; "
+            "choose a start posture inside the position limits, or a trajectory that begins farther from them"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FourierTrajectory:
+    """The periodic excitation of the paper (eq. 9-11), `periods` times over.
+
+    q_i(t) = q0_i + Σ_k [a_ik/ω_k · sin ω_k t − b_ik/ω_k · cos ω_k t],  ω_k = 2π k f0,  k = 1…N_h
+
+    Attributes:
+        joints: Names of the n joints.
+        q0: (n,) rad, the mean position.
+        a: (n, N_h) rad/s.
+        b: (n, N_h) rad/s.
+        fundamental_hz: f0, Hz.
+        periods: How many periods the run holds.
+    """
+
+    joints: tuple[str, ...]
+    q0: FloatArray
+    a: FloatArray
+    b: FloatArray
+    fundamental_hz: float
+    periods: int
+
+    def __post_init__(self) -> None:
+        n = len(self.joints)
+        if self.q0.shape != (n,) or self.a.ndim != 2 or len(self.a) != n or self.a.shape != self.b.shape:
+            raise ValueError(f"q0 {self.q0.shape}, a {self.a.shape}, b {self.b.shape} do not fit {n} joints")
+        if not self.fundamental_hz > 0 or self.periods < 1:
+            raise ValueError("fundamental_hz and periods must be positive")
+
+    @property
+    def period_s(self) -> float:
+        """Length of one period, s."""
+        return 1.0 / self.fundamental_hz
+
+    @property
+    def duration_s(self) -> float:
+        """Length of all periods, s."""
+        return self.periods * self.period_s
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at the times `t` (T,), s; periodic, so defined for every t."""
+        omega = 2 * np.pi * self.fundamental_hz * np.arange(1, self.a.shape[1] + 1)
+        phase = np.outer(np.atleast_1d(np.asarray(t, dtype=float)), omega)
+        sin, cos = np.sin(phase), np.cos(phase)
+        return Motion(
+            self.q0 + sin @ (self.a / omega).T - cos @ (self.b / omega).T,
+            cos @ self.a.T + sin @ self.b.T,
+            cos @ (self.b * omega).T - sin @ (self.a * omega).T,
+        )
+
+    def shifted(self, time_s: float) -> FourierTrajectory:
+        """The same periodic motion, begun `time_s` later in its period."""
+        angle = 2 * np.pi * self.fundamental_hz * time_s * np.arange(1, self.a.shape[1] + 1)
+        sin, cos = np.sin(angle), np.cos(angle)
+        return replace(self, a=self.a * cos + self.b * sin, b=self.b * cos - self.a * sin)
+
+    def begun_where_joinable(self, limits: MotionLimits, start: ArrayLike | None = None) -> FourierTrajectory:
+        """The same motion, begun at the phase that makes its `run` from `start` the quickest.
+
+        Raises:
+            UserError: Begun nowhere in its period can it be joined within the limits.
+        """
+        best, quickest, refusal = None, math.inf, UserError()
+        for time_s in np.linspace(0.0, self.period_s, _PHASES, endpoint=False):
+            begun = self.shifted(float(time_s))
+            try:
+                duration = begun.run(limits, start).duration_s
+            except UserError as error:
+                refusal = error
+                continue
+            if duration < quickest:
+                best, quickest = begun, duration
+        if best is None:
+            raise refusal
+        return best
+
+    def run(self, limits: MotionLimits, start: ArrayLike | None = None, rest_s: float = 1.0) -> Trajectory:
+        """The whole run: rest at `start` (n,), approach, all periods, return, rest.
+
+        The approach is as quick as the limits allow; velocity and acceleration are zero at both ends. A
+        motion that is fast beside a limit when its period begins may not be: see `begun_where_joinable`.
+
+        Args:
+            limits: Limits the approach and the return must keep.
+            start: Posture to leave from and come back to, rad; all zeros unless given.
+            rest_s: Rest before and after, s; 0 for none.
+
+        Raises:
+            UserError: The approach cannot keep the limits.
+        """
+        home = np.zeros(len(self.joints)) if start is None else np.asarray(start, dtype=float)
+        still = Rest(home, rest_s)
+        home_state, first = still.evaluate(0.0).at(0), self.evaluate(0.0).at(0)
+        body = [
+            Quintic.within(limits, home_state, first),
+            self,
+            Quintic.within(limits, first, home_state),
+        ]
+        return Trajectory(self.joints, tuple([still, *body, still] if rest_s > 0 else body))
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A whole run: segments one after the other, in position and velocity without a jump.
+
+    Raises:
+        UserError: Two neighbours do not join, or there are no segments.
+    """
+
+    joints: tuple[str, ...]
+    segments: tuple[Segment, ...]
+
+    def __post_init__(self) -> None:
+        if not self.segments:
+            raise UserError("a trajectory needs at least one segment")
+        for number, (left, right) in enumerate(pairwise(self.segments), start=1):
+            end, begin = left.evaluate(left.duration_s).at(0), right.evaluate(0.0).at(0)
+            jump = max(np.abs(end.q - begin.q).max(), np.abs(end.qd - begin.qd).max())
+            if jump > _JOIN_TOLERANCE:
+                raise UserError(
+                    f"segment {number + 1} starts {jump:.3g} rad or rad/s away from where segment {number} "
+                    "ends; put a quintic segment between them"
+                )
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the whole run, s."""
+        return sum(segment.duration_s for segment in self.segments)
+
+    def starts_s(self) -> FloatArray:
+        """Time at which each segment starts, s."""
+        return np.concatenate([[0.0], np.cumsum([s.duration_s for s in self.segments])[:-1]])
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at the times `t` (T,), s; before the start and after the end, the posture there, held."""
+        times = np.atleast_1d(np.asarray(t, dtype=float))
+        inside = np.clip(times, 0.0, self.duration_s)
+        starts = self.starts_s()
+        which = np.clip(np.searchsorted(starts, inside, side="right") - 1, 0, len(starts) - 1)
+        out = Motion(*(np.empty((times.size, len(self.joints))) for _ in range(3)))
+        for index in np.unique(which):
+            rows = which == index
+            piece = self.segments[index].evaluate(inside[rows] - starts[index])
+            for target, values in zip(out, piece, strict=True):
+                target[rows] = values
+        outside = times != inside
+        out.qd[outside] = 0.0
+        out.qdd[outside] = 0.0
+        return out
+
+
+def random_feasible(
+    joints: Iterable[str],
+    limits: MotionLimits,
+    *,
+    seed: int,
+    fundamental_hz: float = 0.1,
+    harmonics: int = 5,
+    periods: int = 5,
+    usage: float = 0.9,
+    smallest_usage: float = 0.6,
+    start: ArrayLike | None = None,
+) -> FourierTrajectory:
+    """A seeded random Fourier trajectory that keeps the limits, verified on a fine grid, and can be joined.
+
+    Each joint is scaled on its own until position, velocity or acceleration uses a share of its limit, drawn
+    between `smallest_usage` and `usage`; its centre is drawn from where the scaled motion fits.
+
+    Args:
+        joints: Names of the n joints.
+        limits: Limits to keep.
+        seed: Same seed, same trajectory.
+        fundamental_hz: f0, Hz.
+        harmonics: N_h.
+        periods: Number of periods.
+        usage: Largest share of a limit a joint may use, at most 1.
+        smallest_usage: Smallest share drawn.
+        start: Posture (n,) its `run` shall be able to leave from, rad; all zeros unless given.
+
+    Raises:
+        UserError: No trajectory drawn can be joined to `start` within the limits.
+    """
+    names = tuple(joints)
+    rng = np.random.default_rng(seed)
+    for attempt in range(1, _DRAWS + 1):
+        a, b, centre = _draw(rng, limits, fundamental_hz, harmonics, (smallest_usage, usage))
+        series = FourierTrajectory(names, centre, a, b, fundamental_hz, periods)
+        try:
+            return series.begun_where_joinable(limits, start)
+        except UserError:
+            if attempt == _DRAWS:
+                raise
+    raise AssertionError("unreachable: the last attempt returns or raises")
+
+
+def _draw(
+    rng: np.random.Generator,
+    limits: MotionLimits,
+    fundamental_hz: float,
+    harmonics: int,
+    usage: tuple[float, float],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coefficients a, b (n, N_h) and centre (n,) of one random series within the limits."""
+    n = len(limits.lower)
+    # Coefficients are velocities (eq. 10), so every harmonic gets the same share of speed.
+    a, b = rng.standard_normal((2, n, harmonics))
+    unit = FourierTrajectory(("",) * n, np.zeros(n), a, b, fundamental_hz, 1)
+    motion = unit.evaluate(_grid(unit.period_s))
+    highest, lowest = motion.q.max(axis=0), motion.q.min(axis=0)
+    worst = np.max(
+        [
+            (highest - lowest) / (limits.upper - limits.lower),
+            np.abs(motion.qd).max(axis=0) / limits.velocity,
+            np.abs(motion.qdd).max(axis=0) / limits.acceleration,
+        ],
+        axis=0,
+    )
+    scale = rng.uniform(*usage, n) / worst
+    # The share narrows the position range about its middle too: the margin holds for all three limits.
+    middle, half = (limits.upper + limits.lower) / 2, usage[1] * (limits.upper - limits.lower) / 2
+    room_low, room_high = middle - half - scale * lowest, middle + half - scale * highest
+    centre = room_low + rng.uniform(0.0, 1.0, n) * (room_high - room_low)
+    return scale[:, None] * a, scale[:, None] * b, centre
+
+
+def _grid(duration_s: float) -> FloatArray:
+    return np.linspace(0.0, duration_s, max(200, round(duration_s / _GRID_S)) + 1)

@@ -1,0 +1,221 @@
+"""Trajectory files, `spacearm_ident/trajectory/1`: a YAML list of segments.
+
+schema: spacearm_ident/trajectory/1
+joints: [joint_1, joint_2]            # the order of every list below
+segments:
+- {kind: rest, duration_s: 1.0, position: [0.0, 0.0]}
+- {kind: quintic, duration_s: 3.0}    # from where the last segment ends to where the next starts
+- kind: fourier                       # paper eq. 9
+  fundamental_hz: 0.1
+  periods: 5
+  q0: [0.2, -0.4]                     # rad
+  a: [[0.1, 0.2], [0.3, 0.1]]         # rad/s, one row a joint, one column a harmonic
+  b: [[0.0, 0.1], [0.2, 0.1]]
+- {kind: quintic, duration_s: 3.0}
+- {kind: rest, duration_s: 1.0, position: [0.0, 0.0]}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from spacearm_ident.errors import UserError
+from spacearm_ident.excitation.trajectory import (
+    FloatArray,
+    FourierTrajectory,
+    Motion,
+    Quintic,
+    Rest,
+    Segment,
+    Trajectory,
+)
+
+SCHEMA = "spacearm_ident/trajectory/1"
+
+Entry = dict[str, Any]
+
+
+def load_trajectory(path: str | Path) -> Trajectory:
+    """Read a trajectory file.
+
+    Raises:
+        UserError: The file cannot be read, is not such a file, or its segments do not join; the line says
+            where and what to do.
+    """
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: cannot be read ({error}); check the path") from error
+    except yaml.YAMLError as error:
+        place = " ".join(str(error).split())
+        raise UserError(f"{path}: not valid YAML ({place}); correct it there") from error
+    try:
+        return trajectory_from_dict(document)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+
+
+def save_trajectory(trajectory: Trajectory, path: str | Path) -> None:
+    """Write a trajectory file that loads back to the same numbers.
+
+    Raises:
+        UserError: The file cannot be written.
+    """
+    text = yaml.safe_dump(trajectory_to_dict(trajectory), sort_keys=False, default_flow_style=None, width=100)
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error}); choose another place") from error
+
+
+def trajectory_to_dict(trajectory: Trajectory) -> Entry:
+    """The document of a trajectory file as plain data."""
+    return {
+        "schema": SCHEMA,
+        "joints": list(trajectory.joints),
+        "segments": [_segment_to_dict(segment) for segment in trajectory.segments],
+    }
+
+
+def trajectory_from_dict(document: object) -> Trajectory:
+    """Build the trajectory a document describes.
+
+    Raises:
+        UserError: The document is not a valid trajectory.
+    """
+    fields = _fields(document, "the file", ("schema", "joints", "segments"))
+    if fields["schema"] != SCHEMA:
+        raise UserError(f"schema is {fields['schema']!r}; this program reads {SCHEMA!r}")
+    joints = fields["joints"]
+    if not isinstance(joints, list) or not joints or not all(isinstance(name, str) for name in joints):
+        raise UserError("joints must be a list of joint names")
+    if len(set(joints)) < len(joints):
+        raise UserError("joints names one joint twice; name each once")
+    entries = fields["segments"]
+    if not isinstance(entries, list) or not entries:
+        raise UserError("segments must be a list of at least one segment")
+    names = tuple(joints)
+    segments = [_segment(entry, f"segment {i}", names) for i, entry in enumerate(entries, start=1)]
+    return Trajectory(names, _joined(segments))
+
+
+def _segment(entry: object, where: str, joints: tuple[str, ...]) -> Segment | float:
+    """One segment; a quintic comes back as its duration alone, to be joined to its neighbours."""
+    kind = entry.get("kind") if isinstance(entry, dict) else None
+    reader = _READERS.get(kind) if isinstance(kind, str) else None
+    if reader is None:
+        raise UserError(f"{where}: kind {kind!r} is unknown; use one of {', '.join(_READERS)}")
+    return reader(entry, where, joints)
+
+
+def _read_rest(entry: object, where: str, joints: tuple[str, ...]) -> Rest:
+    fields = _fields(entry, where, ("kind", "duration_s", "position"))
+    return Rest(_array(fields, "position", where, (len(joints),)), _positive(fields, "duration_s", where))
+
+
+def _read_quintic(entry: object, where: str, joints: tuple[str, ...]) -> float:
+    return _positive(_fields(entry, where, ("kind", "duration_s")), "duration_s", where)
+
+
+def _read_fourier(entry: object, where: str, joints: tuple[str, ...]) -> FourierTrajectory:
+    fields = _fields(entry, where, ("kind", "fundamental_hz", "periods", "q0", "a", "b"))
+    periods = fields["periods"]
+    if not isinstance(periods, int) or isinstance(periods, bool) or periods < 1:
+        raise UserError(f"{where}: periods must be a whole number of at least 1, not {periods!r}")
+    n = len(joints)
+    a = _array(fields, "a", where, (n, None))
+    return FourierTrajectory(
+        joints=joints,
+        q0=_array(fields, "q0", where, (n,)),
+        a=a,
+        b=_array(fields, "b", where, a.shape),
+        fundamental_hz=_positive(fields, "fundamental_hz", where),
+        periods=periods,
+    )
+
+
+_READERS: dict[str, Callable[[object, str, tuple[str, ...]], Segment | float]] = {
+    "rest": _read_rest,
+    "quintic": _read_quintic,
+    "fourier": _read_fourier,
+}
+
+
+def _joined(segments: list[Segment | float]) -> tuple[Segment, ...]:
+    out: list[Segment] = []
+    for i, segment in enumerate(segments):
+        if not isinstance(segment, float):
+            out.append(segment)
+            continue
+        following = segments[i + 1] if i + 1 < len(segments) else None
+        if not out or following is None or isinstance(following, float):
+            raise UserError(
+                f"segment {i + 1}: a quintic joins two segments of other kinds; put one on each side"
+            )
+        last = out[-1]
+        out.append(
+            Quintic(last.evaluate(last.duration_s).at(0), _state_at_start(following), duration_s=segment)
+        )
+    return tuple(out)
+
+
+def _state_at_start(segment: Segment) -> Motion:
+    return segment.evaluate(0.0).at(0)
+
+
+def _segment_to_dict(segment: Segment) -> Entry:
+    match segment:
+        case Rest():
+            return {"kind": "rest", "duration_s": segment.duration_s, "position": segment.position.tolist()}
+        case Quintic():
+            return {"kind": "quintic", "duration_s": segment.duration_s}
+        case FourierTrajectory():
+            return {
+                "kind": "fourier",
+                "fundamental_hz": segment.fundamental_hz,
+                "periods": segment.periods,
+                "q0": segment.q0.tolist(),
+                "a": segment.a.tolist(),
+                "b": segment.b.tolist(),
+            }
+    raise TypeError(f"no file form for {type(segment).__name__}")
+
+
+def _fields(document: object, where: str, keys: Sequence[str]) -> Entry:
+    """The mapping, with exactly these keys."""
+    if not isinstance(document, dict):
+        raise UserError(f"{where} must be a mapping with the keys {', '.join(keys)}")
+    unknown = [str(key) for key in document if key not in keys]
+    if unknown:
+        raise UserError(f"{where}: unknown key {', '.join(unknown)}; the keys are {', '.join(keys)}")
+    missing = [key for key in keys if key not in document]
+    if missing:
+        raise UserError(f"{where}: {', '.join(missing)} missing; add it")
+    return document
+
+
+def _positive(fields: Entry, key: str, where: str) -> float:
+    value = float(_array(fields, key, where, ()))
+    if value <= 0:
+        raise UserError(f"{where}: {key} must be above zero, not {value:g}")
+    return value
+
+
+def _array(fields: Entry, key: str, where: str, shape: tuple[int | None, ...]) -> FloatArray:
+    """Finite numbers of this shape (None: any length above zero)."""
+    try:
+        array = np.asarray(fields[key], dtype=float)
+    except (TypeError, ValueError):
+        array = np.full((), np.nan)
+    fits = array.ndim == len(shape) and all(
+        have == want or (want is None and have > 0) for have, want in zip(array.shape, shape, strict=False)
+    )
+    if not fits or not np.all(np.isfinite(array)):
+        size = " × ".join("any" if want is None else str(want) for want in shape)
+        raise UserError(f"{where}: {key} must be {f'finite numbers, {size}' if shape else 'a finite number'}")
+    return array

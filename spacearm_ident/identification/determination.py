@@ -1,0 +1,128 @@
+"""What each parameter's value rests on: the data, a combination, a bound, or the prior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.base_parameters import BaseParameters
+from ..dynamics.model import TorqueModel
+from ..dynamics.term import Constant, Parameter
+from .identified import Determination, Estimate
+from .prior import Prior
+
+KNOWN_SHARE = 0.25
+"""A standard error below this share of the prior's scale means that the data, not the prior, decided."""
+KNOWN_LOGARITHM = 0.5
+"""A constant whose logarithm is less certain than this is not seen by the data."""
+BOUND_SHARE = 1e-6
+
+
+def judge(
+    model: TorqueModel,
+    prior: Prior,
+    base: BaseParameters,
+    parameters: FloatArray,
+    constants: FloatArray,
+    covariance: FloatArray,
+    grids: Sequence[FloatArray],
+    at_rest: tuple[str, ...] = (),
+) -> tuple[Estimate, ...]:
+    """An `Estimate` for every parameter and constant of a model, in its order.
+
+    Args:
+        model: Structure.
+        prior: What was believed before.
+        base: Regrouping into base parameters.
+        parameters: (p,) final values.
+        constants: (c,) final values.
+        covariance: (p + c, p + c).
+        grids: Values that each constant was searched over.
+        at_rest: Joints that never moved.
+    """
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    count = len(parameters)
+    constant_estimates = tuple(
+        _constant(constant, float(value), float(error), grid, constant.joint in at_rest)
+        for constant, value, error, grid in zip(model.constants, constants, errors[count:], grids)
+    )
+    unseen_constants = {
+        estimate.joint
+        for estimate in constant_estimates
+        if estimate.symbol == "v_b" and not estimate.identifiable
+    }
+    estimates = []
+    for k, parameter in enumerate(model.parameters):
+        determination, note = _parameter(parameter, k, base, float(errors[k]), float(prior.scale[k]))
+        value = float(parameters[k])
+        if determination is not Determination.FIXED and _at_bound(parameter, value, float(prior.scale[k])):
+            determination, note = Determination.BOUND, "pushed against its physical bound"
+        if (
+            parameter.symbol == "f_b"
+            and parameter.joint in unseen_constants
+            and determination is Determination.DATA
+        ):
+            determination, note = Determination.PRIOR, "its Stribeck velocity is not seen by the data"
+        error = (
+            float("nan") if determination in (Determination.FIXED, Determination.PRIOR) else float(errors[k])
+        )
+        if determination is Determination.COMBINED:
+            error = float("nan")
+        estimates.append(
+            Estimate(parameter.symbol, parameter.joint, parameter.unit, value, error, determination, note)
+        )
+    return (*estimates, *constant_estimates)
+
+
+def _parameter(
+    parameter: Parameter, number: int, base: BaseParameters, error: float, scale: float
+) -> tuple[Determination, str]:
+    if scale == 0.0:
+        return Determination.FIXED, "zero by default"
+    if number in base.unseen:
+        return Determination.PRIOR, "moves no torque, whatever the motion"
+    if not base.alone(number):
+        groups = np.flatnonzero(base.regrouping[:, number])
+        lead = base.names[int(groups[0])].split(" ")[0]
+        more = f" and {len(groups) - 1} more" if len(groups) > 1 else ""
+        return Determination.COMBINED, f"in the base parameter of {lead}{more}"
+    if error > KNOWN_SHARE * scale:
+        return Determination.PRIOR, "this motion does not reveal it"
+    return Determination.DATA, ""
+
+
+def _at_bound(parameter: Parameter, value: float, scale: float) -> bool:
+    """Whether a value lies on one of its bounds, to the precision of the interior-point solver."""
+    close = BOUND_SHARE * max(scale, abs(value))
+    return value - parameter.lower <= close or parameter.upper - value <= close
+
+
+def _constant(constant: Constant, value: float, error: float, grid: FloatArray, at_rest: bool) -> Estimate:
+    """A constant on the edge of its grid, or of which the data hardly notice a change, is not seen."""
+
+    def estimate(standard_error: float, determination: Determination, note: str) -> Estimate:
+        return Estimate(
+            constant.symbol, constant.joint, constant.unit, value, standard_error, determination, note
+        )
+
+    nan = float("nan")
+    positive = grid[grid > 0]
+    if constant.grid[-1] <= 0:
+        return estimate(nan, Determination.FIXED, "not part of the model")
+    if at_rest:
+        return estimate(nan, Determination.PRIOR, "the joint never moves")
+    if value <= 0:
+        words = "the data ask for none"
+        if constant.speed and (not len(positive) or positive[0] > constant.grid[1]):
+            words += (
+                f", and cannot see one below {positive[0] if len(positive) else constant.grid[-1]:.2g} rad/s"
+            )
+        return estimate(nan, Determination.BOUND, words)
+    if value <= positive[0] * 1.0001 or value >= positive[-1] / 1.0001:
+        edge = "lower" if value <= positive[0] * 1.0001 else "upper"
+        return estimate(nan, Determination.BOUND, f"at the {edge} end of its range: the data cannot see it")
+    if error > KNOWN_LOGARITHM * value or error == 0.0:
+        return estimate(error or nan, Determination.PRIOR, "this motion hardly reveals it")
+    return estimate(error, Determination.DATA, "")

@@ -1,0 +1,195 @@
+"""`Identified`: the estimate, how well it is known, and what determined it. Plain results, no computation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.base_parameters import BaseParameters
+from ..dynamics.model import IdentifiedModel
+from ..recording.bandwidth import Bandwidth
+
+
+class Determination(Enum):
+    """What a parameter's value rests on."""
+
+    DATA = "determined by the data"
+    COMBINED = "known only in a combination"
+    BOUND = "at a bound"
+    PRIOR = "from the prior"
+    FIXED = "held fixed"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter or constant.
+
+    Attributes:
+        symbol, joint, unit: What it is.
+        value: In `unit`.
+        standard_error: Same unit; NaN where the data say nothing about it by itself.
+        determination: What the value rests on.
+        note: Base parameter it is part of, which bound it is at, ... ; may be empty.
+    """
+
+    symbol: str
+    joint: str
+    unit: str
+    value: float
+    standard_error: float
+    determination: Determination
+    note: str = ""
+
+    @property
+    def name(self) -> str:
+        """`f_c[joint_1]`."""
+        return f"{self.symbol}[{self.joint}]"
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % confidence interval (NaN, NaN where there is no standard error)."""
+        half = 1.959964 * self.standard_error
+        return (self.value - half, self.value + half)
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the data determine it by itself."""
+        return self.determination is Determination.DATA
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One decision about the structure of the model, with its evidence.
+
+    Attributes:
+        term: What was considered, such as `load friction at elbow_joint`.
+        gain: Drop in weighted squares it brings when everything is fitted again (chi-square units).
+        accepted: Whether it joined the model.
+    """
+
+    term: str
+    gain: float
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Result of an identification.
+
+    Attributes:
+        model: Structure and values: physically consistent, ready to predict.
+        estimates: Every linear parameter and constant, in the model's order: parameters, then constants.
+        base: Regrouping into base parameters.
+        base_values: (b,) estimates of the base parameters, before physical consistency is imposed.
+        base_errors: (b,) their standard errors.
+        covariance: (p + c, p + c) of parameters and constants (zero rows for constants that were not searched).
+        consistency_shift: Largest move of a base parameter, in its standard errors, that imposing physical
+            consistency took (0: the data's estimate was consistent by itself).
+        residual_sigma_Nm: (n,) residual per joint on the fitted rows.
+        rows: (n,) regression rows per joint.
+        bandwidth: Low-pass that torque and regressor went through.
+        choices: Decisions about the structure.
+        solver: How the solver ended, in words.
+        joints_at_rest: Joints that never moved: nothing is known of their friction.
+        notes: Further things a user should know.
+    """
+
+    model: IdentifiedModel
+    estimates: tuple[Estimate, ...]
+    base: BaseParameters
+    base_values: FloatArray
+    base_errors: FloatArray
+    covariance: FloatArray
+    consistency_shift: float
+    residual_sigma_Nm: FloatArray
+    rows: np.ndarray
+    bandwidth: Bandwidth
+    choices: tuple[Choice, ...] = ()
+    solver: str = ""
+    joints_at_rest: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well a prediction meets a measurement, over some rows of one joint.
+
+    Attributes:
+        rows: Rows compared.
+        rmse, mae, largest: N·m.
+        correlation: Pearson's R (NaN where nothing varies).
+        relative_rms: Residual RMS over torque RMS (NaN where there is no torque).
+    """
+
+    rows: int
+    rmse: float
+    mae: float
+    largest: float
+    correlation: float
+    relative_rms: float
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """F test of the repeatable residual against the scatter between periods.
+
+    Attributes:
+        f: Ratio of mean squares; about 1 when the model leaves nothing repeatable out.
+        p_value: Probability of so large a ratio under a right model.
+        noise_Nm: Pure error of a row.
+    """
+
+    f: float
+    p_value: float
+    noise_Nm: float
+
+
+@dataclass(frozen=True)
+class JointValidation:
+    """One joint's validation: all rows, moving rows only, at full bandwidth, and its lack of fit where testable."""
+
+    everything: Fit
+    moving: Fit
+    unfiltered: Fit
+    lack_of_fit: LackOfFit | None = None
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Signals behind a validation, for figures: regression rows of one motion.
+
+    Attributes:
+        source: Which recording (its name).
+        time: (M,) s.
+        position, velocity: (M, n) rad, rad/s.
+        measured, predicted: (M, n) N·m.
+        moving: (M, n).
+    """
+
+    source: str
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    measured: FloatArray
+    predicted: FloatArray
+    moving: np.ndarray
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How the model predicts data.
+
+    Attributes:
+        joints: Joint name -> figures.
+        traces: Signals, one entry a motion.
+        what: What it was validated on, in words: other recordings, or a stated hold-out.
+        held_out: Whether the fit had not seen these data.
+    """
+
+    joints: dict[str, JointValidation]
+    traces: tuple[Trace, ...]
+    what: str
+    held_out: bool

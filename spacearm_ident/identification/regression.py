@@ -1,0 +1,205 @@
+"""The regression problem of a torque model on motions: columns and torque, row by joint, compressed.
+
+Every joint has its own rows. Columns that do not depend on a searched constant are computed once and replaced by
+their QR factors; whatever constants a solver tries, only the few columns they shape are computed anew and
+projected. After that no array has more rows than there are parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.model import TorqueModel
+from ..dynamics.term import Term
+from ..recording.motion import Motion
+
+DERIVATIVE_STEP = 1e-4
+"""Step of the forward difference by a constant's logarithm."""
+
+
+@dataclass
+class Rows:
+    """All moving rows of one joint over all motions.
+
+    Attributes:
+        indices: Numbers of the parameters with a fixed column here.
+        fixed: (M, k) their columns.
+        torque: (M,) N·m.
+        owner: (M,) which motion a row belongs to.
+        place: (M,) its row number within that motion.
+        weight: (M,) square root of the row's information, 1/(N·m).
+        basis: (M, r) orthonormal basis of the weighted fixed columns.
+        triangle: (r, k) their coordinates in it.
+    """
+
+    indices: list[int]
+    fixed: FloatArray
+    torque: FloatArray
+    owner: np.ndarray
+    place: np.ndarray
+    weight: FloatArray
+    basis: FloatArray
+    triangle: FloatArray
+
+    def set_weight(self, weight: FloatArray) -> None:
+        """Weight the rows, and factor the fixed columns anew."""
+        self.weight = weight
+        self.basis, self.triangle = np.linalg.qr(self.fixed * weight[:, None])
+
+
+Shaped = dict[int, tuple[list[int], FloatArray]]
+"""Joint row -> (parameter numbers, (M, k) unweighted columns)."""
+
+
+class Regression:
+    """A torque model's columns on the moving rows of some motions."""
+
+    def __init__(self, model: TorqueModel, motions: Sequence[Motion]) -> None:
+        """Compute all columns that no constant shapes.
+
+        Args:
+            model: The structure.
+            motions: At least one; all with the model's joints.
+        """
+        self.model = model
+        self.motions = list(motions)
+        self.load: list[FloatArray | None] = [None] * len(self.motions)
+        self._terms = list(model.numbered())
+        self._kept: dict[int, tuple[tuple[float, ...], Shaped]] = {}
+        self.rows = [self._rows(joint) for joint in range(len(model.arm.joints))]
+        self._fill_fixed()
+        for rows in self.rows:
+            rows.set_weight(np.ones(len(rows.torque)))
+
+    def _rows(self, joint: int) -> Rows:
+        place = [np.flatnonzero(motion.moving[:, joint]) for motion in self.motions]
+        torque = [motion.torque_rows[where, joint] for motion, where in zip(self.motions, place)]
+        owner = np.repeat(np.arange(len(place)), [len(where) for where in place])
+        count = len(owner)
+        empty = np.empty((count, 0))
+        return Rows(
+            [],
+            empty,
+            np.concatenate(torque),
+            owner,
+            np.concatenate(place),
+            np.ones(count),
+            empty,
+            np.empty((0, 0)),
+        )
+
+    def _fill_fixed(self) -> None:
+        for term, first, _ in self._terms:
+            if term.constants:
+                continue
+            per_motion = [term.columns(motion, (), None) for motion in self.motions]
+            for joint in per_motion[0]:
+                indices = per_motion[0][joint][0]
+                free = [k for k, index in enumerate(indices) if term.parameters[index].scale != 0.0]
+                if not free:
+                    continue
+                rows = self.rows[joint]
+                columns = self._gather(joint, [part[joint][1][:, free] for part in per_motion])
+                rows.indices = [*rows.indices, *(first + indices[k] for k in free)]
+                rows.fixed = np.concatenate([rows.fixed, columns], axis=1)
+
+    def _gather(self, joint: int, columns: Sequence[FloatArray]) -> FloatArray:
+        """Reduce full-rate columns of every motion and keep the joint's moving rows."""
+        parts = [motion.reduce(part)[motion.moving[:, joint]] for motion, part in zip(self.motions, columns)]
+        return np.concatenate(parts)
+
+    def shaped(self, term_number: int, constants: Sequence[float]) -> Shaped:
+        """Columns of one term that has constants, at given values of them (the last ones asked for are kept)."""
+        key = tuple(float(value) for value in constants)
+        if self._kept.get(term_number, (None, {}))[0] != key:
+            self._kept[term_number] = key, self._shaped(term_number, key)
+        return self._kept[term_number][1]
+
+    def _shaped(self, term_number: int, constants: tuple[float, ...]) -> Shaped:
+        term, first, _ = self._terms[term_number]
+        per_motion = [term.columns(motion, constants, load) for motion, load in zip(self.motions, self.load)]
+        return {
+            joint: (
+                [first + index for index in per_motion[0][joint][0]],
+                self._gather(joint, [part[joint][1] for part in per_motion]),
+            )
+            for joint in per_motion[0]
+        }
+
+    def term(self, number: int) -> Term:
+        """A term of the model by its number."""
+        return self._terms[number][0]
+
+    @cached_property
+    def grids(self) -> list[FloatArray]:
+        """For every constant, the values of its grid that these motions can tell apart."""
+        grids = []
+        for constant in self.model.constants:
+            grid = np.array(constant.grid)
+            if constant.speed:
+                joint = self.model.arm.joint_names.index(constant.joint)
+                resolved = [m.resolved_speed[joint] for m in self.motions if m.moving[:, joint].any()]
+                floor = min(resolved, default=np.inf)
+                above = grid[grid > floor]
+                ends = [floor] if len(above) and floor > grid[grid > 0][0] else []
+                grid = np.concatenate([grid[grid == 0], ends, above])
+            grids.append(grid)
+        return grids
+
+    def shaped_terms(self) -> list[tuple[int, int, int]]:
+        """(term number, first constant, number of constants) of the terms with constants."""
+        return [
+            (number, first, len(term.constants))
+            for number, (term, _, first) in enumerate(self._terms)
+            if term.constants
+        ]
+
+    def derivatives(
+        self, term_number: int, constants: Sequence[float], which: int, parameters: FloatArray
+    ) -> dict[int, FloatArray]:
+        """Joint row -> (M,) derivative of the term's torque by the logarithm of one constant."""
+        moved = list(constants)
+        moved[which] *= np.exp(DERIVATIVE_STEP)
+        here, there = self.shaped(term_number, constants), self._shaped(term_number, tuple(moved))
+        return {
+            joint: (there[joint][1] - columns) @ parameters[indices] / DERIVATIVE_STEP
+            for joint, (indices, columns) in here.items()
+        }
+
+    def update_load(self, parameters: FloatArray, constants: FloatArray) -> None:
+        """Take the rigid body's torque under `parameters` as the load on the gears."""
+        if self.model.needs_load:
+            self._kept.clear()
+            self.load = [
+                self.model.torque(motion, parameters, constants, ("rigid_body",)) for motion in self.motions
+            ]
+
+    def compress(
+        self, joint: int, extra_indices: Sequence[int], extra: FloatArray, width: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """A joint's weighted rows as a small equivalent system (S, s): |S x - s| up to a constant.
+
+        Args:
+            joint: Row.
+            extra_indices: Unknowns that the further columns belong to.
+            extra: (M, e) unweighted further columns (shaped ones, derivatives).
+            width: Number of unknowns in all.
+
+        Returns:
+            S (r + e + 1, width) and s (r + e + 1,), the last row holding the residual no unknown can lower.
+        """
+        rows = self.rows[joint]
+        tail = np.column_stack([extra, rows.torque]) * rows.weight[:, None]
+        inside = rows.basis.T @ tail
+        outside = np.linalg.qr(tail - rows.basis @ inside, mode="r")
+        rank, count = rows.triangle.shape
+        small = np.zeros((rank + len(outside), width))
+        small[:rank, rows.indices] = rows.triangle
+        small[:rank, list(extra_indices)] += inside[:, :-1]
+        small[rank:, list(extra_indices)] += outside[:, :-1]
+        return small, np.concatenate([inside[:, -1], outside[:, -1]])

@@ -1,0 +1,141 @@
+"""How well a model predicts data: per joint, moving and standing rows apart, and against the scatter of periods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.model import IdentifiedModel
+from ..errors import UnfitDataError
+from ..recording.motion import Motion
+from ..recording.recording import Recording
+from ..recording.signals import prepare
+from .identified import Fit, JointValidation, LackOfFit, Trace, Validation
+from .weights import residual_noise
+
+HOLD_OUT = 1.0 / 3.0
+SHORTEST_HOLD_OUT_S = 2.0
+
+
+def validate(
+    model: IdentifiedModel, recordings: Sequence[Recording], what: str, held_out: bool
+) -> Validation:
+    """Predict recordings in the bandwidth the model was identified in, and compare.
+
+    Args:
+        model: Model with values.
+        recordings: At least one, with the model's joints.
+        what: In words, what the recordings are.
+        held_out: Whether the fit had not seen them.
+
+    Raises:
+        UnfitDataError: The recordings are too short, or nothing moves.
+    """
+    joints = model.model.arm.joint_names
+    motions, _ = prepare(recordings, joints, model.cutoff_hz)
+    traces, full = [], []
+    for motion in motions:
+        torque = model.torque(motion)
+        name = recordings[motion.source].sources
+        traces.append(
+            Trace(
+                Path(name[0].path).name if name else f"recording {motion.source + 1}",
+                motion.time,
+                motion.reduce(motion.position),
+                motion.velocity_rows,
+                motion.torque_rows,
+                motion.reduce(torque),
+                motion.moving,
+            )
+        )
+        full.append((motion.torque, torque))
+    figures = {
+        joint: _joint(k, traces, full, _lack_of_fit(k, motions, traces)) for k, joint in enumerate(joints)
+    }
+    return Validation(figures, tuple(traces), what, held_out)
+
+
+def split(recording: Recording, share: float = HOLD_OUT) -> tuple[Recording, Recording]:
+    """A recording cut in time: what to fit, and the last part to validate on.
+
+    Raises:
+        UnfitDataError: Either part would be too short to use.
+    """
+    cut = recording.time[0] + (1.0 - share) * (recording.time[-1] - recording.time[0])
+    if recording.time[-1] - cut < SHORTEST_HOLD_OUT_S:
+        raise UnfitDataError(
+            f"{recording.time[-1] - recording.time[0]:.1f} s are too short to hold a part out: "
+            "give another recording with --validate"
+        )
+    return recording.between(-np.inf, cut), recording.between(cut, np.inf)
+
+
+def fit_figures(measured: FloatArray, predicted: FloatArray) -> Fit:
+    """The five figures of a prediction (M,) against a measurement (M,), N·m."""
+    if not len(measured):
+        nan = float("nan")
+        return Fit(0, nan, nan, nan, nan, nan)
+    residual = measured - predicted
+    rmse = float(np.sqrt(np.mean(residual**2)))
+    size = float(np.sqrt(np.mean(measured**2)))
+    varies = measured.std() > 0 and predicted.std() > 0
+    return Fit(
+        rows=len(measured),
+        rmse=rmse,
+        mae=float(np.mean(np.abs(residual))),
+        largest=float(np.max(np.abs(residual))),
+        correlation=float(np.corrcoef(measured, predicted)[0, 1]) if varies else float("nan"),
+        relative_rms=rmse / size if size > 0 else float("nan"),
+    )
+
+
+def _joint(
+    joint: int,
+    traces: Sequence[Trace],
+    full: Sequence[tuple[FloatArray, FloatArray]],
+    lack_of_fit: LackOfFit | None,
+) -> JointValidation:
+    measured = np.concatenate([trace.measured[:, joint] for trace in traces])
+    predicted = np.concatenate([trace.predicted[:, joint] for trace in traces])
+    moving = np.concatenate([trace.moving[:, joint] for trace in traces])
+    return JointValidation(
+        everything=fit_figures(measured, predicted),
+        moving=fit_figures(measured[moving], predicted[moving]),
+        unfiltered=fit_figures(
+            np.concatenate([torque[:, joint] for torque, _ in full]),
+            np.concatenate([prediction[:, joint] for _, prediction in full]),
+        ),
+        lack_of_fit=lack_of_fit,
+    )
+
+
+def _lack_of_fit(joint: int, motions: Sequence[Motion], traces: Sequence[Trace]) -> LackOfFit | None:
+    """Mean square of the repeatable residual over the pure error of the mean period, where periods repeat.
+
+    Rows are correlated, so the degrees of freedom are those of as many independent ones.
+    """
+    squares = noise = freedom = 0.0
+    repeats = 0.0
+    for motion, trace in zip(motions, traces):
+        moving = motion.moving[:, joint]
+        if motion.noise_Nm is None or moving.sum() < 10:
+            continue
+        residual = (trace.measured - trace.predicted)[moving, joint]
+        independent = len(residual) * min(1.0, 2 * motion.cutoff_hz / motion.row_rate_hz)
+        independent /= max(1.0, residual_noise(residual, np.flatnonzero(moving)).correlation_rows / 2.0)
+        squares += float(np.mean(residual**2)) * independent
+        noise += float(motion.noise_Nm[joint] ** 2) * independent
+        freedom += independent
+        repeats += independent * (motion.periods - 1)
+    if freedom == 0.0 or noise == 0.0:
+        return None
+    ratio = squares / noise
+    return LackOfFit(
+        f=ratio,
+        p_value=float(f_distribution.sf(ratio, freedom, repeats)),
+        noise_Nm=float(np.sqrt(noise / freedom)),
+    )

@@ -1,0 +1,91 @@
+"""How much each row of a regression tells: noise level, correlation in time, outliers.
+
+The information of a row is 1/(sigma^2 kappa): sigma from the residual, kappa its integrated autocorrelation time
+(residuals of a low-passed signal, or of a model that leaves something out, repeat themselves, and counting them
+as independent is why residual-based intervals come out too short). Outliers are bounded after Huber (1964).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from .regression import Regression, Rows
+
+HUBER = 3.0
+"""Residuals beyond so many standard deviations lose weight; 99.7 % of Gaussian ones keep it."""
+WINDOW = 5.0
+"""Sokal's automatic window: the correlation sum is cut at so many correlation times."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The residual of one joint in one motion.
+
+    Attributes:
+        sigma_Nm: Robust standard deviation.
+        correlation_rows: Integrated autocorrelation time kappa, rows (1: white).
+        rows: Rows used.
+    """
+
+    sigma_Nm: float
+    correlation_rows: float
+    rows: int
+
+
+def residual_noise(residual: FloatArray, place: np.ndarray) -> Noise:
+    """Noise of a residual (M,) whose rows sit at `place` in time (gaps where the joint stood still)."""
+    if len(residual) < 2:
+        return Noise(float("inf"), 1.0, len(residual))
+    sigma = 1.4826 * float(np.median(np.abs(residual)))
+    # Clip at the Huber bound, so that one outlier does not make the whole residual look white, or loud.
+    clipped = np.clip(residual, -HUBER * sigma, HUBER * sigma) if sigma > 0 else residual
+    spread = float(np.sqrt(np.mean(clipped**2)))
+    if spread == 0.0:
+        return Noise(0.0, 1.0, len(residual))
+    return Noise(spread, _correlation_time(autocovariance(clipped, place)), len(residual))
+
+
+def autocovariance(residual: FloatArray, place: np.ndarray) -> FloatArray:
+    """(L,) autocovariance by lag in rows, gaps left out of the count, up to a quarter of the record."""
+    length = int(place[-1] - place[0]) + 1
+    signal, present = np.zeros(length), np.zeros(length)
+    signal[place - place[0]] = residual
+    present[place - place[0]] = 1.0
+    size = 2 * length
+    lags = max(1, length // 4)
+    products = np.fft.irfft(np.abs(np.fft.rfft(signal, size)) ** 2, size)[:lags]
+    pairs = np.fft.irfft(np.abs(np.fft.rfft(present, size)) ** 2, size)[:lags]
+    return np.asarray(products / np.maximum(pairs, 1.0))
+
+
+def _correlation_time(covariance: FloatArray) -> float:
+    """1 + 2 sum of the autocorrelation, cut off where it has died away (Sokal 1997)."""
+    time = 1.0 + 2.0 * np.cumsum(covariance[1:] / covariance[0])
+    lags = np.arange(1, len(time) + 1)
+    enough = np.flatnonzero(lags >= WINDOW * np.maximum(time, 1.0))
+    value = time[enough[0]] if len(enough) else time[-1] if len(time) else 1.0
+    return float(max(1.0, value))
+
+
+def reweight(regression: Regression, residuals: list[FloatArray]) -> list[list[Noise]]:
+    """Set every joint's weights from its residual (M,); returns the noise by joint and motion."""
+    result = []
+    for rows, residual in zip(regression.rows, residuals):
+        noises = [
+            residual_noise(residual[rows.owner == k], rows.place[rows.owner == k])
+            for k in range(len(regression.motions))
+        ]
+        floor = 1e-6 * float(np.sqrt(np.mean(rows.torque**2))) if len(rows.torque) else 1.0
+        rows.set_weight(_weight(rows, residual, noises, max(floor, 1e-9)))
+        result.append(noises)
+    return result
+
+
+def _weight(rows: Rows, residual: FloatArray, noises: list[Noise], floor: float) -> FloatArray:
+    sigma = np.array([max(noise.sigma_Nm, floor) for noise in noises])[rows.owner]
+    kappa = np.array([noise.correlation_rows for noise in noises])[rows.owner]
+    huber = np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(residual), 1e-300))
+    return np.asarray(np.sqrt(huber / kappa) / sigma)

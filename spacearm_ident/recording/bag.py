@@ -1,0 +1,209 @@
+"""A bag on disk: one MCAP file or a rosbag2 folder, as streams of raw messages.
+
+Decides which files belong to a path, in which order, and reads them with `McapFile`. Anything that is no bag
+ends here in one line that says what to do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import yaml
+from mcap.writer import MCAP0_MAGIC
+
+from spacearm_ident.errors import UserError
+from spacearm_ident.recording.mcap_reader import Channel, Defect, McapFile, Message, Progress
+from spacearm_ident.recording.recording import Source
+
+MAX_KEPT_BYTES = 4 * 2**30
+"""Most message bytes held at once (three hours of six joints at 1 kHz); beyond it, the bag must be cut."""
+
+_MESSAGE_OVERHEAD = 100  # bytes Python spends on keeping one message, whatever its length
+
+
+@dataclass
+class Stream:
+    """Messages of one topic, in recorded order: receive times in nanoseconds and CDR payloads."""
+
+    channel: Channel
+    log_times_ns: list[int] = field(default_factory=list)
+    payloads: list[bytes] = field(default_factory=list)
+
+
+@dataclass
+class Bag:
+    """What was read from a bag.
+
+    Attributes:
+        streams: Wanted messages by topic.
+        topics: Every topic declared, with its type.
+        defects: What was found wrong.
+        sources: The files.
+    """
+
+    streams: dict[str, Stream] = field(default_factory=dict)
+    topics: dict[str, str] = field(default_factory=dict)
+    defects: list[Defect] = field(default_factory=list)
+    sources: list[Source] = field(default_factory=list)
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Sort key under which `run_10.mcap` follows `run_9.mcap`."""
+    return [(int(part or 0), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def _listed(folder: Path) -> list[str] | None:
+    """File names that `metadata.yaml` lists, in order; None when it cannot be used."""
+    try:
+        information = yaml.safe_load((folder / "metadata.yaml").read_bytes())["rosbag2_bagfile_information"]
+        names = [Path(str(name)).name for name in information["relative_file_paths"]]
+        compression = str(information.get("compression_mode") or "").lower()
+    except (OSError, yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+    if compression in ("file", "message") or any(name.endswith(".zstd") for name in names):
+        raise UserError(
+            f"{folder}: rosbag2 compression is not read; convert it with `ros2 bag convert` to plain mcap"
+        )
+    if any(name.endswith(".db3") for name in names):
+        raise UserError(f"{folder}: a bag of sqlite3 storage; convert it with `ros2 bag convert` to mcap")
+    return names
+
+
+def bag_files(path: Path) -> tuple[list[Path], list[Defect]]:
+    """The MCAP files of a bag in recorded order, and what is wrong with the folder.
+
+    Raises:
+        UserError: There is no such path, or no MCAP file in the folder.
+    """
+    try:
+        path.stat()
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: no such file or folder; give an .mcap file or a rosbag2 folder") from error
+    if not path.is_dir():
+        return [path], []
+    found = sorted(path.glob("*.mcap"), key=_natural)
+    listed = _listed(path)
+    if not found:
+        raise UserError(f"{path}: no .mcap file in this folder; give an .mcap file or a rosbag2 folder")
+    if listed is None:
+        text = "no usable metadata.yaml (recording not closed?); all .mcap files are read in order of name"
+        return found, [Defect("no_metadata", text)]
+    present = {file.name: file for file in found}
+    missing = [name for name in listed if name not in present]
+    unlisted = [name for name in present if name not in listed]
+    defects = []
+    if missing:
+        text = f"{', '.join(missing)} of metadata.yaml missing in the folder; the rest is read"
+        defects.append(Defect("missing_file", text, count=len(missing)))
+    if unlisted:
+        text = f"{', '.join(unlisted)} not listed in metadata.yaml, not read"
+        defects.append(Defect("unlisted_file", text, count=len(unlisted)))
+    files = [present[name] for name in dict.fromkeys(listed) if name in present]
+    if not files:
+        raise UserError(f"{path}: metadata.yaml lists none of the .mcap files there; name one of them")
+    return files, defects
+
+
+_FOREIGN = {
+    b"SQLite format 3": "an sqlite3 bag; convert it with `ros2 bag convert` to mcap",
+    b"#ROSBAG": "a ROS 1 bag; convert it with `rosbags-convert` to mcap",
+    b"\x28\xb5\x2f\xfd": "a zstd-compressed file; decompress it first (`zstd -d`)",
+}
+
+
+def _open(path: Path) -> mmap.mmap:
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+            if head.startswith(MCAP0_MAGIC):
+                return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read ({error}); check the file and its permissions") from error
+    if not head:
+        raise UserError(f"{path}: the file is empty; record again or give another file")
+    what = next((text for start, text in _FOREIGN.items() if head.startswith(start)), None)
+    raise UserError(f"{path}: {what or 'not an MCAP file; give an .mcap file or a rosbag2 folder'}")
+
+
+def messages(
+    path: str | Path,
+    wanted: Callable[[Channel], bool] = lambda _: True,
+    *,
+    bag: Bag | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Message]:
+    """All sound messages of a bag, file by file in recorded order.
+
+    Args:
+        path: MCAP file or rosbag2 folder.
+        wanted: Which channels to yield.
+        bag: Filled with topics, defects and sources on the way.
+        progress: Told the fraction done.
+
+    Raises:
+        UserError: The path is no readable bag.
+    """
+    bag = bag if bag is not None else Bag()
+    files, defects = bag_files(Path(path))
+    bag.defects += defects
+    total = max(1, sum(file.stat().st_size for file in files))
+    done = 0
+    for path in files:
+        try:
+            data = _open(path)
+        except UserError as error:
+            # The last file of a split recording is empty when the power went as it was opened.
+            if len(files) == 1:
+                raise
+            bag.defects.append(Defect("unreadable_file", f"{error}; not used"))
+            continue
+        with data:
+            file = McapFile(data, wanted)
+            for count, message in enumerate(file.messages()):
+                if progress is not None and count % 4096 == 0:
+                    progress((done + file.position) / total)
+                yield message
+            done += len(data)
+            name = f"{path.name}: " if len(files) > 1 else ""
+            bag.defects += [replace(defect, text=name + defect.text) for defect in file.defects]
+            bag.topics |= {channel.topic: channel.type_name for channel in file.channels.values()}
+            bag.sources.append(Source(str(path), len(data), hashlib.sha256(data).hexdigest()))
+    if not bag.sources:
+        raise UserError(f"{files[0].parent}: none of its .mcap files can be read; record again")
+    if progress is not None:
+        progress(1.0)
+
+
+def read_bag(path: str | Path, types: dict[str, str], progress: Progress | None = None) -> Bag:
+    """Read the topics in `types` (topic -> message type) of a bag into memory.
+
+    A topic of another type or encoding is left out.
+
+    Raises:
+        UserError: The path is no readable bag, or its messages exceed `MAX_KEPT_BYTES`.
+    """
+
+    def wanted(channel: Channel) -> bool:
+        # `package/Name` is how converters from ROS 1 write `package/msg/Name`; a damaged file may have lost
+        # the type altogether, and the decoder will see.
+        expected = types.get(channel.topic)
+        names = (expected, expected.replace("/msg/", "/"), "") if expected else ()
+        return channel.type_name in names and channel.message_encoding == "cdr"
+
+    bag = Bag()
+    room = MAX_KEPT_BYTES
+    for message in messages(path, wanted, bag=bag, progress=progress):
+        stream = bag.streams.get(message.channel.topic)
+        if stream is None:
+            stream = bag.streams.setdefault(message.channel.topic, Stream(message.channel))
+        stream.log_times_ns.append(message.log_time_ns)
+        stream.payloads.append(message.payload)
+        room -= len(message.payload) + _MESSAGE_OVERHEAD
+        if room < 0:
+            raise UserError(f"{path}: more than {MAX_KEPT_BYTES >> 30} GiB of joint data; split it")
+    return bag

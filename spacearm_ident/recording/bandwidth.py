@@ -1,0 +1,79 @@
+"""The bandwidth of a recording, read off its own spectra.
+
+Two frequencies bound what is worth keeping. Above the *crossing*, where the position's spectrum falls into its
+noise floor, a low-pass loses nothing but noise: there the expected error of the acceleration (signal cut off
+plus noise let through, both weighted by w^4) is least. And five times the *dynamic* frequency, below which
+nearly all of the velocity's power lies, keeps the motion's harmonics undistorted (Gautier 1997, "Dynamic
+identification of robots with power model": cut-off >= 5 w_dyn). The smaller of the two, the same for every
+joint and for torque and regressor alike, is the bandwidth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import welch
+
+from .recording import FloatArray
+
+DYNAMIC_SHARE = 0.99
+DYNAMIC_FACTOR = 5.0
+BOUNDS_HZ = (5.0, 20.0)
+FLOOR_FACTOR = 4.0
+"""A line this far above the floor (6 dB) is taken for signal."""
+
+
+@dataclass(frozen=True)
+class Bandwidth:
+    """The chosen cut-off and what it was chosen from.
+
+    Attributes:
+        cutoff_hz: Low-pass cut-off.
+        crossing_hz: Highest frequency at which every moving joint's position stands above its noise.
+        dynamic_hz: Frequency below which 99 % of the velocity's power lies, largest of the joints.
+        position_noise: (n,) standard deviation of the white noise on the position, rad.
+        reason: One clause that says which of the two decided.
+    """
+
+    cutoff_hz: float
+    crossing_hz: float
+    dynamic_hz: float
+    position_noise: FloatArray
+    reason: str
+
+
+def choose_bandwidth(position: FloatArray, rate_hz: float) -> Bandwidth:
+    """Choose the low-pass cut-off for one evenly sampled stretch of joint positions.
+
+    Args:
+        position: (N, n) rad, evenly sampled.
+        rate_hz: Sample rate, Hz.
+    """
+    window = min(len(position), max(64, int(8 * rate_hz)))
+    frequency, density = welch(position, rate_hz, nperseg=window, detrend="linear", axis=0)
+    floor = np.median(density[frequency > 0.3 * rate_hz], axis=0)
+    noise = np.sqrt(floor * rate_hz / 2)
+    velocity_power = np.cumsum(
+        density * (frequency**2)[:, None] * (density > FLOOR_FACTOR * floor[None]), axis=0
+    )
+    moving = velocity_power[-1] > 0
+    if not moving.any():
+        return Bandwidth(BOUNDS_HZ[0], 0.0, 0.0, noise, "nothing moves")
+    share = velocity_power[:, moving] / velocity_power[-1, moving]
+    dynamic = float(max(frequency[np.argmax(column >= DYNAMIC_SHARE)] for column in share.T))
+    below = density[:, moving] < FLOOR_FACTOR * floor[moving]
+    below[0] = False
+    first = [np.argmax(column) if column.any() else len(frequency) - 1 for column in below.T]
+    crossing = float(frequency[max(first)])
+    wanted = min(crossing, DYNAMIC_FACTOR * dynamic)
+    upper = min(BOUNDS_HZ[1], 0.2 * rate_hz)
+    cutoff = float(np.clip(wanted, min(BOUNDS_HZ[0], upper), upper))
+    reason = (
+        f"five times the {dynamic:.2g} Hz that hold 99 % of the motion's power"
+        if DYNAMIC_FACTOR * dynamic <= crossing
+        else f"above {crossing:.2g} Hz the positions are noise"
+    )
+    if cutoff != wanted:
+        reason += f", kept within {min(BOUNDS_HZ[0], upper):.2g} and {upper:.2g} Hz"
+    return Bandwidth(cutoff, crossing, dynamic, noise, reason)

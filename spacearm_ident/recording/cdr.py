@@ -1,0 +1,339 @@
+"""CDR, the wire format of ROS 2 messages: decode and encode the three types a recording holds.
+
+A payload is a 4-byte encapsulation header (second byte: 0 big-endian, 1 little-endian; last two: options)
+followed by the plain CDR (XCDR1) body; alignment counts from the first byte after that header (OMG DDSI-RTPS
+10.2, formal/2021-03-01). A string is a uint32 length, its bytes and a NUL; a sequence is a uint32 count and
+its elements; float64 aligns to 8, and an empty sequence has no alignment behind its count.
+
+A thousand joint states a second nearly always share one *layout*: same joints in the same order, hence same
+places of every number. `decode_joint_states` parses one message, compares the bytes that fix the layout over
+all messages at once, and reads the numbers of those that agree with one array view. What disagrees is tried
+with the next layout, and in the end message by message. Every length is checked against the bytes that are
+there before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spacearm_ident.recording.recording import FloatArray
+
+_HEADER_BYTES = 4
+_STAMP = slice(4, 12)
+_VECTOR_ATTEMPTS = 12  # layouts compared over all messages before going message by message
+_COMPARED_TOGETHER = 4096  # messages compared in one go: the temporaries stay in the cache
+
+IntArray = NDArray[np.int64]
+
+
+class CdrError(ValueError):
+    """The bytes are not a CDR message of the expected type."""
+
+
+class _Cursor:
+    """Reads CDR primitives one after another, never past the end of the payload."""
+
+    def __init__(self, payload: bytes) -> None:
+        if len(payload) < _HEADER_BYTES or payload[0] != 0 or payload[1] > 1:
+            raise CdrError("not a plain CDR payload")
+        self.payload = payload
+        self.order = "<" if payload[1] == 1 else ">"
+        self.position = _HEADER_BYTES
+        self.fixed = [(1, 2)]  # byte spans read that decide where everything behind them stands
+        self._u32 = struct.Struct(self.order + "I")
+
+    def align(self, size: int) -> None:
+        self.position += -(self.position - _HEADER_BYTES) % size
+
+    def skip(self, size: int) -> int:
+        """Step over `size` bytes; returns where they start."""
+        start = self.position
+        if size > len(self.payload) - start:
+            raise CdrError(f"{size} bytes announced, {max(0, len(self.payload) - start)} left")
+        self.position = start + size
+        return start
+
+    def u32(self) -> int:
+        self.align(4)
+        start = self.skip(4)
+        self.fixed.append((start, start + 4))
+        return int(self._u32.unpack_from(self.payload, start)[0])
+
+    def string(self) -> str:
+        size = self.u32()
+        start = self.skip(size)
+        self.fixed.append((start, start + size))
+        try:
+            return self.payload[start : start + size].removesuffix(b"\0").decode()
+        except UnicodeDecodeError as error:
+            raise CdrError("a string is not UTF-8") from error
+
+    def strings(self) -> tuple[str, ...]:
+        count = self.u32()
+        if count * 4 > len(self.payload) - self.position:
+            raise CdrError(f"{count} strings announced, too few bytes left")
+        return tuple(self.string() for _ in range(count))
+
+    def float64s(self) -> tuple[int, int]:
+        """A sequence of float64: where it starts and how many there are."""
+        count = self.u32()
+        if count == 0:
+            return self.position, 0
+        self.align(8)
+        return self.skip(8 * count), count
+
+    def stamp_ns(self) -> int:
+        seconds, nanoseconds = struct.unpack_from(self.order + "iI", self.payload, self.skip(8))
+        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the numbers of a JointState stand, and which bytes make it so."""
+
+    size: int
+    order: str
+    names: tuple[str, ...]
+    arrays: tuple[tuple[int, int], ...]  # (start, count) of position, velocity, effort
+    fixed: tuple[tuple[int, int], ...]  # byte spans any message of this layout repeats; padding is not one
+
+
+def _layout(payload: bytes) -> _Layout:
+    cursor = _Cursor(payload)
+    cursor.skip(8)
+    cursor.skip(cursor.u32())  # the frame_id may change: only its length matters
+    names = cursor.strings()
+    arrays = tuple(cursor.float64s() for _ in range(3))
+    return _Layout(len(payload), cursor.order, names, arrays, tuple(cursor.fixed))
+
+
+@dataclass(frozen=True)
+class JointStateBlock:
+    """Joint states of one layout, k messages of n joints.
+
+    Attributes:
+        rows: (k,) places of the messages among those given, ascending.
+        names: The n joints, in message order.
+        stamp_ns: (k,) header stamps in nanoseconds.
+        position: (k, n) rad (m), or None where the messages carry none (or not one a joint).
+        velocity: (k, n) rad/s (m/s), or None.
+        effort: (k, n) N·m (N), or None.
+    """
+
+    rows: IntArray
+    names: tuple[str, ...]
+    stamp_ns: IntArray
+    position: FloatArray | None
+    velocity: FloatArray | None
+    effort: FloatArray | None
+
+
+def _block(layout: _Layout, matrix: NDArray[np.uint8], rows: IntArray) -> JointStateBlock:
+    def numbers(start: int, count: int, kind: str) -> NDArray[np.generic]:
+        dtype = np.dtype(layout.order + kind)
+        span = np.ascontiguousarray(matrix[:, start : start + count * dtype.itemsize])
+        return span.view(dtype)
+
+    def array(start: int, count: int) -> FloatArray | None:
+        present = count == len(layout.names) and count > 0
+        return numbers(start, count, "f8").astype(np.float64) if present else None
+
+    seconds = numbers(_STAMP.start, 1, "i4")[:, 0].astype(np.int64)
+    nanoseconds = numbers(_STAMP.start + 4, 1, "u4")[:, 0].astype(np.int64)
+    position, velocity, effort = (array(*place) for place in layout.arrays)
+    return JointStateBlock(
+        rows, layout.names, seconds * 1_000_000_000 + nanoseconds, position, velocity, effort
+    )
+
+
+def _agrees(layout: _Layout, matrix: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Which messages of the same size repeat the bytes that fix the layout of `layout`'s message (row 0)."""
+    free = np.ones(layout.size, dtype=bool)
+    for start, stop in layout.fixed:
+        free[start:stop] = False
+    agrees = np.empty(len(matrix), dtype=bool)
+    for start in range(0, len(matrix), _COMPARED_TOGETHER):
+        part = slice(start, start + _COMPARED_TOGETHER)
+        agrees[part] = ((matrix[part] == matrix[0]) | free).all(axis=1)
+    return agrees
+
+
+def _same_size(
+    payloads: Sequence[bytes], rows: IntArray, blocks: list[JointStateBlock], bad: list[int]
+) -> None:
+    """Decode messages of one size: by comparison with a few layouts, the rest one by one."""
+    size = len(payloads[rows[0]])
+    joined = b"".join([payloads[row] for row in rows])
+    matrix = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), size)
+    for _ in range(_VECTOR_ATTEMPTS):
+        if len(rows) == 0:
+            return
+        try:
+            layout = _layout(payloads[rows[0]])
+        except CdrError:
+            bad.append(int(rows[0]))
+            rows, matrix = rows[1:], matrix[1:]
+            continue
+        agrees = _agrees(layout, matrix)
+        everything = bool(agrees.all())
+        blocks.append(_block(layout, matrix if everything else matrix[agrees], rows[agrees]))
+        if everything:
+            return
+        rows, matrix = rows[~agrees], matrix[~agrees]
+    groups: dict[_Layout, list[int]] = {}
+    for index, row in enumerate(rows):
+        try:
+            groups.setdefault(_layout(payloads[row]), []).append(index)
+        except CdrError:
+            bad.append(int(row))
+    blocks.extend(_block(layout, matrix[group], rows[group]) for layout, group in groups.items())
+
+
+def decode_joint_states(payloads: Sequence[bytes]) -> tuple[list[JointStateBlock], list[int]]:
+    """Decode `sensor_msgs/msg/JointState` messages in bulk.
+
+    Args:
+        payloads: CDR payloads, either byte order, in any mixture of layouts.
+
+    Returns:
+        The messages grouped by layout, and the places of those that could not be decoded. Memory is
+        proportional to the payloads, whatever lengths they announce.
+    """
+    blocks: list[JointStateBlock] = []
+    bad: list[int] = []
+    sizes = np.fromiter((len(payload) for payload in payloads), dtype=np.int64, count=len(payloads))
+    order = np.argsort(sizes, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(sizes[order])) + 1):
+        if len(rows) and sizes[rows[0]] == 0:
+            bad.extend(rows.tolist())
+        elif len(rows):
+            _same_size(payloads, rows, blocks, bad)
+    return blocks, sorted(bad)
+
+
+def decode_temperature(payload: bytes) -> tuple[int, str, float]:
+    """Decode a `sensor_msgs/msg/Temperature`: stamp in nanoseconds, frame_id, °C.
+
+    Raises:
+        CdrError: The payload is no such message.
+    """
+    cursor = _Cursor(payload)
+    stamp_ns = cursor.stamp_ns()
+    frame_id = cursor.string()
+    cursor.align(8)
+    temperature = struct.unpack_from(cursor.order + "d", payload, cursor.skip(8))[0]
+    return stamp_ns, frame_id, float(temperature)
+
+
+def decode_string(payload: bytes) -> str:
+    """Decode a `std_msgs/msg/String`.
+
+    Raises:
+        CdrError: The payload is no such message.
+    """
+    return _Cursor(payload).string()
+
+
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+
+
+class _Builder:
+    """Appends CDR primitives, little-endian; counterpart of `_Cursor`."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(_LITTLE_ENDIAN)
+
+    def align(self, size: int) -> None:
+        self.data += bytes(-(len(self.data) - _HEADER_BYTES) % size)
+
+    def u32(self, value: int) -> None:
+        self.align(4)
+        self.data += struct.pack("<I", value)
+
+    def string(self, value: str) -> None:
+        encoded = value.encode() + b"\0"
+        self.u32(len(encoded))
+        self.data += encoded
+
+    def float64_room(self, count: int) -> int:
+        """Append a sequence of `count` zeros; returns where the numbers start."""
+        self.u32(count)
+        if count:
+            self.align(8)
+        start = len(self.data)
+        self.data += bytes(8 * count)
+        return start
+
+    def stamp(self, stamp_ns: int) -> None:
+        seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+        self.data += struct.pack("<iI", seconds, nanoseconds)
+
+
+def encode_joint_states(
+    stamp_ns: IntArray | Sequence[int],
+    names: Iterable[str],
+    position: FloatArray | None = None,
+    velocity: FloatArray | None = None,
+    effort: FloatArray | None = None,
+    *,
+    frame_id: str = "",
+) -> list[bytes]:
+    """Encode N `sensor_msgs/msg/JointState` messages at once.
+
+    Args:
+        stamp_ns: (N,) header stamps, nanoseconds.
+        names: The n joints.
+        position: (N, n) rad (m); None leaves the array of the message empty, as for the next two.
+        velocity: (N, n) rad/s (m/s).
+        effort: (N, n) N·m (N).
+        frame_id: Frame of all headers.
+
+    Returns:
+        N payloads, little-endian.
+    """
+    builder = _Builder()
+    builder.stamp(0)
+    builder.string(frame_id)
+    names = tuple(names)
+    builder.u32(len(names))
+    for name in names:
+        builder.string(name)
+    stamps = np.asarray(stamp_ns, dtype=np.int64)
+    filled = []
+    for values in (position, velocity, effort):
+        if values is None:
+            builder.float64_room(0)
+        else:
+            wanted = np.ascontiguousarray(values, dtype="<f8").reshape(len(stamps), len(names))
+            filled.append((builder.float64_room(len(names)), wanted.view(np.uint8)))
+    size = len(builder.data)
+    matrix = np.tile(np.frombuffer(builder.data, dtype=np.uint8), (len(stamps), 1))
+    seconds, nanoseconds = np.divmod(stamps, 1_000_000_000)
+    clock = np.empty((len(stamps), 2), dtype="<u4")
+    clock[:, 0], clock[:, 1] = seconds.astype("<i4").view("<u4"), nanoseconds
+    matrix[:, _STAMP] = clock.view(np.uint8)
+    for start, data in filled:
+        matrix[:, start : start + data.shape[1]] = data
+    everything = matrix.tobytes()
+    return [everything[start : start + size] for start in range(0, len(everything), size)]
+
+
+def encode_temperature(stamp_ns: int, frame_id: str, temperature: float, variance: float = 0.0) -> bytes:
+    """Encode a `sensor_msgs/msg/Temperature` (°C; `frame_id` is the joint's name)."""
+    builder = _Builder()
+    builder.stamp(stamp_ns)
+    builder.string(frame_id)
+    builder.align(8)
+    return bytes(builder.data) + struct.pack("<dd", temperature, variance)
+
+
+def encode_string(text: str) -> bytes:
+    """Encode a `std_msgs/msg/String`."""
+    builder = _Builder()
+    builder.string(text)
+    return bytes(builder.data)

@@ -1,0 +1,251 @@
+"""Joint-state messages to sound samples: choose the clock, drop what cannot be used, keep the account of it.
+
+The rules are those of `reader`; this module applies them to one topic.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spacearm_ident.errors import UserError
+from spacearm_ident.recording import cdr, messages
+from spacearm_ident.recording.bag import Stream
+from spacearm_ident.recording.recording import FloatArray, Issue
+
+_VELOCITY_LOSS = 0.01  # share of samples without velocity above which velocity is given up, not the samples
+_EPOCH_NS = 10**17  # a clock beyond this (1973) counts from 1970: a stamp of zero is then an unset one
+
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An issue whose place is still a stamp, in ns of the recording's clock."""
+
+    kind: str
+    message: str
+    count: int
+    stamp_ns: int | None = None
+
+    def as_issue(self, start_ns: int) -> Issue:
+        """The issue of a recording that starts at `start_ns`."""
+        where = None if self.stamp_ns is None else max(0.0, (self.stamp_ns - start_ns) / 1e9)
+        return Issue(self.kind, self.message, self.count, where)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Messages as rows in recorded order, `joints` as columns. NaN where a message has no value."""
+
+    joints: tuple[str, ...]
+    stamp_ns: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+
+    def rows(self, keep: BoolArray) -> Samples:
+        """The messages to keep."""
+        if keep.all():
+            return self
+        arrays = (self.position, self.velocity, self.effort)
+        return Samples(self.joints, self.stamp_ns[keep], *(array[keep] for array in arrays))
+
+    def columns(self, keep: BoolArray) -> Samples:
+        """The joints to keep."""
+        joints = tuple(joint for joint, kept in zip(self.joints, keep, strict=True) if kept)
+        arrays = (self.position, self.velocity, self.effort)
+        return Samples(joints, self.stamp_ns, *(array[:, keep] for array in arrays))
+
+
+def increasing(stamps: IntArray) -> BoolArray:
+    """Mask of a longest strictly increasing subsequence; of equal stamps the first is kept.
+
+    Patience sorting (Fredman 1975), O(N log N); all True at once where the stamps increase already.
+    """
+    keep = np.ones(len(stamps), dtype=bool)
+    if bool((np.diff(stamps) > 0).all()):
+        return keep
+    tails: list[int] = []  # smallest last stamp of an increasing run of each length
+    tail_rows: list[int] = []
+    before = np.full(len(stamps), -1, dtype=np.int64)
+    for row, stamp in enumerate(stamps.tolist()):
+        length = bisect_left(tails, stamp)
+        if length < len(tails) and tails[length] == stamp:
+            before[row] = -2  # a repetition never replaces the first
+            continue
+        before[row] = tail_rows[length - 1] if length else -1
+        tails[length : length + 1] = [stamp]
+        tail_rows[length : length + 1] = [row]
+    keep[:] = False
+    row = tail_rows[-1]
+    while row >= 0:
+        keep[row] = True
+        row = int(before[row])
+    return keep
+
+
+def listing(names: Sequence[str], most: int = 8) -> str:
+    """Names for a person, the first `most` of them."""
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+
+
+def int64_ns(times_ns: Sequence[int]) -> IntArray:
+    """Log times are unsigned on disk; one past the year 2262 is damage, and becomes negative here."""
+    return np.array(times_ns, dtype=np.uint64).astype(np.int64)
+
+
+def _main_joints(blocks: Sequence[cdr.JointStateBlock]) -> tuple[str, ...]:
+    """The joints of the messages that carry most of the data, in the order of the first such message."""
+    weight: Counter[frozenset[str]] = Counter()
+    order: dict[frozenset[str], tuple[int, tuple[str, ...]]] = {}
+    for block in blocks:
+        names = frozenset(block.names)
+        weight[names] += len(block.rows) * len(names)
+        first = (int(block.rows[0]), tuple(dict.fromkeys(block.names)))
+        order[names] = min(order.get(names, first), first)
+    return order[max(weight, key=lambda names: (weight[names], len(names)))][1] if weight else ()
+
+
+def _carries_no_time(stamps: IntArray) -> bool:
+    return bool((stamps == stamps[0]).all()) and (len(stamps) > 1 or stamps[0] == 0)
+
+
+def _gather(
+    stamps: IntArray, blocks: Sequence[cdr.JointStateBlock], joints: tuple[str, ...]
+) -> tuple[Samples, BoolArray]:
+    """Columns of `joints` from all blocks, one row a message, and which rows name all joints."""
+    position, velocity, effort = (np.full((len(stamps), len(joints)), np.nan) for _ in range(3))
+    named = np.zeros(len(stamps), dtype=bool)
+    for block in blocks:
+        if not joints or not set(joints).issubset(block.names):
+            continue
+        named[block.rows] = True
+        columns = [block.names.index(joint) for joint in joints]
+        arrays = ((position, block.position), (velocity, block.velocity), (effort, block.effort))
+        for target, values in arrays:
+            if values is not None:
+                target[block.rows] = values[:, columns]
+    return Samples(joints, stamps, position, velocity, effort), named
+
+
+class Intake:
+    """Messages of one joint-state topic on their way to sound samples, and the account of what was dropped.
+
+    Attributes:
+        samples: What is left.
+        findings: What was left out and why.
+        seams: Samples that do not continue the one before, whatever their stamps say.
+        clock_shift_ns: Median of stamp minus log time: from the recorder's clock to that of the stamps.
+    """
+
+    def __init__(self, topic: str, stream: Stream, joints: Sequence[str] | None, use_log_time: bool) -> None:
+        self.findings: list[Finding] = []
+        self.seams: IntArray = np.zeros(0, dtype=np.int64)
+        self._label = "" if topic == messages.STATES_TOPIC else f"{topic}: "
+        blocks, bad = cdr.decode_joint_states(stream.payloads)
+        decoded = np.ones(len(stream.payloads), dtype=bool)
+        decoded[bad] = False
+        stamps = np.zeros(len(decoded), dtype=np.int64)
+        for block in blocks:
+            stamps[block.rows] = block.stamp_ns
+        log_times = int64_ns(stream.log_times_ns)
+        constant = bool(decoded.any()) and _carries_no_time(stamps[decoded])
+        if constant:
+            text = f"the {decoded.sum()} header stamps carry no time; that of recording stands in"
+            self.note("log_time_used", text, int(decoded.sum()))
+        self.on_log_time = constant or use_log_time
+        if self.on_log_time:
+            stamps = log_times
+        elif bad and decoded.any():  # a place for the report: the stamp of the nearest message before
+            before = np.maximum.accumulate(np.where(decoded, np.arange(len(decoded)), np.argmax(decoded)))
+            stamps = stamps[before]
+        self.clock_shift_ns = int(np.median((stamps - log_times)[decoded])) if decoded.any() else 0
+        if joints is None:
+            joints = _main_joints(blocks)
+        self.known = sorted({name for block in blocks for name in block.names})
+        self.samples, named = _gather(stamps, blocks, tuple(joints))
+        self.drop(~decoded, "undecodable_message", "messages left out that cannot be decoded")
+        text = f"messages without all of {listing(self.samples.joints)} left out"
+        self.drop(~named[decoded], "missing_joint", text)
+
+    def note(self, kind: str, message: str, count: int = 1, stamp_ns: int | None = None) -> None:
+        """Put a finding on the account."""
+        self.findings.append(Finding(kind, self._label + message, count, stamp_ns))
+
+    def drop(self, bad: BoolArray, kind: str, message: str) -> None:
+        """Leave out the `bad` samples; `message` goes on behind their number, with "samples" or the like."""
+        if count := int(bad.sum()):
+            what, rest = message.split(" ", 1)
+            text = f"{count} {what if count > 1 else what.removesuffix('s')} {rest}"
+            self.note(kind, text, count, int(self.samples.stamp_ns[np.argmax(bad)]))
+            self.samples = self.samples.rows(~bad)
+
+    def drop_joints_without_effort(self, chosen: bool) -> None:
+        """Leave out joints that never have position and effort, unless the user chose them.
+
+        Raises:
+            UserError: No joint has them, or not one the user chose.
+        """
+        samples = self.samples
+        if len(samples.stamp_ns) == 0:
+            return
+        for what, values in (("position", samples.position), ("effort", samples.effort)):
+            present = np.isfinite(values).any(axis=0)
+            if present.all():
+                continue
+            lacking = listing([name for name, has in zip(samples.joints, present, strict=True) if not has])
+            if chosen or not present.any():
+                raise UserError(
+                    f"{messages.STATES_TOPIC} has no {what} for {lacking}; record it, or choose other joints"
+                )
+            self.note(f"joint_without_{what}", f"{lacking} left out: no {what} in any message")
+            samples = self.samples.columns(present)
+            self.samples = samples
+            return self.drop_joints_without_effort(chosen)
+
+    def drop_not_finite(self, *, effort: bool) -> None:
+        """Drop samples without a finite position (and effort) of every joint."""
+        samples = self.samples
+        lacking = ~np.isfinite(samples.position)
+        if effort:
+            lacking |= ~np.isfinite(samples.effort)
+        names = [name for name, column in zip(samples.joints, lacking.T, strict=True) if column.any()]
+        text = f"samples with NaN, infinite or absent values ({listing(names)}) left out"
+        self.drop(lacking.any(axis=1), "nan", text)
+
+    def put_in_time(self) -> None:
+        """Drop unset, repeated and backward stamps until the stamps increase strictly."""
+        stamps = self.samples.stamp_ns
+        if len(stamps) and np.median(stamps) > _EPOCH_NS:
+            self.drop(stamps == 0, "zero_stamp", "samples without a stamp (zero) left out")
+        stamps = self.samples.stamp_ns
+        keep = increasing(stamps)
+        repeated = ~keep & np.concatenate(([False], stamps[1:] == stamps[:-1]))
+        late = ~keep & ~repeated
+        # One wrong stamp is one sample lost; several in a row are a clock set back, and what was sampled
+        # before and after it does not belong together although its stamps would.
+        self.seams = np.flatnonzero(np.diff(np.cumsum(late)[keep]) > 1) + 1
+        self.drop(repeated, "repeated_stamp", "samples with the stamp of the one before left out")
+        text = "samples with stamps out of order (a clock set back?) left out"
+        self.drop(late[~repeated], "backward_stamp", text)
+
+    def settle_velocity(self) -> bool:
+        """Whether the velocities can be used; if so, the few samples without one are dropped."""
+        finite = np.isfinite(self.samples.velocity)
+        if not finite.any():
+            return False
+        lacking = ~finite.all(axis=1)
+        if lacking.mean() > _VELOCITY_LOSS:
+            count, stamp = int(lacking.sum()), int(self.samples.stamp_ns[np.argmax(lacking)])
+            text = f"recorded velocity not used: {count} of {len(lacking)} samples lack a finite one"
+            self.note("velocity_unusable", text, count, stamp)
+            return False
+        self.drop(lacking, "nan", "samples with NaN, infinite or absent velocity left out")
+        return True

@@ -1,0 +1,170 @@
+"""Find the periods of a motion in its positions, and average over them.
+
+Over whole periods a Fourier projection differentiates exactly: the acceleration's noise is that of the few
+harmonics kept, and nothing is lost at the edges (Swevers et al. 1997, "Optimal robot excitation and
+identification"). The scatter between the periods is the torque's pure error, which no model can explain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import median_filter
+
+from .recording import FloatArray
+
+SEARCH_RATE_HZ = 25.0
+SHORTEST_S = 0.5
+TOLERANCE = 0.01
+"""Positions a period apart agree to this share of each joint's own spread."""
+TRIM_FACTOR, TRIM_FLOOR, TRIM_WINDOW = 5.0, 1e-5, 11
+"""A sample belongs to the period if it repeats within so many times the median difference, or this share."""
+NOISE_FACTOR = 4.0
+QUIET_HARMONICS = 5
+"""So many harmonics in a row inside the noise end the motion's spectrum."""
+
+
+@dataclass(frozen=True)
+class Period:
+    """Where a stretch of evenly sampled positions repeats itself.
+
+    Attributes:
+        start: First sample of the first whole period.
+        samples: Length of a period in samples, not necessarily whole.
+        count: Whole periods in a row, at least 2.
+    """
+
+    start: int
+    samples: float
+    count: int
+
+    @property
+    def stop(self) -> int:
+        """One past the last sample used."""
+        return self.start + int(np.floor(self.samples * self.count))
+
+
+def find_period(position: FloatArray, rate_hz: float) -> Period | None:
+    """The longest stretch that repeats, or None where nothing does.
+
+    Args:
+        position: (N, n) rad, evenly sampled.
+        rate_hz: Sample rate, Hz.
+    """
+    step = max(1, round(rate_hz / SEARCH_RATE_HZ))
+    coarse = position[::step]
+    spread = coarse.std(axis=0)
+    moving = spread > 1e-3
+    if not moving.any():
+        return None
+    scaled = coarse[:, moving] / spread[moving]
+    best: tuple[float, int, int, int] | None = None
+    for lag in range(max(1, round(SHORTEST_S * rate_hz / step)), len(scaled) // 2 + 1):
+        start, length = _longest_run(
+            np.abs(scaled[lag:] - scaled[:-lag]).max(axis=1) < TOLERANCE + _slip(scaled)
+        )
+        if length < lag or scaled[start : start + lag].std(axis=0).max() < 0.1:
+            continue
+        # A multiple of the period covers no more than the period itself: the shortest lag wins unless a longer
+        # one explains clearly more of the recording.
+        if best is None or length + lag > 1.2 * best[0]:
+            best = (length + lag, lag, start, length)
+    if best is None:
+        return None
+    _, lag, start, length = best
+    first, last = start * step, min((start + length + lag) * step, len(position))
+    samples = _refine(position[first:last, moving] / spread[moving], lag * step, step)
+    first, last = _trim(position[:, moving] / spread[moving], round(samples), first, last, step)
+    count = int((last - first) / samples + 1e-6)
+    return Period(first, samples, count) if count >= 2 else None
+
+
+def _slip(scaled: FloatArray) -> float:
+    """How far a position may move in half a coarse step: a lag falls between the samples."""
+    return 0.5 * float(np.percentile(np.abs(np.diff(scaled, axis=0)), 99))
+
+
+def _longest_run(hit: np.ndarray) -> tuple[int, int]:
+    """Start and length of the longest run of True."""
+    edge = np.flatnonzero(np.diff(np.concatenate(([False], hit, [False])).astype(np.int8)))
+    if not len(edge):
+        return 0, 0
+    length = edge[1::2] - edge[::2]
+    longest = int(np.argmax(length))
+    return int(edge[2 * longest]), int(length[longest])
+
+
+def _trim(scaled: FloatArray, lag: int, first: int, last: int, step: int) -> tuple[int, int]:
+    """Without what only resembles the period: the end of the approach, the beginning of the return."""
+    apart = np.abs(scaled[first + lag : last] - scaled[first : last - lag]).max(axis=1)
+    limit = max(TRIM_FACTOR * float(np.median(apart)), TRIM_FLOOR)
+    # Joints stick and slip at slightly different moments in each period: brief spikes are no end of the period.
+    smooth = median_filter(apart[::step], size=TRIM_WINDOW)
+    alike, length = _longest_run(smooth < limit)
+    start = first + alike * step
+    return start, min(start + length * step + lag, last)
+
+
+def _refine(scaled: FloatArray, lag: int, reach: int) -> float:
+    """The period to a fraction of a sample: vertex of the parabola through the least squared difference."""
+    lags = np.arange(max(1, lag - 2 * reach), min(lag + 2 * reach, len(scaled) - 2) + 1)
+    cost = np.array([np.mean((scaled[k:] - scaled[:-k]) ** 2) for k in lags])
+    i = int(np.argmin(cost))
+    if not 0 < i < len(lags) - 1:
+        return float(lags[i])
+    curvature = cost[i - 1] - 2 * cost[i] + cost[i + 1]
+    shift = 0.5 * (cost[i - 1] - cost[i + 1]) / curvature if curvature > 0 else 0.0
+    # A whole number of samples is what a clocked trajectory gives; a shift the noise could make is not believed.
+    return float(lags[i] + (shift if abs(shift) > 0.02 else 0.0))
+
+
+def fold(signal: FloatArray, period: Period) -> FloatArray:
+    """The whole periods of a signal (N, n) as (count, samples a period, n), on a common phase."""
+    length = round(period.samples)
+    if abs(period.samples - length) * period.count < 0.05:
+        stop = period.start + period.count * length
+        if stop <= len(signal):
+            return signal[period.start : stop].reshape(period.count, length, *signal.shape[1:])
+    phase = period.start + period.samples * (np.arange(period.count * length) / length)
+    spline = make_interp_spline(np.arange(len(signal)), signal, k=1)
+    return spline(np.minimum(phase, len(signal) - 1)).reshape(period.count, length, *signal.shape[1:])
+
+
+def project(
+    folded: FloatArray, rate_hz: float, cutoff_hz: float
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Position, velocity and acceleration of the mean period by Fourier projection.
+
+    Args:
+        folded: (count, N, n) positions, rad.
+        rate_hz: Samples of a period over its duration.
+        cutoff_hz: No harmonic above it is kept, whatever the spectrum says.
+
+    Returns:
+        Three (N, n) arrays, rad, rad/s and rad/s^2, and the highest frequency kept, Hz.
+    """
+    count, length, _ = folded.shape
+    mean = folded.mean(axis=0)
+    spectrum = np.fft.rfft(mean, axis=0)
+    noise_power = folded.var(axis=0, ddof=1).mean(axis=0) / count * length
+    frequency = np.fft.rfftfreq(length, 1.0 / rate_hz)
+    loud = (np.abs(spectrum) ** 2 > NOISE_FACTOR * noise_power).any(axis=1)
+    highest = _last_before_quiet(loud)
+    keep = (np.arange(len(frequency)) <= highest) & (frequency <= cutoff_hz)
+    spectrum = spectrum * keep[:, None]
+    derivative = (2j * np.pi * frequency)[:, None]
+    signals = (spectrum, derivative * spectrum, derivative**2 * spectrum)
+    position, velocity, acceleration = (np.fft.irfft(s, n=length, axis=0) for s in signals)
+    return position, velocity, acceleration, float(frequency[keep].max())
+
+
+def _last_before_quiet(loud: np.ndarray) -> int:
+    """Highest harmonic that is loud before `QUIET_HARMONICS` quiet ones in a row."""
+    quiet = 0
+    for index in range(1, len(loud)):
+        quiet = 0 if loud[index] else quiet + 1
+        if quiet == QUIET_HARMONICS:
+            return index - QUIET_HARMONICS
+    return len(loud) - 1

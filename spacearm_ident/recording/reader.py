@@ -1,0 +1,235 @@
+"""`read_recording`: from a bag to a `Recording`, with an account of everything that was left out.
+
+What counts as sound (contracts.md §1):
+
+* Time is `header.stamp`. Where the stamps carry no time (all equal) the log time stands in, and says so.
+* Stamps must increase. The fewest samples are dropped that make them increase (a longest increasing
+  subsequence), so that one stamp far ahead costs one sample and not all behind it. Nothing is sorted.
+* A sample is used when its message names all joints and gives each a finite position and effort.
+* Velocity is optional, everything here can do without: it is given for all samples or not at all. Where at
+  most 1 % of the samples lack a finite velocity those samples are dropped, otherwise the velocity is.
+* An interval is a gap when it exceeds both 5 times the median interval and twice its 95th percentile (uneven
+  sampling is no gap).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from spacearm_ident.errors import UserError
+from spacearm_ident.recording import cdr, messages
+from spacearm_ident.recording.bag import Bag, read_bag
+from spacearm_ident.recording.intake import Finding, Intake, IntArray, increasing, int64_ns, listing
+from spacearm_ident.recording.mcap_reader import Defect, Progress
+from spacearm_ident.recording.recording import FloatArray, Issue, Recording, Series
+
+GAP_MEDIANS = 5.0
+"""How many median intervals make a gap."""
+
+
+def _read_states(bag: Bag, path: str, joints: Sequence[str] | None) -> tuple[Intake, bool]:
+    """The joint states, sound and in order of time, and whether their velocities can be used."""
+    stream = bag.streams.get(messages.STATES_TOPIC)
+    if stream is None:
+        there = listing([f"{topic} ({kind or 'no type'})" for topic, kind in sorted(bag.topics.items())])
+        damage = "".join(f"; {defect.text}" for defect in bag.defects[:2])
+        raise UserError(
+            f"{path}: no {messages.STATES_TOPIC} of type {messages.JOINT_STATE.name}; "
+            f"record that topic (found: {there or 'nothing'}{damage})"
+        )
+    intake = Intake(messages.STATES_TOPIC, stream, joints, use_log_time=False)
+    unknown = [name for name in joints or () if name not in intake.known]
+    if unknown:
+        raise UserError(f"{path}: no joint {listing(unknown)}; the recording has {listing(intake.known)}")
+    intake.drop_joints_without_effort(chosen=joints is not None)
+    intake.drop_not_finite(effort=True)
+    has_velocity = intake.settle_velocity()
+    intake.put_in_time()
+    if len(intake.samples.stamp_ns) < 2:
+        reasons = "; ".join([defect.text for defect in bag.defects] + [f.message for f in intake.findings])
+        raise UserError(
+            f"{path}: fewer than two usable joint states ({reasons or 'too short'}); record again"
+        )
+    return intake, has_velocity
+
+
+def _read_command(bag: Bag, states: Intake) -> tuple[Series | None, list[Finding]]:
+    """Set-points of the states' joints on their own clock."""
+    stream = bag.streams.get(messages.COMMAND_TOPIC)
+    if stream is None:
+        return None, []
+    intake = Intake(messages.COMMAND_TOPIC, stream, states.samples.joints, states.on_log_time)
+    intake.drop_not_finite(effort=False)
+    intake.put_in_time()
+    samples = intake.samples
+    if len(samples.stamp_ns) == 0:
+        return None, intake.findings
+    return Series(_seconds(samples.stamp_ns, states.samples.stamp_ns[0]), samples.position), intake.findings
+
+
+def _read_temperatures(bag: Bag, states: Intake) -> tuple[dict[str, Series], list[Finding]]:
+    """Temperatures by joint, finite and in order of time."""
+    stream = bag.streams.get(messages.TEMPERATURES_TOPIC)
+    if stream is None:
+        return {}, []
+    rows: list[tuple[int, str, float]] = []
+    logs = []
+    for payload, log_time in zip(stream.payloads, stream.log_times_ns, strict=True):
+        try:
+            rows.append(cdr.decode_temperature(payload))
+            logs.append(log_time)
+        except cdr.CdrError:
+            continue
+    names = np.array([name for _, name, _ in rows], dtype=object)
+    values = np.array([value for _, _, value in rows], dtype=np.float64)
+    stamps = np.array([stamp for stamp, _, _ in rows], dtype=np.int64)
+    if states.on_log_time or (len(stamps) and not stamps.any()):
+        stamps = int64_ns(logs)
+    result, kept = {}, 0
+    for name in dict.fromkeys(names):
+        mine = (names == name) & np.isfinite(values)
+        mine[mine] = increasing(stamps[mine])
+        kept += int(mine.sum())
+        if mine.any():
+            result[name] = Series(_seconds(stamps[mine], states.samples.stamp_ns[0]), values[mine])
+    if lost := len(stream.payloads) - kept:
+        text = f"{messages.TEMPERATURES_TOPIC}: {lost} unreadable, not finite or untimely messages left out"
+        return result, [Finding("temperature", text, lost)]
+    return result, []
+
+
+def _read_description(bag: Bag) -> tuple[str | None, list[Finding]]:
+    stream = bag.streams.get(messages.DESCRIPTION_TOPIC)
+    lost = 0
+    for payload in stream.payloads if stream else ():
+        try:
+            if text := cdr.decode_string(payload):
+                return text, []
+        except cdr.CdrError:
+            lost += 1
+    text = f"{messages.DESCRIPTION_TOPIC}: cannot be decoded, left out"
+    return None, [Finding("undecodable_message", text, lost)] if lost else []
+
+
+def _seconds(stamps_ns: IntArray, start_ns: int | np.int64) -> FloatArray:
+    """Differences are taken in integers: a float of epoch nanoseconds is 256 ns coarse."""
+    return (stamps_ns - start_ns) / 1e9
+
+
+def gap_threshold_s(time: FloatArray) -> float:
+    """Interval above which a gap is declared, seconds (inf for fewer than three samples)."""
+    steps = np.diff(time)
+    if len(steps) < 2:
+        return float("inf")
+    return float(max(GAP_MEDIANS * np.median(steps), 2.0 * np.percentile(steps, 95)))
+
+
+def _split(time: FloatArray, seams: IntArray) -> tuple[tuple[slice, ...], list[Issue]]:
+    """Segments without a gap or seam inside, and the issue that reports the gaps."""
+    steps = np.diff(time)
+    threshold = gap_threshold_s(time)
+    breaks = np.flatnonzero(steps > threshold)
+    edges = [0, *np.union1d(breaks + 1, seams).tolist(), len(time)]
+    segments = tuple(slice(start, stop) for start, stop in pairwise(edges))
+    if len(breaks) == 0:
+        return segments, []
+    longest = breaks[np.argmax(steps[breaks])]
+    text = (
+        f"{len(breaks)} {'gaps' if len(breaks) > 1 else 'gap'} longer than {threshold * 1e3:.3g} ms, "
+        f"the longest {steps[longest]:.3g} s at {time[longest]:.3f} s; the runs between are used as pieces"
+    )
+    return segments, [Issue("gap", text, len(breaks), float(time[breaks[0]]))]
+
+
+def _bag_findings(bag: Bag, shift_ns: int) -> list[Finding]:
+    """Damage to the files, one finding a kind."""
+    by_kind: dict[str, list[Defect]] = {}
+    for defect in bag.defects:
+        by_kind.setdefault(defect.kind, []).append(defect)
+    findings = []
+    for kind, defects in by_kind.items():
+        first = defects[0]
+        text = first.text if len(defects) == 1 else f"{len(defects)} places, the first: {first.text}"
+        stamp = None if first.log_time_ns is None else first.log_time_ns + shift_ns
+        findings.append(Finding(kind, text, sum(defect.count for defect in defects), stamp))
+    return findings
+
+
+def read_recording(
+    path: str | Path, *, joints: Sequence[str] | None = None, progress: Progress | None = None
+) -> Recording:
+    """Read a bag into arrays.
+
+    Args:
+        path: MCAP file or rosbag2 folder.
+        joints: The joints wanted, in that order; None takes those of the messages that carry most data, less
+            any that never have an effort.
+        progress: Called with the fraction done, 0 to 1.
+
+    Returns:
+        What is sound in the bag; `issues` says what was left out. See the module's docstring for the rules.
+
+    Raises:
+        UserError: No such bag, not readable, or without usable joint states of the wanted joints.
+    """
+    bag = read_bag(path, {topic: kind.name for topic, kind in messages.TOPIC_TYPES.items()}, progress)
+    states, has_velocity = _read_states(bag, str(path), joints)
+    command, command_findings = _read_command(bag, states)
+    temperatures, temperature_findings = _read_temperatures(bag, states)
+    urdf, description_findings = _read_description(bag)
+    samples = states.samples
+    start_ns = int(samples.stamp_ns[0])
+    time = _seconds(samples.stamp_ns, start_ns)
+    segments, gaps = _split(time, states.seams)
+    findings = [
+        *_bag_findings(bag, states.clock_shift_ns),
+        *states.findings,
+        *command_findings,
+        *temperature_findings,
+        *description_findings,
+    ]
+    return Recording(
+        joints=samples.joints,
+        time=time,
+        position=samples.position,
+        velocity=samples.velocity if has_velocity else None,
+        effort=samples.effort,
+        segments=segments,
+        start_ns=start_ns,
+        command=command,
+        temperatures=temperatures,
+        urdf=urdf,
+        issues=(*(finding.as_issue(start_ns) for finding in findings), *gaps),
+        sources=tuple(bag.sources),
+    )
+
+
+def describe(recording: Recording) -> list[str]:
+    """What was found in a recording and what was dropped, a line each, for a person."""
+    duration = float(recording.time[-1])
+    lines = [f"{source.path} ({source.bytes / 1e6:.2f} MB)" for source in recording.sources]
+    lines.append(
+        f"{len(recording.time)} samples of {len(recording.joints)} joints ({listing(recording.joints)}), "
+        f"{duration:.2f} s at {recording.rate_hz:.5g} Hz"
+    )
+    also = [
+        name
+        for name, present in (
+            ("velocity", recording.velocity is not None),
+            ("set-points", recording.command is not None),
+            (f"temperatures of {len(recording.temperatures)} joints", bool(recording.temperatures)),
+            ("robot description", recording.urdf is not None),
+        )
+        if present
+    ]
+    lines.append(
+        f"with {', '.join(also)}" if also else "without velocity, set-points, temperatures, description"
+    )
+    for issue in recording.issues:
+        place = "" if issue.where_s is None else f" (from {issue.where_s:.3f} s)"
+        lines.append(f"{issue.kind}: {issue.message}{place}")
+    return lines

@@ -1,0 +1,282 @@
+"""Write bags as rosbag2 Jazzy does: MCAP with CRCs and index, profile `ros2`, CDR payloads.
+
+`RecordingWriter` takes raw CDR bytes on any topic and knows nothing of what they mean; `write_recording`
+turns a `Recording` into such bytes. A path ending in `.mcap` is one file, which appears under its name only
+when it is complete; any other path is a rosbag2 folder, whose `metadata.yaml` is written last (a folder
+without one was not closed, and still reads).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import yaml
+from mcap.writer import CompressionType, Writer
+
+from spacearm_ident.errors import UserError
+from spacearm_ident.recording import bag, cdr, messages
+from spacearm_ident.recording.mcap_reader import Channel
+from spacearm_ident.recording.messages import MessageType
+from spacearm_ident.recording.recording import FloatArray, Recording, Series
+
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+_NOTHING = 2**63 - 1
+
+
+def qos_profile(*, latched: bool) -> list[dict[str, Any]]:
+    """A reliable publisher's QoS in the words of metadata version 9; `latched` is transient local."""
+    return [
+        {
+            "history": "keep_last",
+            "depth": 1 if latched else 10,
+            "reliability": "reliable",
+            "durability": "transient_local" if latched else "volatile",
+            "deadline": dict(_FOREVER),
+            "lifespan": dict(_FOREVER),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(_FOREVER),
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]
+
+
+class RecordingWriter:
+    """Context manager that writes raw messages into one MCAP file or one rosbag2 folder.
+
+    Leaving it by an exception removes the unfinished single file and leaves a folder without `metadata.yaml`.
+
+    Args:
+        path: `NAME.mcap` for one file (an existing one is replaced), otherwise a new folder.
+
+    Raises:
+        UserError: The folder exists, or the place cannot be written.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._single = self.path.suffix == ".mcap"
+        self._file = self.path if self._single else self.path / f"{self.path.name}_0.mcap"
+        self._open = self.path.with_name(f".{self.path.name}.part") if self._single else self._file
+        if not self._single and self.path.exists():
+            raise UserError(f"{path}: exists already; remove it or name another")
+        with _disk(self.path):
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self._open.open("wb")
+        self._mcap = Writer(self._stream, compression=CompressionType.ZSTD)
+        self._mcap.start(profile="ros2", library="spacearm_ident")
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._topics: dict[int, dict[str, Any]] = {}
+        self._counts: dict[int, int] = {}
+        self._first_ns, self._last_ns = _NOTHING, 0
+
+    def add_topic(self, topic: str, kind: MessageType, *, latched: bool = False) -> int:
+        """Declare a topic of CDR messages; returns the number to `write` with.
+
+        Args:
+            topic: Full topic name.
+            kind: Its message type, with the definition text.
+            latched: Whether late subscribers get the last message (transient local).
+        """
+        qos = yaml.safe_dump(qos_profile(latched=latched), sort_keys=False)
+        metadata = {"offered_qos_profiles": qos, "topic_type_hash": kind.type_hash}
+        return self.add_channel(Channel(topic, kind.name, "ros2msg", kind.text.encode(), "cdr", metadata))
+
+    def add_channel(self, channel: Channel) -> int:
+        """Declare a channel just as another bag has it; returns the number to `write` with."""
+        key = (channel.type_name, channel.schema_encoding, channel.schema)
+        if key not in self._schemas:
+            self._schemas[key] = self._mcap.register_schema(*key) if channel.type_name else 0
+        number = self._mcap.register_channel(
+            channel.topic, channel.message_encoding, self._schemas[key], channel.metadata
+        )
+        self._counts[number] = 0
+        self._topics[number] = {
+            "name": channel.topic,
+            "type": channel.type_name,
+            "serialization_format": channel.message_encoding,
+            "offered_qos_profiles": _loaded(channel.metadata.get("offered_qos_profiles", "")),
+            "type_description_hash": channel.metadata.get("topic_type_hash", ""),
+        }
+        return number
+
+    def write(
+        self, channel: int, log_time_ns: int, payload: bytes, publish_time_ns: int | None = None
+    ) -> None:
+        """Append one message.
+
+        Args:
+            channel: Number from `add_topic` or `add_channel`.
+            log_time_ns: When it was received, nanoseconds since 1970.
+            payload: Serialised message (CDR with its encapsulation header).
+            publish_time_ns: When it was sent; `log_time_ns` if not known.
+        """
+        sent = log_time_ns if publish_time_ns is None else publish_time_ns
+        with _disk(self.path):
+            self._mcap.add_message(channel, log_time_ns, payload, sent, self._counts[channel])
+        self._counts[channel] += 1
+        self._first_ns = min(self._first_ns, log_time_ns)
+        self._last_ns = max(self._last_ns, log_time_ns)
+
+    def flush(self) -> None:
+        """Put what was written so far on the disk, where it survives a power cut; waits for the disk."""
+        with _disk(self.path):
+            self._mcap.flush()
+            os.fsync(self._stream.fileno())
+
+    def close(self) -> None:
+        """Finish the file: index, end mark, name or `metadata.yaml`."""
+        with _disk(self.path):
+            self._mcap.finish()
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+            self._stream.close()
+            if self._single:
+                self._open.replace(self._file)
+            else:
+                part = self.path / "metadata.yaml.part"
+                part.write_text(yaml.safe_dump(self._metadata(), sort_keys=False), encoding="utf-8")
+                part.replace(self.path / "metadata.yaml")
+
+    def _metadata(self) -> dict[str, Any]:
+        count = sum(self._counts.values())
+        span = {
+            "starting_time": {"nanoseconds_since_epoch": self._first_ns if count else 0},
+            "duration": {"nanoseconds": self._last_ns - self._first_ns if count else 0},
+            "message_count": count,
+        }
+        topics = [
+            {"topic_metadata": topic, "message_count": self._counts[number]}
+            for number, topic in self._topics.items()
+        ]
+        return {
+            "rosbag2_bagfile_information": {
+                "version": 9,
+                "storage_identifier": "mcap",
+                **span,
+                "topics_with_message_count": topics,
+                "compression_format": "",
+                "compression_mode": "",
+                "relative_file_paths": [self._file.name],
+                "files": [{"path": self._file.name, **span}],
+                "custom_data": None,
+                "ros_distro": "jazzy",
+            }
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            try:
+                self.close()
+            except BaseException:
+                self._discard()
+                raise
+        else:
+            self._discard()
+
+    def _discard(self) -> None:
+        with suppress(OSError):
+            self._stream.close()
+        if self._single:
+            self._open.unlink(missing_ok=True)
+
+
+@contextmanager
+def _disk(path: Path) -> Iterator[None]:
+    """Turns what the disk says into a line for the user."""
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror}); name another place") from error
+
+
+def _loaded(qos: str) -> list[dict[str, Any]]:
+    """QoS of a channel as a list; what cannot be understood is an unknown QoS."""
+    try:
+        loaded = yaml.safe_load(qos)
+    except yaml.YAMLError:
+        return []
+    return loaded if isinstance(loaded, list) else []
+
+
+Row = tuple[int, int, bytes]  # log time, channel, payload
+
+
+def write_recording(path: str | Path, recording: Recording) -> None:
+    """Write a `Recording` as a bag; read back, its arrays are the same numbers.
+
+    Args:
+        path: `NAME.mcap` for one file (replaced if there), otherwise a new rosbag2 folder.
+        recording: What to write. Log times equal the header stamps.
+
+    Raises:
+        UserError: The place cannot be written, or the folder exists.
+    """
+    with RecordingWriter(path) as writer:
+        rows: list[Row] = []
+        if recording.urdf is not None:
+            channel = writer.add_topic(messages.DESCRIPTION_TOPIC, messages.STRING, latched=True)
+            rows.append((recording.start_ns, channel, cdr.encode_string(recording.urdf)))
+        channel = writer.add_topic(messages.STATES_TOPIC, messages.JOINT_STATE)
+        stamps = _stamps_ns(recording, recording.time)
+        payloads = cdr.encode_joint_states(
+            stamps, recording.joints, recording.position, recording.velocity, recording.effort
+        )
+        rows += zip(stamps.tolist(), [channel] * len(payloads), payloads, strict=True)
+        if recording.command is not None:
+            channel = writer.add_topic(messages.COMMAND_TOPIC, messages.JOINT_STATE)
+            stamps = _stamps_ns(recording, recording.command.time)
+            payloads = cdr.encode_joint_states(stamps, recording.joints, recording.command.values)
+            rows += zip(stamps.tolist(), [channel] * len(payloads), payloads, strict=True)
+        if recording.temperatures:
+            channel = writer.add_topic(messages.TEMPERATURES_TOPIC, messages.TEMPERATURE)
+            for joint, series in recording.temperatures.items():
+                rows += _temperature_rows(recording, channel, joint, series)
+        rows.sort(key=lambda row: row[0])
+        for log_time, channel, payload in rows:
+            writer.write(channel, log_time, payload)
+
+
+def _stamps_ns(recording: Recording, time: FloatArray) -> cdr.IntArray:
+    """Header stamps, ns since 1970, of times in seconds from the recording's start."""
+    return recording.start_ns + np.rint(np.asarray(time) * 1e9).astype(np.int64)
+
+
+def _temperature_rows(recording: Recording, channel: int, joint: str, series: Series) -> Iterator[Row]:
+    for stamp, value in zip(_stamps_ns(recording, series.time).tolist(), series.values.tolist(), strict=True):
+        yield stamp, channel, cdr.encode_temperature(stamp, joint, value)
+
+
+def copy_messages(
+    source: str | Path, writer: RecordingWriter, wanted: Callable[[Channel], bool] = lambda _: True
+) -> int:
+    """Copy raw messages of a bag, of known types or not; returns how many.
+
+    Args:
+        source: MCAP file or rosbag2 folder.
+        writer: Where to.
+        wanted: Which channels.
+
+    Raises:
+        UserError: The source cannot be read.
+    """
+    numbers: dict[tuple[str, str, bytes], int] = {}
+    count = 0
+    for message in bag.messages(source, wanted):
+        channel = message.channel
+        key = (channel.topic, channel.type_name, channel.schema)
+        if key not in numbers:
+            numbers[key] = writer.add_channel(channel)
+        writer.write(numbers[key], message.log_time_ns, message.payload, message.publish_time_ns)
+        count += 1
+    return count

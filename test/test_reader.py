@@ -1,0 +1,677 @@
+"""Bags with every defect of contracts.md §1: reported with place and count, the sound part used, no crash."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+from mcap_ros2.decoder import DecoderFactory
+
+from spacearm_ident.errors import UserError
+from spacearm_ident.recording import Recording, cdr, describe, messages, read_recording, write_recording
+from spacearm_ident.recording.bag import Bag
+from spacearm_ident.recording.bag import messages as bag_messages
+from spacearm_ident.recording.intake import increasing
+from spacearm_ident.recording.mcap_reader import MAX_CHUNK_BYTES
+
+RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
+START = 1_700_000_000_123_456_789
+JOINTS = ("shoulder", "elbow", "wrist")
+
+
+def signals(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity, effort that tell every sample and joint from every other."""
+    base = np.arange(count)[:, None] + np.array([0.0, 0.25, 0.5])
+    return base, -base, base + 1000.0
+
+
+def states(count: int = 100, *, step_ns: int = 1_000_000, joints=JOINTS) -> list[tuple[int, bytes]]:
+    """Stamps and payloads of a sound /joint_states."""
+    stamps = START + step_ns * np.arange(count)
+    return list(zip(stamps.tolist(), cdr.encode_joint_states(stamps, joints, *signals(count)), strict=True))
+
+
+def state(stamp: int, names, position, velocity, effort) -> bytes:
+    columns = [
+        None if values is None else np.array([values], float) for values in (position, velocity, effort)
+    ]
+    return cdr.encode_joint_states([stamp], names, *columns)[0]
+
+
+def bag_bytes(
+    rows, *, topic=messages.STATES_TOPIC, others=(), finish=True, flush_every=0, **options
+) -> bytes:
+    """An MCAP file of (log time, payload) rows on `topic` and (log time, topic, payload) rows besides."""
+    stream = BytesIO()
+    writer = Writer(stream, **options)
+    writer.start(profile="ros2")
+    channels = {}
+    everything = (
+        sorted([*((log, topic, payload) for log, payload in rows), *others], key=lambda row: row[0])
+        if others
+        else [(log, topic, payload) for log, payload in rows]
+    )
+    for number, (log, name, payload) in enumerate(everything):
+        if name not in channels:
+            kind = messages.TOPIC_TYPES.get(name, messages.MessageType("pkg/msg/Odd", "int8 x\n"))
+            schema = writer.register_schema(kind.name, "ros2msg", kind.text.encode())
+            channels[name] = writer.register_channel(name, "cdr", schema)
+        writer.add_message(channels[name], log, payload, log)
+        if flush_every and number % flush_every == flush_every - 1:
+            writer.flush()
+    if finish:
+        writer.finish()
+    else:
+        writer.flush()
+    return stream.getvalue()
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Writes rows as a bag and reads it."""
+
+    def write_and_read(rows, joints=None, **options) -> Recording:
+        path = tmp_path / "bag.mcap"
+        path.write_bytes(bag_bytes(rows, **options))
+        return read_recording(path, joints=joints)
+
+    return write_and_read
+
+
+def issues(recording: Recording) -> dict[str, int]:
+    return {issue.kind: issue.count for issue in recording.issues}
+
+
+def numbers(recording: Recording) -> list[int]:
+    """Which of the samples of `states` the recording holds; checks that each is whole."""
+    index = np.floor(recording.position[:, 0]).astype(int)
+    position, _, effort = signals(int(index.max()) + 1)
+    columns = [JOINTS.index(joint) for joint in recording.joints]
+    assert np.array_equal(recording.position, position[index][:, columns])
+    assert np.array_equal(recording.effort, effort[index][:, columns])
+    assert (np.diff(recording.time) > 0).all()
+    return index.tolist()
+
+
+# --- what is read -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_any_compression_with_or_without_index(bag, compression, index, chunked):
+    recording = bag(
+        states(), compression=compression, index_types=index, use_chunking=chunked, use_statistics=chunked
+    )
+    assert numbers(recording) == list(range(100)) and recording.issues == ()
+    assert recording.joints == JOINTS and recording.start_ns == START
+    assert np.array_equal(recording.velocity, -recording.position)
+    assert recording.segments == (slice(0, 100),)
+    assert recording.rate_hz == pytest.approx(1000, rel=1e-9)
+
+
+def test_time_keeps_the_nanoseconds(bag):
+    stamps = START + np.cumsum(np.array([0, 333_333, 200_001, 4_000_007]))
+    rows = list(zip(stamps.tolist(), cdr.encode_joint_states(stamps, JOINTS, *signals(4)), strict=True))
+    recording = bag(rows)
+    assert np.array_equal(np.rint(recording.time * 1e9).astype(int), stamps - START)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.permutations(range(3)), min_size=2, max_size=40))
+def test_joint_order_is_by_name_in_every_message(tmp_path_factory, orders):
+    rows = []
+    position, velocity, effort = signals(len(orders))
+    for row, order in enumerate(orders):
+        values = [array[row, list(order)] for array in (position, velocity, effort)]
+        stamp = START + row * 10**6
+        rows.append((stamp, state(stamp, [JOINTS[i] for i in order], *values)))
+    path = tmp_path_factory.mktemp("bag") / "bag.mcap"
+    path.write_bytes(bag_bytes(rows))
+    recording = read_recording(path)
+    assert recording.joints == tuple(JOINTS[i] for i in orders[0]) and recording.issues == ()
+    assert numbers(recording) == list(range(len(orders)))
+    chosen = read_recording(path, joints=("wrist", "shoulder"))
+    assert chosen.joints == ("wrist", "shoulder")
+    assert np.array_equal(chosen.position, position[:, [2, 0]])
+
+
+def test_all_topics_and_temperatures_by_joint(bag):
+    stamps = START + 4 * 10**6 * np.arange(25)
+    targets = np.arange(75.0).reshape(25, 3)
+    commands = cdr.encode_joint_states(stamps, JOINTS[::-1], targets[:, ::-1])
+    others = [(int(stamp), messages.COMMAND_TOPIC, row) for stamp, row in zip(stamps, commands, strict=True)]
+    others.append((START, messages.DESCRIPTION_TOPIC, cdr.encode_string("<robot/>")))
+    for row, value in enumerate((20.0, 21.5, np.nan)):
+        stamp = START + row * 10**7
+        payload = cdr.encode_temperature(stamp, "elbow", value)
+        others.append((stamp, messages.TEMPERATURES_TOPIC, payload))
+    others.append((START, "/camera", b"\x00\x01\x00\x00whatever"))
+    recording = bag(states(), others=others)
+    assert numbers(recording) == list(range(100))
+    assert np.array_equal(recording.command.values, targets)
+    assert np.allclose(recording.command.time, 0.004 * np.arange(25), atol=1e-12)
+    assert recording.urdf == "<robot/>"
+    assert recording.temperatures["elbow"].values.tolist() == [20.0, 21.5]
+    assert recording.temperatures["elbow"].time.tolist() == [0.0, 0.01]
+    assert issues(recording) == {"temperature": 1}
+    assert any("set-points" in line for line in describe(recording))
+
+
+def test_two_publishers_on_one_topic_the_arm_is_taken(bag):
+    rows = []
+    for stamp, payload in states(50):
+        rows.append((stamp, payload))
+        rows.append((stamp + 500_000, state(stamp + 500_000, ["finger"], [0.1], [0.0], [2.0])))
+    recording = bag(rows)
+    assert recording.joints == JOINTS and numbers(recording) == list(range(50))
+    assert issues(recording) == {"missing_joint": 50}
+    assert bag(rows, joints=["finger"]).joints == ("finger",)
+
+
+# --- defects of the signals ---------------------------------------------------------------------------------
+
+
+def test_repeated_and_backward_stamps_are_dropped_not_sorted(bag):
+    rows = states(100)
+    log_times = [stamp for stamp, _ in rows]
+    payloads = [payload for _, payload in rows]
+    position, velocity, effort = signals(100)
+    payloads[20] = state(log_times[19], JOINTS, position[20], velocity[20], effort[20])
+    for late in (60, 61):
+        payloads[late] = state(log_times[late] - 10**8, JOINTS, position[late], velocity[late], effort[late])
+    recording = bag(list(zip(log_times, payloads, strict=True)))
+    assert numbers(recording) == [row for row in range(100) if row not in (20, 60, 61)]
+    assert issues(recording) == {"repeated_stamp": 1, "backward_stamp": 2}
+    where = {issue.kind: issue.where_s for issue in recording.issues}
+    assert where["repeated_stamp"] == pytest.approx(0.019)
+
+
+def test_a_clock_set_back_is_a_border_between_segments(bag):
+    rows = states(100)
+    stamps = START + 10**6 * np.arange(100)
+    stamps[60:] -= 20 * 10**6
+    payloads = cdr.encode_joint_states(stamps, JOINTS, *signals(100))
+    recording = bag([(log, payload) for (log, _), payload in zip(rows, payloads, strict=True)])
+    assert issues(recording) == {"backward_stamp": 20} and len(recording.time) == 80
+    [border] = [part.start for part in recording.segments if part.start]
+    assert recording.position[border, 0] - recording.position[border - 1, 0] == 21
+    assert np.allclose(np.diff(recording.time), 1e-3)  # the stamps alone do not tell
+
+
+def test_one_stamp_far_ahead_costs_one_sample(bag):
+    rows = states(100)
+    position, velocity, effort = signals(100)
+    rows[40] = (rows[40][0], state(START + 10**12, JOINTS, position[40], velocity[40], effort[40]))
+    recording = bag(rows)
+    assert numbers(recording) == [row for row in range(100) if row != 40]
+    assert issues(recording) == {"backward_stamp": 1}
+
+
+@given(st.lists(st.integers(0, 12), max_size=40))
+def test_increasing_keeps_a_longest_strictly_increasing_subsequence(values):
+    stamps = np.array(values, dtype=np.int64)
+    keep = increasing(stamps)
+    assert (np.diff(stamps[keep]) > 0).all()
+    best = [0] * len(values)
+    for row, value in enumerate(values):
+        best[row] = 1 + max((best[k] for k in range(row) if values[k] < value), default=0)
+    assert keep.sum() == max(best, default=0)
+
+
+@pytest.mark.parametrize("stamp", [0, START])
+def test_log_time_when_the_stamps_carry_no_time(bag, stamp):
+    position, velocity, effort = signals(50)
+    rows = [
+        (START + row * 2_000_000, state(stamp, JOINTS, position[row], velocity[row], effort[row]))
+        for row in range(50)
+    ]
+    recording = bag(rows)
+    assert issues(recording) == {"log_time_used": 50}
+    assert numbers(recording) == list(range(50)) and recording.start_ns == START
+    assert np.allclose(recording.time, 0.002 * np.arange(50), atol=1e-12)
+
+
+def test_a_few_unset_stamps_are_not_1970(bag):
+    rows = states(100)
+    position, velocity, effort = signals(100)
+    rows[0] = (rows[0][0], state(0, JOINTS, position[0], velocity[0], effort[0]))
+    recording = bag(rows)
+    assert issues(recording) == {"zero_stamp": 1} and numbers(recording) == list(range(1, 100))
+    assert recording.start_ns == START + 10**6
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("column", [0, 2])
+def test_samples_with_nan_in_position_or_effort_are_dropped(bag, value, column):
+    rows = states(100)
+    arrays = [array.copy() for array in signals(100)]
+    arrays[column][70, 1] = value
+    rows[70] = (rows[70][0], state(rows[70][0], JOINTS, *(array[70] for array in arrays)))
+    recording = bag(rows)
+    assert numbers(recording) == [row for row in range(100) if row != 70]
+    [issue] = recording.issues
+    assert (issue.kind, issue.count, issue.where_s) == ("nan", 1, pytest.approx(0.070))
+    assert "elbow" in issue.message
+
+
+@pytest.mark.parametrize(("lacking", "kept"), [(2, True), (30, False)])
+def test_velocity_is_given_for_all_samples_or_not_at_all(bag, lacking, kept):
+    rows = states(400)
+    position, _, effort = signals(400)
+    for row in range(lacking):
+        stamp = rows[100 + row][0]
+        empty = None if row % 2 else [np.nan, 1, 1]
+        rows[100 + row] = (stamp, state(stamp, JOINTS, position[100 + row], empty, effort[100 + row]))
+    recording = bag(rows)
+    if kept:
+        assert issues(recording) == {"nan": lacking} and len(recording.time) == 400 - lacking
+        assert np.array_equal(recording.velocity, -recording.position)
+    else:
+        assert issues(recording) == {"velocity_unusable": lacking} and recording.velocity is None
+        assert numbers(recording) == list(range(400))
+
+
+def test_no_velocity_anywhere_is_no_defect(bag):
+    position, _, effort = signals(20)
+    rows = [
+        (START + row * 10**6, state(START + row * 10**6, JOINTS, position[row], None, effort[row]))
+        for row in range(20)
+    ]
+    recording = bag(rows)
+    assert recording.velocity is None and recording.issues == ()
+
+
+def test_messages_lacking_a_joint_are_dropped(bag):
+    rows = states(100)
+    position, velocity, effort = signals(100)
+    for row in (10, 11, 55):
+        values = (array[row, :2] for array in (position, velocity, effort))
+        rows[row] = (rows[row][0], state(rows[row][0], JOINTS[:2], *values))
+    recording = bag(rows)
+    assert numbers(recording) == [row for row in range(100) if row not in (10, 11, 55)]
+    [issue] = recording.issues
+    assert (issue.kind, issue.count, issue.where_s) == ("missing_joint", 3, pytest.approx(0.010))
+
+
+def test_undecodable_messages_are_dropped(bag):
+    rows = states(100)
+    rows[33] = (rows[33][0], rows[33][1][:50])
+    rows[34] = (rows[34][0], b"")
+    recording = bag(rows)
+    assert numbers(recording) == [row for row in range(100) if row not in (33, 34)]
+    [issue] = recording.issues
+    assert (issue.kind, issue.count) == ("undecodable_message", 2)
+    assert issue.where_s == pytest.approx(0.032)  # the last place known
+
+
+def test_gaps_split_into_segments_and_are_stated(bag):
+    rows = states(300)
+    recording = bag(rows[:100] + rows[106:200] + rows[250:])
+    assert recording.segments == (slice(0, 100), slice(100, 194), slice(194, 244))
+    [issue] = recording.issues
+    assert (issue.kind, issue.count, issue.where_s) == ("gap", 2, pytest.approx(0.099))
+    assert "5 ms" in issue.message
+
+
+def test_uneven_sampling_is_no_gap(bag):
+    random = np.random.default_rng(0)
+    steps = np.where(random.random(500) < 0.3, 9_000_000, 1_000_000)
+    stamps = START + np.cumsum(steps)
+    rows = list(zip(stamps.tolist(), cdr.encode_joint_states(stamps, JOINTS, *signals(500)), strict=True))
+    recording = bag(rows)
+    assert recording.segments == (slice(0, 500),) and recording.issues == ()
+
+
+def test_empty_effort_is_a_user_error(bag):
+    position, velocity, _ = signals(20)
+    rows = [
+        (START + row, state(START + row, JOINTS, position[row], velocity[row], None)) for row in range(20)
+    ]
+    with pytest.raises(UserError, match="no effort for shoulder, elbow, wrist"):
+        bag(rows)
+
+
+def test_a_joint_that_never_has_an_effort_is_left_out_unless_chosen(bag):
+    position, velocity, effort = signals(20)
+    effort[:, 1] = np.nan
+    rows = [
+        (START + row * 10**6, state(START + row * 10**6, JOINTS, position[row], velocity[row], effort[row]))
+        for row in range(20)
+    ]
+    recording = bag(rows)
+    assert recording.joints == ("shoulder", "wrist") and len(recording.time) == 20
+    assert issues(recording) == {"joint_without_effort": 1}
+    with pytest.raises(UserError, match="no effort for elbow"):
+        bag(rows, joints=JOINTS)
+
+
+# --- defects of the file ------------------------------------------------------------------------------------
+
+WHOLE = bag_bytes(
+    states(400), flush_every=25, others=[(START, messages.DESCRIPTION_TOPIC, cdr.encode_string("<robot/>"))]
+)
+CHUNKS = [
+    (index.chunk_start_offset, index.chunk_start_offset + index.chunk_length)
+    for index in make_reader(BytesIO(WHOLE)).get_summary().chunk_indexes
+]
+# The first flush closes a chunk of the description and 24 samples, each later one holds 25.
+COUNTS = np.cumsum([24] + [25] * 15 + [1])
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    return tmp_path_factory.mktemp("damaged") / "bag.mcap"
+
+
+def test_the_bag_to_be_damaged_is_as_assumed():
+    assert len(CHUNKS) == len(COUNTS) and COUNTS[-1] == 400
+
+
+@settings(max_examples=120, deadline=None)
+@given(cut=st.integers(0, len(WHOLE) - 1))
+def test_a_cut_never_crashes_and_loses_no_chunk_before_it(scratch, cut):
+    scratch.write_bytes(WHOLE[:cut])
+    whole_chunks = sum(stop <= cut for _, stop in CHUNKS)
+    sound = int(COUNTS[whole_chunks - 1]) if whole_chunks else 0
+    try:
+        recording = read_recording(scratch)
+    except UserError:
+        assert sound < 2
+        return
+    read = numbers(recording)
+    assert read == list(range(len(read))) and len(read) >= sound
+    assert "cut_off" in issues(recording) or cut > CHUNKS[-1][1]
+
+
+@pytest.mark.parametrize("options", [{"use_chunking": False}, {"compression": CompressionType.NONE}])
+def test_every_complete_message_before_a_cut_is_read(tmp_path, options):
+    whole = bag_bytes(states(100), **options)
+    payloads = [payload for _, payload in states(100)]
+    for cut in (whole.index(payloads[60]), whole.index(payloads[60]) + len(payloads[60])):
+        path = tmp_path / "bag.mcap"
+        path.write_bytes(whole[:cut])
+        complete = 60 if cut == whole.index(payloads[60]) else 61
+        recording = read_recording(path)
+        assert numbers(recording) == list(range(complete))
+        assert issues(recording)["cut_off"] == 1
+
+
+def test_power_loss_that_leaves_zeros_at_the_end(tmp_path):
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(WHOLE[: CHUNKS[9][1]] + bytes(20_000))
+    recording = read_recording(path)
+    assert numbers(recording) == list(range(COUNTS[9])) and "cut_off" in issues(recording)
+
+
+@settings(max_examples=150, deadline=None)
+@given(flips=st.lists(st.integers(0, 8 * len(WHOLE) - 1), min_size=1, max_size=3))
+def test_bit_flips_never_crash_and_never_let_a_false_sample_through(scratch, flips):
+    damaged = bytearray(WHOLE)
+    for flip in flips:
+        damaged[flip // 8] ^= 1 << flip % 8
+    scratch.write_bytes(damaged)
+    hit = {
+        number
+        for number, (start, stop) in enumerate(CHUNKS)
+        if any(start - 9 <= flip // 8 < stop for flip in flips)
+    }
+    try:
+        recording = read_recording(scratch)
+    except UserError as error:
+        magic = any(flip // 8 < 8 for flip in flips)
+        declarations = 0 in hit and any(flip // 8 >= CHUNKS[-1][1] for flip in flips)
+        assert magic or declarations, error  # the topics are declared in the first chunk and the summary
+        return
+    read = set(numbers(recording))  # each one as it was written, whatever was hit
+    edges = [0, *COUNTS.tolist()]
+    for number in set(range(len(CHUNKS))) - hit:
+        assert set(range(edges[number], edges[number + 1])) <= read
+
+
+@pytest.mark.parametrize("number", [0, 7])
+def test_a_chunk_that_fails_its_crc_is_left_out_and_the_rest_read(tmp_path, number):
+    start, stop = CHUNKS[number]
+    damaged = bytearray(WHOLE)
+    damaged[(start + stop) // 2] ^= 0xFF
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(damaged)
+    recording = read_recording(path)
+    edges = [0, *COUNTS.tolist()]
+    lost = range(edges[number], edges[number + 1])
+    assert numbers(recording) == [row for row in range(400) if row not in lost]
+    found = issues(recording)
+    assert found["corrupt_chunk"] == 1
+    assert found["lost_messages"] == len(lost) + (number == 0)
+    [issue] = [issue for issue in recording.issues if issue.kind == "corrupt_chunk"]
+    assert str(start) in issue.message
+    if number:
+        assert issue.where_s == pytest.approx((lost[0] - 1) * 1e-3)
+        assert len(recording.segments) == 2
+
+
+def test_absurd_record_length_of_a_chunk_costs_nothing_as_long_as_its_data_length_stands(tmp_path):
+    damaged = bytearray(WHOLE)
+    struct.pack_into("<Q", damaged, CHUNKS[5][0] + 1, 2**62)
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(damaged)
+    recording = read_recording(path)
+    assert numbers(recording) == list(range(400)) and recording.issues == ()
+
+
+def test_reading_resumes_behind_absurd_lengths(tmp_path):
+    start, _ = CHUNKS[5]
+    damaged = bytearray(WHOLE)
+    struct.pack_into("<Q", damaged, start + 1, 2**62)
+    name = damaged.index(b"zstd", start)
+    struct.pack_into("<Q", damaged, name + 4, 2**61)
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(damaged)
+    recording = read_recording(path)
+    assert numbers(recording) == [row for row in range(400) if not COUNTS[4] <= row < COUNTS[5]]
+    [issue] = [issue for issue in recording.issues if issue.kind == "corrupt_record"]
+    assert f"byte {start}" in issue.message and issue.where_s == pytest.approx((COUNTS[4] - 1) * 1e-3)
+
+
+def test_an_unchunked_file_resumes_behind_a_broken_record(tmp_path):
+    whole = bytearray(bag_bytes(states(100), use_chunking=False))
+    record = whole.index(states(100)[50][1]) - 31
+    assert whole[record] == 5
+    struct.pack_into("<Q", whole, record + 1, 1000)
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(whole)
+    recording = read_recording(path)
+    assert numbers(recording) == [row for row in range(100) if row != 50]
+    assert issues(recording) == {"corrupt_record": 1, "lost_messages": 1}
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_decompression_bomb_is_refused(tmp_path, compression):
+    import lz4.frame
+    import zstandard
+
+    zeros = bytes(MAX_CHUNK_BYTES + 1)
+    name, packed = (
+        (b"zstd", zstandard.compress(zeros))
+        if compression == CompressionType.ZSTD
+        else (b"lz4", lz4.frame.compress(zeros))
+    )
+    sound = bag_bytes(states(50), finish=False)
+    for announced in (len(zeros), 1000, 2**63):
+        body = struct.pack("<QQQI", 0, 0, announced, 1) + struct.pack("<I", len(name)) + name
+        body += struct.pack("<Q", len(packed)) + packed
+        path = tmp_path / "bag.mcap"
+        path.write_bytes(sound + b"\x06" + struct.pack("<Q", len(body)) + body)
+        recording = read_recording(path)
+        assert numbers(recording) == list(range(50)) and issues(recording)["corrupt_chunk"] == 1
+
+
+# --- folders ------------------------------------------------------------------------------------------------
+
+
+def split_bag(folder: Path, parts: int = 11, listed=None) -> None:
+    folder.mkdir()
+    rows = states(110)
+    names = [f"run_{number}.mcap" for number in range(parts)]
+    for number, name in enumerate(names):
+        (folder / name).write_bytes(bag_bytes(rows[number * 10 : (number + 1) * 10]))
+    information = {"version": 9, "relative_file_paths": listed or names}
+    (folder / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
+
+
+def test_split_bag_in_order_of_metadata_or_of_natural_names(tmp_path):
+    split_bag(tmp_path / "run")
+    recording = read_recording(tmp_path / "run")
+    assert numbers(recording) == list(range(110)) and recording.issues == ()
+    assert len(recording.sources) == 11
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    recording = read_recording(tmp_path / "run")
+    assert numbers(recording) == list(range(110)) and issues(recording) == {"no_metadata": 1}
+
+
+def test_missing_unlisted_and_empty_files_of_a_split_bag(tmp_path):
+    names = ["run_0.mcap", "run_1.mcap", "run_2.mcap", "gone.mcap"]
+    split_bag(tmp_path / "run", listed=names)
+    (tmp_path / "run" / "run_2.mcap").write_bytes(b"")
+    recording = read_recording(tmp_path / "run")
+    assert numbers(recording) == list(range(20))
+    assert issues(recording) == {"missing_file": 1, "unlisted_file": 8, "unreadable_file": 1}
+
+
+def test_metadata_cannot_point_outside_the_folder(tmp_path):
+    (tmp_path / "secret.mcap").write_bytes(bag_bytes(states(10)))
+    split_bag(tmp_path / "run", listed=["../secret.mcap", "run_0.mcap"])
+    assert len(read_recording(tmp_path / "run").time) == 10
+    assert "missing_file" in issues(read_recording(tmp_path / "run"))
+
+
+# --- what is no recording -----------------------------------------------------------------------------------
+
+
+def user_errors():
+    yield "missing", None, "no such file"
+    yield "empty", b"", "empty"
+    yield "text", b"hello, this is not a bag", "not an MCAP"
+    yield "sqlite", b"SQLite format 3\0" + bytes(100), "ros2 bag convert"
+    yield "ros1", b"#ROSBAG V2.0\n" + bytes(100), "rosbags-convert"
+    yield "compressed", b"\x28\xb5\x2f\xfd" + bytes(100), "zstd -d"
+    yield "only magic", WHOLE[:8], "no /joint_states"
+    yield "other topics", bag_bytes([(1, b"\0\1\0\0\0")], topic="/camera"), r"/camera \(pkg/msg/Odd\)"
+    yield "one sample", bag_bytes(states(1)), "fewer than two"
+
+
+@pytest.mark.parametrize(("content", "says"), [pytest.param(*rest, id=name) for name, *rest in user_errors()])
+def test_what_is_no_recording_is_one_line_that_says_so(tmp_path, content, says):
+    path = tmp_path / "bag.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(UserError, match=says) as error:
+        read_recording(path)
+    assert "\n" not in str(error.value) and str(path) in str(error.value)
+
+
+def test_folder_without_mcap_and_unknown_joint(tmp_path):
+    with pytest.raises(UserError, match=r"no \.mcap file"):
+        read_recording(tmp_path)
+    (tmp_path / "bag.mcap").write_bytes(bag_bytes(states(10)))
+    with pytest.raises(UserError, match="no joint hip; the recording has elbow, shoulder, wrist"):
+        read_recording(tmp_path / "bag.mcap", joints=["hip"])
+    (tmp_path / "metadata.yaml").write_text(
+        json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": ["a.db3"]}})
+    )
+    with pytest.raises(UserError, match="sqlite3"):
+        read_recording(tmp_path)
+
+
+def test_topic_of_another_type_is_not_taken_for_joint_states(tmp_path):
+    stream = BytesIO()
+    writer = Writer(stream)
+    writer.start()
+    schema = writer.register_schema("other/msg/Thing", "ros2msg", b"int8 x\n")
+    channel = writer.register_channel(messages.STATES_TOPIC, "cdr", schema)
+    for log, payload in states(10):
+        writer.add_message(channel, log, payload, log)
+    writer.finish()
+    (tmp_path / "bag.mcap").write_bytes(stream.getvalue())
+    with pytest.raises(UserError, match="other/msg/Thing"):
+        read_recording(tmp_path / "bag.mcap")
+
+
+# --- against an independent reader, on real recordings ------------------------------------------------------
+
+REAL = sorted(RECORDINGS.rglob("*.mcap")) or [
+    pytest.param(None, marks=pytest.mark.skip(reason=f"no recordings in {RECORDINGS}"))
+]
+
+
+@pytest.mark.parametrize("path", REAL, ids=lambda path: path and str(path.relative_to(RECORDINGS)))
+def test_real_recordings_are_read_whole(path):
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    [channel] = [c.id for c in summary.channels.values() if c.topic == messages.STATES_TOPIC]
+    recording = read_recording(path)
+    assert len(recording.time) == summary.statistics.channel_message_counts[channel]
+    assert recording.issues == () and recording.urdf.lstrip().startswith("<")
+    assert len(recording.joints) == 6 and np.isfinite(recording.effort).all()
+    assert sum(part.stop - part.start for part in recording.segments) == len(recording.time)
+
+
+def test_real_recording_agrees_with_mcap_ros2():
+    path = RECORDINGS / "real" / "ur10e" / "commissioning_2.mcap"
+    if not path.exists():
+        pytest.skip(f"no recordings in {RECORDINGS}")
+    recording = read_recording(path)
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        rows = [row for *_, row in reader.iter_decoded_messages(topics=[messages.STATES_TOPIC])]
+    stamps = np.array([row.header.stamp.sec * 10**9 + row.header.stamp.nanosec for row in rows])
+    assert list(recording.joints) == list(rows[0].name)
+    assert np.array_equal(recording.time, (stamps - stamps[0]) / 1e9)
+    for name in ("position", "velocity", "effort"):
+        assert np.array_equal(getattr(recording, name), [getattr(row, name) for row in rows])
+
+
+def test_progress_rises_to_one_and_sources_are_hashed(tmp_path):
+    import hashlib
+
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(bag_bytes(states(10_000)))
+    seen: list[float] = []
+    recording = read_recording(path, progress=seen.append)
+    assert seen == sorted(seen) and len(seen) > 2 and seen[-1] == 1.0
+    [source] = recording.sources
+    assert source.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert (source.path, source.bytes) == (str(path), path.stat().st_size)
+
+
+def test_raw_messages_agree_with_the_mcap_library(tmp_path):
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(WHOLE)
+    bag = Bag()
+    ours = [(m.channel.topic, m.log_time_ns, m.payload) for m in bag_messages(path, bag=bag)]
+    theirs = [
+        (channel.topic, message.log_time, message.data)
+        for _, channel, message in make_reader(BytesIO(WHOLE)).iter_messages(log_time_order=False)
+    ]
+    assert ours == theirs
+    assert bag.topics == {
+        messages.STATES_TOPIC: messages.JOINT_STATE.name,
+        messages.DESCRIPTION_TOPIC: messages.STRING.name,
+    }
+
+
+def test_what_was_read_can_be_written_and_read_again(tmp_path, bag):
+    first = bag(states(50)[:20] + states(50)[40:])
+    write_recording(tmp_path / "again.mcap", first)
+    again = read_recording(tmp_path / "again.mcap")
+    assert np.array_equal(again.time, first.time) and again.segments == first.segments
+    assert replace(again.issues[0], message="") == replace(first.issues[0], message="")
