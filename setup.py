@@ -21,6 +21,7 @@ setup(
         "setuptools",
         "canopen",
         "clarabel",
+        "lz4",
         "matplotlib",
         "mcap",
         "numpy",
@@ -29,6 +30,7 @@ setup(
         "pyyaml",
         "rich",
         "scipy",
+        "zstandard",
     ],
     extras_require={
         # A ROS 2 Jazzy machine has these from its own packages; elsewhere they come from wheels.

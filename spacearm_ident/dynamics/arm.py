@@ -97,7 +97,7 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     """Read an arm from the text of a URDF.
 
     Raises:
-        UserError: Not a URDF, no actuated joint, or a joint that is neither revolute nor prismatic.
+        UserError: Not a URDF, no actuated joint, a joint that is neither revolute nor prismatic, or one without axis.
     """
     model = _pinocchio_model(urdf)
     joints = []
@@ -109,6 +109,8 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
                 f"joint {name!r} is of type {kind.shortname()}: make it revolute, continuous, prismatic or fixed"
             )
         twist = _twist(kind)
+        if not np.any(twist):
+            raise UserError(f"joint {name!r} has the axis 0 0 0: give it a direction")
         placement = model.jointPlacements[index]
         bounded = kind.nq == 1
         joints.append(
@@ -172,12 +174,12 @@ def load_arm(path: Path) -> Arm:
         raise UserError(f"{path} is not an arm description: its first line should be 'schema: {ARM_SCHEMA}'")
     unknown = set(data) - {"schema", "name", "urdf", "gravity_m_s2", "joints", "couplings"}
     if unknown:
-        raise UserError(f"{path}: unknown key {sorted(unknown)[0]!r}")
+        raise UserError(f"{path}: unknown key {sorted(unknown, key=str)[0]!r}")
     try:
         urdf = (path.parent / str(data["urdf"])).read_text(encoding="utf-8")
     except KeyError as error:
         raise UserError(f"{path}: the key 'urdf' is missing: name the arm's URDF file") from error
-    except OSError as error:
+    except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: cannot read its URDF: {error}") from error
     return arm_from_description(urdf, data, str(path))
 
@@ -185,12 +187,15 @@ def load_arm(path: Path) -> Arm:
 def arm_from_description(urdf: str, data: Mapping[str, Any], where: str) -> Arm:
     """An arm from its URDF text and the keys of an arm YAML (`where` names it in errors)."""
     arm = arm_from_urdf(urdf, _vector(data.get("gravity_m_s2", EARTH), f"{where}: gravity_m_s2"))
-    given = data.get("joints") or {}
+    given = _mapping(data.get("joints"), f"{where}: joints")
     unknown = set(given) - set(arm.joint_names)
     if unknown:
-        raise UserError(f"{where}: joint {sorted(unknown)[0]!r} is not in the URDF")
-    joints = tuple(_with_drive(joint, given.get(joint.name) or {}, where) for joint in arm.joints)
-    couplings = tuple(_coupling(item, arm.joint_names, where) for item in data.get("couplings") or ())
+        raise UserError(f"{where}: joint {sorted(unknown, key=str)[0]!r} is not in the URDF")
+    joints = tuple(_with_drive(joint, given.get(joint.name), where) for joint in arm.joints)
+    listed = data.get("couplings") or []
+    if not isinstance(listed, list):
+        raise UserError(f"{where}: couplings is a list of 'name' and 'ratios', not {listed!r}")
+    couplings = tuple(_coupling(item, arm.joint_names, where) for item in listed)
     return replace(arm, name=str(data.get("name", arm.name)), joints=joints, couplings=couplings)
 
 
@@ -205,14 +210,14 @@ _JOINT_KEYS = {
 }
 
 
-def _with_drive(joint: Joint, data: Mapping[str, Any], where: str) -> Joint:
+def _with_drive(joint: Joint, given: Any, where: str) -> Joint:
+    data = _mapping(given, f"{where}: {joint.name}")
     unknown = set(data) - set(_JOINT_KEYS)
     if unknown:
-        raise UserError(f"{where}: {joint.name} has an unknown key {sorted(unknown)[0]!r}")
-    try:
-        values: dict[str, Any] = {_JOINT_KEYS[key]: float(value) for key, value in data.items()}
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{where}: {joint.name} needs numbers: {error}") from error
+        raise UserError(f"{where}: {joint.name} has an unknown key {sorted(unknown, key=str)[0]!r}")
+    values: dict[str, Any] = {
+        _JOINT_KEYS[key]: _number(value, f"{where}: {joint.name}: {key}") for key, value in data.items()
+    }
     return replace(joint, **values)
 
 
@@ -223,9 +228,27 @@ def _coupling(data: Any, joints: tuple[str, ...], where: str) -> Coupling:
         raise UserError(
             f"{where}: a coupling needs 'name' and 'ratios' of at least two of the arm's joints, not {data!r}"
         )
-    return Coupling(
-        str(data.get("name", "+".join(ratios))), {key: float(value) for key, value in ratios.items()}
-    )
+    name = str(data.get("name", "+".join(ratios)))
+    return Coupling(name, {key: _number(value, f"{where}: ratio of {key}") for key, value in ratios.items()})
+
+
+def _mapping(value: Any, where: str) -> Mapping[str, Any]:
+    """A mapping, or an empty one where nothing is given."""
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise UserError(f"{where} needs 'key: value' pairs, not {value!r}")
+    return value
+
+
+def _number(value: Any, where: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if np.isnan(number):
+        raise UserError(f"{where} needs a number, not {value!r}")
+    return number
 
 
 def _vector(value: Any, where: str) -> FloatArray:

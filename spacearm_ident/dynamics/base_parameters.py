@@ -83,9 +83,9 @@ def _random_columns(model: TorqueModel, seed: int) -> FloatArray:
     load = rng.normal(size=position.shape)
     whole = np.zeros((joints, samples, count))
     for term, first, _ in model.numbered():
-        # The middle of a grid is where a constant's columns differ most from each other.
-        middle = [constant.grid[len(constant.grid) // 2] for constant in term.constants]
-        for row, (indices, columns) in term.columns(motion, middle, load).items():
+        # The largest value a constant may have, so that its columns are felt at random speeds too.
+        largest = [constant.grid[-1] for constant in term.constants]
+        for row, (indices, columns) in term.columns(motion, largest, load).items():
             whole[row][:, first + np.array(indices)] = columns
     return whole.reshape(joints * samples, count)
 

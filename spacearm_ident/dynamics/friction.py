@@ -31,9 +31,7 @@ LARGEST_LOAD_SHARE = 0.25
 """No gear loses a larger share of its load to friction and is still back-drivable."""
 
 
-def bristle_state(
-    target: FloatArray, travel: FloatArray, distance: float, cyclic: bool = False
-) -> FloatArray:
+def bristle_state(target: FloatArray, travel: FloatArray, distance: float, cyclic: bool = False) -> FloatArray:
     """The solution of dz/ds = (target - z)/distance along the distance travelled, from rest.
 
     Args:
@@ -85,9 +83,7 @@ class StribeckFriction(Term):
                 Parameter("f_b", joint, "N m", scale=None if stribeck else 0.0, anchor="f_c", lower=0.0),
             ]
             if joint in loaded:
-                parameters.append(
-                    Parameter("mu", joint, "1", scale=LOAD_SCALE, lower=0.0, upper=LARGEST_LOAD_SHARE)
-                )
+                parameters.append(Parameter("mu", joint, "1", scale=LOAD_SCALE, lower=0.0, upper=LARGEST_LOAD_SHARE))
             constants = (
                 Constant("v_b", joint, "rad/s", STRIBECK_GRID if stribeck else (0.0,), True),
                 Constant("d_s", joint, "rad", presliding),
@@ -112,9 +108,7 @@ class StribeckFriction(Term):
         speed = np.where(np.abs(velocity) > motion.speed_noise[row], np.abs(velocity), 0.0)
         sign = np.sign(velocity) * (speed > 0)
         # v_b = 0 is Coulomb friction at every speed: the static column is empty, f_b moves no torque.
-        share = (
-            np.exp(-((velocity / stribeck_velocity) ** 2)) if stribeck_velocity > 0 else np.zeros_like(sign)
-        )
+        share = np.exp(-((velocity / stribeck_velocity) ** 2)) if stribeck_velocity > 0 else np.zeros_like(sign)
         target = np.stack([sign, sign * share], axis=1)
         coulomb, static = bristle_state(target, speed / motion.rate_hz, distance, motion.cyclic).T
         columns = [coulomb - static, static]

@@ -83,9 +83,7 @@ class TorqueModel:
         if unknown:
             raise UserError(f"unknown term {sorted(unknown)[0]!r}: this version knows {', '.join(CATALOGUE)}")
         return tuple(
-            term
-            for kind, options in self.structure.items()
-            for term in CATALOGUE[kind].build(self.arm, options)
+            term for kind, options in self.structure.items() for term in CATALOGUE[kind].build(self.arm, options)
         )
 
     @cached_property

@@ -79,9 +79,7 @@ def load_model(path: Path) -> IdentifiedModel:
     try:
         return _model_from_dict(data, path)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UserError(
-            f"{path}: {type(error).__name__} {error}: the file is incomplete or edited wrongly"
-        ) from error
+        raise UserError(f"{path}: {type(error).__name__} {error}: the file is incomplete or edited wrongly") from error
 
 
 def _model_from_dict(data: Mapping[str, Any], path: Path) -> IdentifiedModel:

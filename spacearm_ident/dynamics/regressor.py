@@ -48,15 +48,11 @@ def rigid_body_blocks(
     """
     motions: list[_LinkMotion] = []
     samples = len(position)
-    base = _LinkMotion(
-        np.zeros((3, samples)), np.zeros((3, samples)), np.tile(-arm.gravity[:, None], samples), {}
-    )
+    base = _LinkMotion(np.zeros((3, samples)), np.zeros((3, samples)), np.tile(-arm.gravity[:, None], samples), {})
     blocks = {}
     for link, joint in enumerate(arm.joints):
         carrier = base if joint.parent < 0 else motions[joint.parent]
-        motion = _child_motion(
-            joint, link, carrier, position[:, link], velocity[:, link], acceleration[:, link]
-        )
+        motion = _child_motion(joint, link, carrier, position[:, link], velocity[:, link], acceleration[:, link])
         motions.append(motion)
         for row, (linear, angular) in motion.twists.items():
             blocks[row, link] = _block(linear, angular, motion)
@@ -87,9 +83,7 @@ def _child_motion(
     epsilon = _to_child(rotation, carrier.epsilon)
     accel = _to_child(
         rotation,
-        carrier.accel
-        + _cross(carrier.epsilon, origin)
-        + _cross(carrier.omega, _cross(carrier.omega, origin)),
+        carrier.accel + _cross(carrier.epsilon, origin) + _cross(carrier.omega, _cross(carrier.omega, origin)),
     )
     ones = np.ones_like(q)
     zero = np.zeros((3, len(q)))

@@ -35,9 +35,7 @@ class RigidBody(Term):
         for joint in arm.joints:
             mass = max(joint.inertial[0], least)
             moment = max(float(np.linalg.norm(joint.inertial[1:4])), mass * length)
-            inertia = max(
-                float(joint.inertial[4] + joint.inertial[6] + joint.inertial[9]) / 2, mass * length**2
-            )
+            inertia = max(float(joint.inertial[4] + joint.inertial[6] + joint.inertial[9]) / 2, mass * length**2)
             scales = (mass, *(moment,) * 3, *(inertia,) * 6)
             for symbol, unit, prior, scale in zip(INERTIAL_SYMBOLS, INERTIAL_UNITS, joint.inertial, scales):
                 parameters.append(Parameter(symbol, joint.name, unit, float(prior), scale))
@@ -120,9 +118,7 @@ class JointSpring(PerJoint):
         free = options.get("free", ())
         free = arm.joint_names if free is True else tuple(free)
         parameters = tuple(
-            Parameter(
-                cls.symbol, name, cls.unit, scale=None if name in free else 0.0, dimension=cls.dimension
-            )
+            Parameter(cls.symbol, name, cls.unit, scale=None if name in free else 0.0, dimension=cls.dimension)
             for name in arm.joint_names
         )
         return (cls(parameters, options=dict(options)),)

@@ -26,7 +26,8 @@ _MOVE_POINTS = 401
 """Between these a fifth-order polynomial's extremes exceed the sampled ones by less than 1e-4."""
 _JOIN_TOLERANCE = 1e-6
 _PHASES = 40
-_DRAWS = 10
+_BRAKES_S = (2.0, 1.5, 1.1, 0.8, 0.6, 0.4, 0.3)
+_PAUSE_S = 0.2
 
 
 class Motion(NamedTuple):
@@ -112,6 +113,10 @@ class Quintic:
             (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / T**2,
         )
 
+    def keeps(self, limits: MotionLimits) -> bool:
+        """Whether the move stays within the limits."""
+        return bool(limits.usage(self.evaluate(np.linspace(0.0, self.duration_s, _MOVE_POINTS))).max() <= 1.0)
+
     @classmethod
     def within(cls, limits: MotionLimits, start: Motion, end: Motion, shortest_s: float = 1.0) -> Quintic:
         """The quickest such move, in steps of some 10 % from `shortest_s`, that keeps the limits.
@@ -122,7 +127,7 @@ class Quintic:
         duration = shortest_s
         while duration < _LONGEST_MOVE_S:
             move = cls(start, end, duration)
-            if limits.usage(move.evaluate(np.linspace(0.0, duration, _MOVE_POINTS))).max() <= 1.0:
+            if move.keeps(limits):
                 return move
             # Whole tenths, so that what follows starts on a sample at any usual rate.
             duration = math.ceil(11.0 * duration) / 10.0
@@ -211,8 +216,8 @@ class FourierTrajectory:
     def run(self, limits: MotionLimits, start: ArrayLike | None = None, rest_s: float = 1.0) -> Trajectory:
         """The whole run: rest at `start` (n,), approach, all periods, return, rest.
 
-        The approach is as quick as the limits allow; velocity and acceleration are zero at both ends. A
-        motion that is fast beside a limit when its period begins may not be: see `begun_where_joinable`.
+        Approach and return are quick, with velocity and acceleration zero where they meet rest. A
+        motion that is fast beside a limit when its period begins is refused: see `begun_where_joinable`.
 
         Args:
             limits: Limits the approach and the return must keep.
@@ -223,14 +228,12 @@ class FourierTrajectory:
             UserError: The approach cannot keep the limits.
         """
         home = np.zeros(len(self.joints)) if start is None else np.asarray(start, dtype=float)
-        still = Rest(home, rest_s)
-        home_state, first = still.evaluate(0.0).at(0), self.evaluate(0.0).at(0)
-        body = [
-            Quintic.within(limits, home_state, first),
-            self,
-            Quintic.within(limits, first, home_state),
-        ]
-        return Trajectory(self.joints, tuple([still, *body, still] if rest_s > 0 else body))
+        first = self.evaluate(0.0).at(0)
+        still = [Rest(home, rest_s)] if rest_s > 0 else []
+        away = _departure(limits, home, Motion(first.q, -first.qd, first.qdd))
+        approach = [_backwards(segment) for segment in reversed(away)]
+        segments = [*still, *approach, self, *_departure(limits, home, first), *still]
+        return Trajectory(self.joints, tuple(segments))
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,6 +286,40 @@ class Trajectory:
         return out
 
 
+def _departure(limits: MotionLimits, home: FloatArray, state: Motion) -> list[Rest | Quintic]:
+    """From a moving state (three (n,)) to rest at `home`, in one move or, where that breaks a limit, in two.
+
+    One polynomial of the long duration a far joint needs would swing the fast ones out of their range. So the
+    second form brakes first, as gently as the limits allow, and goes home from that stop.
+
+    Raises:
+        UserError: Neither keeps the limits.
+    """
+    end = _still(home)
+    try:
+        return [Quintic.within(limits, state, end)]
+    except UserError as error:
+        for brake_s in _BRAKES_S:
+            # Where braking at a falling speed without turning round comes to a stop.
+            stop = state.q + state.qd * brake_s / 2 + state.qdd * brake_s**2 / 12
+            brake = Quintic(state, _still(stop), brake_s)
+            if brake.keeps(limits):
+                return [brake, Rest(stop, _PAUSE_S), Quintic.within(limits, _still(stop), end)]
+        raise error
+
+
+def _still(position: FloatArray) -> Motion:
+    return Motion(position, np.zeros_like(position), np.zeros_like(position))
+
+
+def _backwards(segment: Rest | Quintic) -> Rest | Quintic:
+    """The same motion in reversed time."""
+    if isinstance(segment, Rest):
+        return segment
+    start, end = (Motion(s.q, -s.qd, s.qdd) for s in (segment.end, segment.start))
+    return Quintic(start, end, segment.duration_s)
+
+
 def random_feasible(
     joints: Iterable[str],
     limits: MotionLimits,
@@ -312,19 +349,13 @@ def random_feasible(
         start: Posture (n,) its `run` shall be able to leave from, rad; all zeros unless given.
 
     Raises:
-        UserError: No trajectory drawn can be joined to `start` within the limits.
+        UserError: It cannot be joined to `start` within the limits.
     """
     names = tuple(joints)
     rng = np.random.default_rng(seed)
-    for attempt in range(1, _DRAWS + 1):
-        a, b, centre = _draw(rng, limits, fundamental_hz, harmonics, (smallest_usage, usage))
-        series = FourierTrajectory(names, centre, a, b, fundamental_hz, periods)
-        try:
-            return series.begun_where_joinable(limits, start)
-        except UserError:
-            if attempt == _DRAWS:
-                raise
-    raise AssertionError("unreachable: the last attempt returns or raises")
+    a, b, centre = _draw(rng, limits, fundamental_hz, harmonics, (smallest_usage, usage))
+    series = FourierTrajectory(names, centre, a, b, fundamental_hz, periods)
+    return series.begun_where_joinable(limits, start)
 
 
 def _draw(

@@ -154,13 +154,9 @@ def _joined(segments: list[Segment | float]) -> tuple[Segment, ...]:
             continue
         following = segments[i + 1] if i + 1 < len(segments) else None
         if not out or following is None or isinstance(following, float):
-            raise UserError(
-                f"segment {i + 1}: a quintic joins two segments of other kinds; put one on each side"
-            )
+            raise UserError(f"segment {i + 1}: a quintic joins two segments of other kinds; put one on each side")
         last = out[-1]
-        out.append(
-            Quintic(last.evaluate(last.duration_s).at(0), _state_at_start(following), duration_s=segment)
-        )
+        out.append(Quintic(last.evaluate(last.duration_s).at(0), _state_at_start(following), duration_s=segment))
     return tuple(out)
 
 

@@ -1,0 +1,1 @@
+"""From prepared motions to parameters: solver, weights, uncertainty, physical consistency, validation."""

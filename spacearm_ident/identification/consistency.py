@@ -55,14 +55,10 @@ def is_consistent(model: TorqueModel, parameters: FloatArray, scale: FloatArray)
         units = _link_units(scale[numbers])
         if np.linalg.eigvalsh(pseudo_inertia(parameters[numbers]) / np.outer(units, units))[0] < MARGIN:
             return False
-    return all(
-        parameter.lower <= value <= parameter.upper for parameter, value in zip(model.parameters, parameters)
-    )
+    return all(parameter.lower <= value <= parameter.upper for parameter, value in zip(model.parameters, parameters))
 
 
-def make_consistent(
-    model: TorqueModel, matrix: FloatArray, parameters: FloatArray, scale: FloatArray
-) -> FloatArray:
+def make_consistent(model: TorqueModel, matrix: FloatArray, parameters: FloatArray, scale: FloatArray) -> FloatArray:
     """The physically consistent x nearest to the unconstrained solution: min |matrix (x - parameters)|.
 
     Args:
@@ -151,6 +147,4 @@ def _constraints(
 
 def _svec(matrix: FloatArray) -> FloatArray:
     """(10,) upper triangle by columns, off-diagonals times sqrt(2), as Clarabel's cone has it."""
-    return np.array(
-        [matrix[i, j] * (1.0 if i == j else np.sqrt(2.0)) for j in range(4) for i in range(j + 1)]
-    )
+    return np.array([matrix[i, j] * (1.0 if i == j else np.sqrt(2.0)) for j in range(4) for i in range(j + 1)])

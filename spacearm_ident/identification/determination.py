@@ -49,9 +49,7 @@ def judge(
         for constant, value, error, grid in zip(model.constants, constants, errors[count:], grids)
     )
     unseen_constants = {
-        estimate.joint
-        for estimate in constant_estimates
-        if estimate.symbol == "v_b" and not estimate.identifiable
+        estimate.joint for estimate in constant_estimates if estimate.symbol == "v_b" and not estimate.identifiable
     }
     estimates = []
     for k, parameter in enumerate(model.parameters):
@@ -59,20 +57,12 @@ def judge(
         value = float(parameters[k])
         if determination is not Determination.FIXED and _at_bound(parameter, value, float(prior.scale[k])):
             determination, note = Determination.BOUND, "pushed against its physical bound"
-        if (
-            parameter.symbol == "f_b"
-            and parameter.joint in unseen_constants
-            and determination is Determination.DATA
-        ):
+        if parameter.symbol == "f_b" and parameter.joint in unseen_constants and determination is Determination.DATA:
             determination, note = Determination.PRIOR, "its Stribeck velocity is not seen by the data"
-        error = (
-            float("nan") if determination in (Determination.FIXED, Determination.PRIOR) else float(errors[k])
-        )
+        error = float("nan") if determination in (Determination.FIXED, Determination.PRIOR) else float(errors[k])
         if determination is Determination.COMBINED:
             error = float("nan")
-        estimates.append(
-            Estimate(parameter.symbol, parameter.joint, parameter.unit, value, error, determination, note)
-        )
+        estimates.append(Estimate(parameter.symbol, parameter.joint, parameter.unit, value, error, determination, note))
     return (*estimates, *constant_estimates)
 
 
@@ -103,9 +93,7 @@ def _constant(constant: Constant, value: float, error: float, grid: FloatArray, 
     """A constant on the edge of its grid, or of which the data hardly notice a change, is not seen."""
 
     def estimate(standard_error: float, determination: Determination, note: str) -> Estimate:
-        return Estimate(
-            constant.symbol, constant.joint, constant.unit, value, standard_error, determination, note
-        )
+        return Estimate(constant.symbol, constant.joint, constant.unit, value, standard_error, determination, note)
 
     nan = float("nan")
     positive = grid[grid > 0]
@@ -116,9 +104,7 @@ def _constant(constant: Constant, value: float, error: float, grid: FloatArray, 
     if value <= 0:
         words = "the data ask for none"
         if constant.speed and (not len(positive) or positive[0] > constant.grid[1]):
-            words += (
-                f", and cannot see one below {positive[0] if len(positive) else constant.grid[-1]:.2g} rad/s"
-            )
+            words += f", and cannot see one below {positive[0] if len(positive) else constant.grid[-1]:.2g} rad/s"
         return estimate(nan, Determination.BOUND, words)
     if value <= positive[0] * 1.0001 or value >= positive[-1] / 1.0001:
         edge = "lower" if value <= positive[0] * 1.0001 else "upper"

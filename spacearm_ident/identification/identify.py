@@ -156,17 +156,13 @@ def all_columns(regression: Regression, solution: Solution) -> tuple[list[FloatA
     columns = [[rows.fixed] for rows in regression.rows]
     numbers = [list(rows.indices) for rows in regression.rows]
     for term, first, count in regression.shaped_terms():
-        for joint, (indices, shaped) in regression.shaped(
-            term, solution.constants[first : first + count]
-        ).items():
+        for joint, (indices, shaped) in regression.shaped(term, solution.constants[first : first + count]).items():
             columns[joint].append(shaped)
             numbers[joint].extend(indices)
     return [np.concatenate(parts, axis=1) for parts in columns], numbers
 
 
-def _conclude(
-    fit: _Fit, provenance: Mapping[str, Any], choices: tuple[Choice, ...], bandwidth: Any
-) -> Identified:
+def _conclude(fit: _Fit, provenance: Mapping[str, Any], choices: tuple[Choice, ...], bandwidth: Any) -> Identified:
     regression, prior, solution = fit.regression, fit.prior, fit.solution
     model = regression.model
     spread = _covariance(fit)
@@ -182,9 +178,7 @@ def _conclude(
         if not any(motion.moving[:, k].any() for motion in regression.motions)
     )
     estimates = judge(model, prior, base, consistent, solution.constants, spread, regression.grids, at_rest)
-    identified_model = IdentifiedModel(
-        model, consistent, solution.constants, bandwidth.cutoff_hz, dict(provenance)
-    )
+    identified_model = IdentifiedModel(model, consistent, solution.constants, bandwidth.cutoff_hz, dict(provenance))
     return Identified(
         model=identified_model,
         estimates=estimates,
@@ -212,9 +206,7 @@ def _covariance(fit: _Fit) -> FloatArray:
         for k in range(terms):
             if solution.constants[first + k] <= 0:
                 continue
-            derivative = regression.derivatives(
-                term, solution.constants[first : first + terms], k, solution.parameters
-            )
+            derivative = regression.derivatives(term, solution.constants[first : first + terms], k, solution.parameters)
             for joint, column in derivative.items():
                 columns[joint] = np.column_stack([columns[joint], column])
                 numbers[joint].append(count + first + k)

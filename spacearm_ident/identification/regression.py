@@ -175,9 +175,7 @@ class Regression:
         """Take the rigid body's torque under `parameters` as the load on the gears."""
         if self.model.needs_load:
             self._kept.clear()
-            self.load = [
-                self.model.torque(motion, parameters, constants, ("rigid_body",)) for motion in self.motions
-            ]
+            self.load = [self.model.torque(motion, parameters, constants, ("rigid_body",)) for motion in self.motions]
 
     def compress(
         self, joint: int, extra_indices: Sequence[int], extra: FloatArray, width: int
@@ -197,7 +195,7 @@ class Regression:
         tail = np.column_stack([extra, rows.torque]) * rows.weight[:, None]
         inside = rows.basis.T @ tail
         outside = np.linalg.qr(tail - rows.basis @ inside, mode="r")
-        rank, count = rows.triangle.shape
+        rank = len(rows.triangle)
         small = np.zeros((rank + len(outside), width))
         small[:rank, rows.indices] = rows.triangle
         small[:rank, list(extra_indices)] += inside[:, :-1]

@@ -7,7 +7,7 @@ Pereyra 1973). Three steps:
 1. *Grid*: joint by joint, each constant over its grid, the joint's other columns projected out. Every joint keeps
    its own copy of the shared inertials here, which decouples the joints and makes the search exhaustive.
 2. *Levenberg-Marquardt on all* unknowns, x and log theta together, with the exact x at every trial theta; the
-   damping halves on success and doubles on failure (paper §4.1).
+   damping halves on success (paper §4.1) and grows eightfold on failure: a failed step costs a whole solution.
 3. The step's Jacobian is the one the standard errors come from.
 
 All of it works on the compressed rows of `Regression`: its cost does not depend on the length of the recording
@@ -145,9 +145,7 @@ def system(
     """
     width = len(regression.model.parameters)
     slots = {} if searched is None else {int(c): width + k for k, c in enumerate(searched)}
-    extra: dict[int, tuple[list[int], list[FloatArray]]] = {
-        joint: ([], []) for joint in range(len(regression.rows))
-    }
+    extra: dict[int, tuple[list[int], list[FloatArray]]] = {joint: ([], []) for joint in range(len(regression.rows))}
     for term, first, count in regression.shaped_terms():
         values = constants[first : first + count]
         for joint, (indices, columns) in regression.shaped(term, values).items():
@@ -178,12 +176,13 @@ def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray)
     if regression.model.needs_load:
         regression.update_load(regression_parameters, constants)
         regression_parameters, cost = solve_linear(regression, prior, constants)
-    damping, status, iteration = 1e-3, "iteration limit", 0
-    for iteration in range(1, ITERATIONS + 1):
+    damping, status, steps = 1e-3, "iteration limit", 0
+    while steps < ITERATIONS:
         searched = _inside(regression, constants)
         if not len(searched):
             status = "nothing nonlinear to search"
             break
+        steps += 1
         matrix, vector = system(regression, prior, constants, regression_parameters, searched)
         step = _step(matrix, vector, prior, len(searched), damping)
         trial = constants.copy()
@@ -198,12 +197,11 @@ def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray)
                 status = "converged"
                 break
         else:
-            damping = max(2 * damping, 1e-3)
+            damping = max(8 * damping, 1e-3)
             if change < STEP_TOLERANCE or damping > 1e6:
                 status = "converged"
                 break
-            damping *= 4
-    return Solution(regression_parameters, constants, cost, iteration, status)
+    return Solution(regression_parameters, constants, cost, steps, status)
 
 
 def _step(matrix: FloatArray, vector: FloatArray, prior: Prior, searched: int, damping: float) -> FloatArray:

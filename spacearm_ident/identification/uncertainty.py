@@ -55,9 +55,7 @@ def covariance(
             if mine.sum() < 2:
                 continue
             residual = residuals[joint][mine] * rows.weight[mine]
-            score[index] += freedom * _score(
-                weighted[mine], residual, rows.place[mine], correlation[joint][motion]
-            )
+            score[index] += freedom * _score(weighted[mine], residual, rows.place[mine], correlation[joint][motion])
     beliefs = np.zeros((width, width))
     beliefs[: prior.rows.shape[1], : prior.rows.shape[1]] = prior.rows.T @ prior.rows
     hessian = information + beliefs

@@ -21,9 +21,7 @@ HOLD_OUT = 1.0 / 3.0
 SHORTEST_HOLD_OUT_S = 2.0
 
 
-def validate(
-    model: IdentifiedModel, recordings: Sequence[Recording], what: str, held_out: bool
-) -> Validation:
+def validate(model: IdentifiedModel, recordings: Sequence[Recording], what: str, held_out: bool) -> Validation:
     """Predict recordings in the bandwidth the model was identified in, and compare.
 
     Args:
@@ -53,9 +51,7 @@ def validate(
             )
         )
         full.append((motion.torque, torque))
-    figures = {
-        joint: _joint(k, traces, full, _lack_of_fit(k, motions, traces)) for k, joint in enumerate(joints)
-    }
+    figures = {joint: _joint(k, traces, full, _lack_of_fit(k, motions, traces)) for k, joint in enumerate(joints)}
     return Validation(figures, tuple(traces), what, held_out)
 
 

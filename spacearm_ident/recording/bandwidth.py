@@ -30,7 +30,7 @@ class Bandwidth:
 
     Attributes:
         cutoff_hz: Low-pass cut-off.
-        crossing_hz: Highest frequency at which every moving joint's position stands above its noise.
+        crossing_hz: Frequency above which no joint's position stands out of its noise.
         dynamic_hz: Frequency below which 99 % of the velocity's power lies, largest of the joints.
         position_noise: (n,) standard deviation of the white noise on the position, rad.
         reason: One clause that says which of the two decided.
@@ -54,16 +54,16 @@ def choose_bandwidth(position: FloatArray, rate_hz: float) -> Bandwidth:
     frequency, density = welch(position, rate_hz, nperseg=window, detrend="linear", axis=0)
     floor = np.median(density[frequency > 0.3 * rate_hz], axis=0)
     noise = np.sqrt(floor * rate_hz / 2)
-    velocity_power = np.cumsum(
-        density * (frequency**2)[:, None] * (density > FLOOR_FACTOR * floor[None]), axis=0
-    )
+    velocity_power = np.cumsum(density * (frequency**2)[:, None] * (density > FLOOR_FACTOR * floor[None]), axis=0)
     moving = velocity_power[-1] > 0
     if not moving.any():
         return Bandwidth(BOUNDS_HZ[0], 0.0, 0.0, noise, "nothing moves")
     share = velocity_power[:, moving] / velocity_power[-1, moving]
-    dynamic = float(max(frequency[np.argmax(column >= DYNAMIC_SHARE)] for column in share.T))
+    lines = [int(np.argmax(column >= DYNAMIC_SHARE)) for column in share.T]
+    dynamic = float(frequency[max(lines)])
     below = density[:, moving] < FLOOR_FACTOR * floor[moving]
-    below[0] = False
+    for column, line in zip(below.T, lines):
+        column[: line + 1] = False  # A spectrum may be empty below its lines: the noise begins above them.
     first = [np.argmax(column) if column.any() else len(frequency) - 1 for column in below.T]
     crossing = float(frequency[max(first)])
     wanted = min(crossing, DYNAMIC_FACTOR * dynamic)

@@ -62,9 +62,7 @@ def find_period(position: FloatArray, rate_hz: float) -> Period | None:
     scaled = coarse[:, moving] / spread[moving]
     best: tuple[float, int, int, int] | None = None
     for lag in range(max(1, round(SHORTEST_S * rate_hz / step)), len(scaled) // 2 + 1):
-        start, length = _longest_run(
-            np.abs(scaled[lag:] - scaled[:-lag]).max(axis=1) < TOLERANCE + _slip(scaled)
-        )
+        start, length = _longest_run(np.abs(scaled[lag:] - scaled[:-lag]).max(axis=1) < TOLERANCE + _slip(scaled))
         if length < lag or scaled[start : start + lag].std(axis=0).max() < 0.1:
             continue
         # A multiple of the period covers no more than the period itself: the shortest lag wins unless a longer
@@ -132,9 +130,7 @@ def fold(signal: FloatArray, period: Period) -> FloatArray:
     return spline(np.minimum(phase, len(signal) - 1)).reshape(period.count, length, *signal.shape[1:])
 
 
-def project(
-    folded: FloatArray, rate_hz: float, cutoff_hz: float
-) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+def project(folded: FloatArray, rate_hz: float, cutoff_hz: float) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Position, velocity and acceleration of the mean period by Fourier projection.
 
     Args:

@@ -17,6 +17,10 @@ from .recording import FloatArray, Recording
 
 SHORTEST_CUTOFF_PERIODS = 6.0
 """A stretch shorter than so many cut-off periods is all edge."""
+EDGE_CUTOFF_PERIODS = 1.5
+"""Nearer to an edge than so many cut-off periods the filter has guessed: accelerations are 1 % and more off there."""
+PADDING_CUTOFF_PERIODS = 2.0
+"""What the filter continues a stretch by; scipy's default is a few samples, far less than its memory at 1 kHz."""
 EVEN_SHARE = 0.02
 """Stamps this close to an even grid, as a share of the sample time, need no interpolation."""
 PERIODIC_CUTOFF_HZ = 40.0
@@ -67,17 +71,12 @@ def prepare(
         for stretch in _even_stretches(recording.in_order(tuple(joints)))
     ]
     if not stretches:
-        raise UnfitDataError(
-            "no uninterrupted stretch of joint states is longer than a second: record a longer run"
-        )
+        raise UnfitDataError("no uninterrupted stretch of joint states is longer than a second: record a longer run")
     bandwidth = _bandwidth([stretch for _, stretch in stretches], cutoff_hz)
-    motions = [
-        motion for number, stretch in stretches for motion in _motions(stretch, joints, bandwidth, number)
-    ]
+    motions = [motion for number, stretch in stretches for motion in _motions(stretch, joints, bandwidth, number)]
     if not motions:
         raise UnfitDataError(
-            f"every stretch is shorter than {SHORTEST_CUTOFF_PERIODS / bandwidth.cutoff_hz:.2g} s: "
-            "record a longer run"
+            f"every stretch is shorter than {SHORTEST_CUTOFF_PERIODS / bandwidth.cutoff_hz:.2g} s: record a longer run"
         )
     if not any(motion.moving.any() for motion in motions):
         raise UnfitDataError("no joint moves in this recording: record an excitation run")
@@ -143,38 +142,40 @@ def _motions(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, sou
 
 
 def _filtered(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, source: int) -> list[Motion]:
-    """The stretch low-passed, or nothing where it is all edge."""
+    """The stretch low-passed, without its edges; nothing where it is all edge."""
     rate, cutoff = stretch.rate_hz, bandwidth.cutoff_hz
     if len(stretch.position) / rate < SHORTEST_CUTOFF_PERIODS / cutoff:
         return []
-    position = sosfiltfilt(butter(4, cutoff, fs=rate, output="sos"), stretch.position, axis=0)
+    padding = int(PADDING_CUTOFF_PERIODS * rate / cutoff)
+    position = sosfiltfilt(butter(4, cutoff, fs=rate, output="sos"), stretch.position, axis=0, padlen=padding)
     velocity = _differentiate(position, rate)
     acceleration = _differentiate(velocity, rate)
+    edge = int(np.ceil(EDGE_CUTOFF_PERIODS * rate / cutoff))
+    inner = slice(edge, len(position) - edge)
+    position, velocity, acceleration, kept = position[inner], velocity[inner], acceleration[inner], stretch[inner]
     noise = _speed_noise(bandwidth.position_noise, rate, cutoff)
     block = max(1, int(rate / (20 * cutoff)))
     return [
         Motion(
             joints=tuple(joints),
             rate_hz=rate,
-            start_s=stretch.start_s,
+            start_s=kept.start_s,
             position=position,
             velocity=velocity,
             acceleration=acceleration,
-            torque=stretch.torque,
+            torque=kept.torque,
             speed_noise=noise,
             resolved_speed=_blur(acceleration, cutoff),
             block=block,
             cutoff_hz=cutoff,
             stride=max(1, int(rate / block / (4 * cutoff))),
-            temperature=stretch.temperature,
+            temperature=kept.temperature,
             source=source,
         )
     ]
 
 
-def _averaged(
-    stretch: _Stretch, period: Period, joints: Sequence[str], bandwidth: Bandwidth, source: int
-) -> Motion:
+def _averaged(stretch: _Stretch, period: Period, joints: Sequence[str], bandwidth: Bandwidth, source: int) -> Motion:
     """The mean of the periods, with the scatter between them as its noise."""
     torque = fold(stretch.torque, period)
     positions = fold(stretch.position, period)

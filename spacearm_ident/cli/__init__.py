@@ -1,0 +1,1 @@
+"""The offline command `spacearm`: options in, exit codes and one-line errors out; no formulas."""

@@ -1,0 +1,122 @@
+"""`spacearm identify`: bags in, a result folder out."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..dynamics.arm import Arm
+from ..dynamics.model import FRICTION_LAWS, structure_of
+from ..identification.identified import Identified, Validation
+from ..identification.identify import Settings, identify, with_provenance
+from ..identification.validation import split, validate
+from ..recording import Recording
+from ..report.folder import write_result
+from ..report.provenance import provenance
+from ..report.tables import validation_dict
+from . import common
+
+DESCRIPTION = """
+Identify an arm's dynamics from one or more recordings (MCAP files or rosbag2 folders) and write a folder with
+model.yaml, parameters.csv, identified.urdf, validation.json and report.html.
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser."""
+    command = commands.add_parser("identify", help="identify an arm from recordings", description=DESCRIPTION)
+    command.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="recordings to fit, of the same arm")
+    command.add_argument(
+        "--validate",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=Path,
+        metavar="BAG",
+        help="recordings to validate on; default: the last third of the last BAG is held out of the fit",
+    )
+    command.add_argument("--out", required=True, type=Path, metavar="DIR", help="result folder")
+    common.add_arm_options(command)
+    command.add_argument(
+        "--bandwidth", type=float, metavar="HZ", help="low-pass cut-off; default: chosen from the data, and said"
+    )
+    command.add_argument(
+        "--friction",
+        choices=("auto", *FRICTION_LAWS),
+        default="auto",
+        help="friction law; auto (default): the paper's, and what else the data demand",
+    )
+    common.add_output_options(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, identify, validate, write."""
+    with common.progress(options) as report:
+        fitted = common.read_bags(options.bags, common.within(report, 0.0, 0.2))
+        validated = common.read_bags(options.validate, common.within(report, 0.2, 0.3))
+        arm = common.arm_of(options, [*fitted, *validated])
+        identified, validation = identify_and_validate(
+            fitted, validated, arm, settings_of(options, arm), common.within(report, 0.3, 0.8)
+        )
+        origin = provenance(fitted, validated or fitted[-1:], options.command_line)
+        identified = with_provenance(identified, origin)
+        report(0.8, "writing the report")
+        page = write_result(identified, validation, options.out)
+    common.note_findings(options, [*fitted, *validated])
+    if options.json:
+        common.print_json({"result": str(options.out), **validation_dict(identified, validation)})
+    else:
+        print(summary(identified, validation, page))
+    return 0
+
+
+def settings_of(options: argparse.Namespace, arm: Arm) -> Settings:
+    """What the options decide."""
+    structure = None if options.friction == "auto" else structure_of(arm, options.friction)
+    return Settings(cutoff_hz=options.bandwidth, structure=structure)
+
+
+def identify_and_validate(
+    fitted: Sequence[Recording],
+    validated: Sequence[Recording],
+    arm: Arm,
+    settings: Settings,
+    report: common.Report,
+) -> tuple[Identified, Validation]:
+    """Identify on some recordings and validate on others, or on the held-out end of the last one."""
+    if validated:
+        what = "on other recordings than the fit"
+        identified = identify(fitted, arm, settings, report)
+        return identified, validate(identified.model, validated, what, held_out=True)
+    first, last = split(fitted[-1])
+    identified = identify([*fitted[:-1], first], arm, settings, report)
+    what = "on the last third of the last recording, held out of the fit"
+    return identified, validate(identified.model, [last], what, held_out=True)
+
+
+def summary(identified: Identified, validation: Validation, page: Path) -> str:
+    """The result on a terminal."""
+    bandwidth = identified.bandwidth
+    lines = [
+        f"bandwidth {bandwidth.cutoff_hz:.3g} Hz: {bandwidth.reason}",
+        *identified.notes,
+        *(f"added to the model: {choice.term}" for choice in identified.choices if choice.accepted),
+        f"validated {validation.what}",
+        f"{'joint':<24}{'RMSE N m':>10}{'max N m':>10}{'R':>8}{'rel. RMS':>10}{'moving':>9}",
+    ]
+    for joint, figures in validation.joints.items():
+        fit = figures.everything
+        lines.append(
+            f"{joint:<24}{fit.rmse:>10.3f}{fit.largest:>10.3f}{fit.correlation:>8.4f}"
+            f"{fit.relative_rms:>10.1%}{figures.moving.relative_rms:>9.1%}"
+        )
+    known = sum(estimate.identifiable for estimate in identified.estimates)
+    lines.append(
+        f"{known} of {len(identified.estimates)} parameters determined by themselves, "
+        f"{len(identified.base_values)} base parameters"
+    )
+    lines.append(f"report: {page}")
+    return "\n".join(lines)

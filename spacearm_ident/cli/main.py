@@ -1,0 +1,58 @@
+"""`spacearm`: parse, dispatch, and turn errors into one line and an exit code.
+
+Exit codes: 0 done; 1 ran, and found the data unfit; 2 usage, or input that cannot be read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+
+from .. import __version__
+from ..errors import UnfitDataError, UserError
+from . import demo, identify, later, node, report, simulate
+
+COMMANDS = (demo, identify, simulate, report, later.EXCITE, later.MISMATCH, node)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    top = argparse.ArgumentParser(
+        prog="spacearm",
+        description="Identify the dynamics of a robot arm from its recordings.",
+        epilog="spacearm COMMAND --help tells more. Exit codes: 0 done, 1 data unfit, 2 usage or unreadable input.",
+    )
+    top.add_argument("--version", action="version", version=f"spacearm_ident {__version__}")
+    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add(commands)
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    options = parser().parse_args(words)
+    options.command_line = shlex.join(["spacearm", *words])
+    try:
+        return int(options.run(options))
+    except UnfitDataError as error:
+        print(f"spacearm: {error}", file=sys.stderr)
+        return 1
+    except UserError as error:
+        print(f"spacearm: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("spacearm: interrupted, nothing was written", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone (`spacearm ... | head`): not an error of ours.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

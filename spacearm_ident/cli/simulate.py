@@ -1,0 +1,100 @@
+"""`spacearm simulate`: record the simulated arm."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..dynamics.arm import Arm, load_arm
+from ..dynamics.model_file import load_model, model_to_dict
+from ..errors import UserError
+from ..excitation.trajectory import Trajectory
+from ..excitation.trajectory_file import load_trajectory
+from ..recording import Recording, write_recording
+from ..simulation.closed_loop import SensorNoise, simulate_run
+from ..simulation.parameters import PlantParameters
+from ..simulation.servo import DriveData
+from . import common
+
+DESCRIPTION = """
+Move a simulated arm along a trajectory, in closed loop and with real sensors' noise, and write the recording as an
+MCAP file (or, where BAG does not end in .mcap, as a rosbag2 folder).
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser."""
+    command = commands.add_parser("simulate", help="record the simulated arm", description=DESCRIPTION)
+    command.add_argument(
+        "--model", required=True, type=Path, metavar="FILE", help="what the arm obeys: a model.yaml, identified or not"
+    )
+    command.add_argument("--trajectory", required=True, type=Path, metavar="FILE", help="what it is to follow")
+    command.add_argument("--out", required=True, type=Path, metavar="BAG", help="recording to write")
+    command.add_argument(
+        "--arm", type=Path, metavar="FILE", help="arm YAML with gear ratios, torque constants and torque limits"
+    )
+    command.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default 0)")
+    command.add_argument("--noise", type=float, default=1.0, metavar="FACTOR", help="times the default noise; 0: none")
+    common.add_output_options(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Load, simulate, write."""
+    if options.noise < 0:
+        raise UserError(f"--noise {options.noise:g} is negative: give 0 for none, 1 for the default")
+    model = load_model(options.model)
+    arm = model.model.arm if options.arm is None else load_arm(options.arm)
+    parameters = PlantParameters.from_model(model_to_dict(model), arm.urdf)
+    trajectory = load_trajectory(options.trajectory)
+    with common.progress(options) as report:
+        recording = record(parameters, trajectory, arm, options.seed, options.noise, report)
+        write_recording(options.out, recording)
+    if options.json:
+        common.print_json({"bag": str(options.out), "samples": len(recording.time), "joints": list(recording.joints)})
+    else:
+        print(f"{options.out}: {recording.time[-1]:.1f} s, {len(recording.time)} samples")
+    return 0
+
+
+def record(
+    parameters: PlantParameters,
+    trajectory: Trajectory,
+    arm: Arm,
+    seed: int,
+    noise: float,
+    report: common.Report,
+) -> Recording:
+    """Simulate one run of an arm under its drives."""
+    if trajectory.joints != parameters.joints:
+        raise UserError(
+            f"the trajectory moves {', '.join(trajectory.joints)}; the arm has {', '.join(parameters.joints)}"
+        )
+    usual = SensorNoise()
+    sensors = (
+        SensorNoise.none()
+        if noise == 0
+        else SensorNoise(
+            effort_white=noise * usual.effort_white,
+            effort_coloured=noise * usual.effort_coloured,
+            velocity_noise=noise * usual.velocity_noise,
+            temperature_noise=noise * usual.temperature_noise,
+        )
+    )
+    drives = DriveData.plain(
+        len(arm.joints),
+        gear_ratio=np.array([joint.gear_ratio for joint in arm.joints]),
+        torque_constant=np.array([joint.torque_constant for joint in arm.joints]),
+        torque_limit=np.array([joint.effort_limit for joint in arm.joints]),
+    )
+    return simulate_run(
+        parameters,
+        trajectory,
+        seed=seed,
+        noise=sensors,
+        drives=drives,
+        progress=lambda share: report(share, "simulating"),
+    )

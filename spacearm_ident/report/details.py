@@ -1,0 +1,115 @@
+"""The report's last part: which structure was chosen on what evidence, and how the result was obtained."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from ..identification.identified import Identified
+from .markup import Markup, element, join, number
+from .provenance import FITTED, VALIDATED
+
+TERM_WORDS = {
+    "rigid_body": "rigid links",
+    "rotor_inertia": "rotor inertia J_m",
+    "joint_spring": "joint spring k_1",
+    "stribeck_friction": "Stribeck friction f_c, f_b, v_b",
+    "viscous_friction": "viscous friction k_v1, k_v2, k_v3",
+    "coupled_motor": "coupled motors",
+    "torque_offset": "torque offset",
+}
+
+
+def structure(identified: Identified) -> Markup:
+    """Terms of the model, and what was considered beyond them."""
+    terms = ", ".join(TERM_WORDS.get(kind, kind) for kind in identified.model.model.structure)
+    parts: list[object] = [element("h2", "Structure of the model"), element("p", f"Terms: {terms}.")]
+    if identified.choices:
+        ordered = sorted(identified.choices, key=lambda choice: (not choice.accepted, -choice.gain))
+        header = element(
+            "tr",
+            element("th", "considered", class_="text"),
+            element("th", "drop in weighted squares"),
+            element("th", "", class_="text"),
+        )
+        rows = [
+            element(
+                "tr",
+                element("td", choice.term, class_="text wrap"),
+                element("td", number(choice.gain)),
+                element("td", element("strong", "joined the model") if choice.accepted else "left out", class_="text"),
+                class_=None if choice.accepted else "minor",
+            )
+            for choice in ordered
+        ]
+        parts.append(element("table", element("thead", header), element("tbody", *rows)))
+        parts.append(
+            element("p", "In chi-square units, everything fitted again with the term in the model.", class_="quiet")
+        )
+    return join(*parts)
+
+
+def obtained(identified: Identified) -> Markup:
+    """Bandwidth, solver, rows, sources and versions."""
+    bandwidth, arm = identified.bandwidth, identified.model.model.arm
+    known = dict(identified.model.provenance or {})
+    sources = [
+        _sources(known.pop(which, None), title) for which, title in ((FITTED, "Fitted on"), (VALIDATED, "Validated on"))
+    ]
+    rows = [
+        f"{joint}: {count} (residual {number(float(sigma))} N·m RMS)"
+        for joint, count, sigma in zip(arm.joint_names, identified.rows, identified.residual_sigma_Nm)
+    ]
+    facts: list[tuple[str, object]] = [
+        ("bandwidth", f"{number(bandwidth.cutoff_hz)} Hz: {bandwidth.reason}"),
+        ("solver", identified.solver or "not said"),
+        ("rows fitted", " · ".join(rows)),
+        ("physical consistency", _consistency(identified.consistency_shift)),
+        ("gravity", f"({', '.join(number(float(g), 4) for g in arm.gravity)}) m/s² in the base frame"),
+        *((str(key).replace("_", " "), _fact(value)) for key, value in known.items()),
+    ]
+    return join(
+        element("h2", "How it was obtained"),
+        element("dl", *(element(tag, text) for fact in facts for tag, text in zip(("dt", "dd"), fact))),
+        *sources,
+        element(
+            "p",
+            "Beside this page: model.yaml predicts torque again; parameters.csv and base_parameters.csv hold every "
+            "number shown; identified.urdf carries the rigid-body part, damping and Coulomb friction; "
+            "validation.json the figures of merit.",
+            class_="quiet",
+        ),
+    )
+
+
+def _consistency(shift: float) -> str:
+    if shift == 0.0:
+        return "the data's estimate was physically consistent by itself"
+    return f"imposing it moved no base parameter by more than {number(shift, 2)} of its standard errors"
+
+
+def _fact(value: Any) -> object:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {item}" for key, item in value.items())
+    return element("code", value)
+
+
+def _sources(sources: Any, title: str) -> Markup | None:
+    """A table of files with sizes and checksums; nothing where the provenance does not say."""
+    named = [source for source in sources or () if isinstance(source, Mapping)]
+    if not named:
+        return None
+    header = (
+        element("th", head, class_=kind) for head, kind in ((title, "text"), ("bytes", None), ("SHA-256", "text"))
+    )
+    return element("table", element("thead", element("tr", *header)), element("tbody", *_source_rows(named)))
+
+
+def _source_rows(sources: Iterable[Mapping[str, Any]]) -> Iterable[Markup]:
+    for source in sources:
+        yield element(
+            "tr",
+            element("td", source.get("path", ""), class_="text wrap"),
+            element("td", source.get("bytes", "")),
+            element("td", element("code", source.get("sha256", "")), class_="text wrap"),
+        )

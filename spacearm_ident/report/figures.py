@@ -1,0 +1,268 @@
+"""The report's figures, each a function from results to inline SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.model import IdentifiedModel
+from ..identification.identified import Determination, Estimate, Identified, Trace
+from .friction_curve import friction_curve
+from .markup import MINUS, Markup, unit_text
+from .plotting import CLOUD_MOVING, CLOUD_STANDING, COLOUR, decimated, grid, stacked, thinned, to_svg
+from .tables import by_joint
+
+BINS, FEWEST_IN_BIN = 30, 5
+JOIN_SHARE = 0.015
+"""White space between two recordings joined on one time axis, as a share of it."""
+LONGEST_NAME = 26
+WIDEST_BAR = 3.0
+"""An interval wider than so many times the largest value of its panel runs out of the picture."""
+MARKER = {
+    Determination.DATA: ("data", "o", True),
+    Determination.COMBINED: ("combined", "o", False),
+    Determination.BOUND: ("bound", "^", True),
+    Determination.PRIOR: ("prior", "s", False),
+    Determination.FIXED: ("fixed", "x", False),
+}
+"""What a value rests on -> role of the colour, matplotlib's marker, and whether it is filled."""
+
+
+@dataclass(frozen=True)
+class JointSignals:
+    """One joint's rows of all traces, one after the other on one time axis.
+
+    Attributes:
+        time: (M,) s; recordings and stretches follow each other with a little space.
+        velocity, measured, predicted: (M,).
+        moving: (M,).
+        revolute: Whether the joint turns.
+        starts: First row of every trace.
+        sources: Recording of every trace.
+    """
+
+    time: FloatArray
+    velocity: FloatArray
+    measured: FloatArray
+    predicted: FloatArray
+    moving: np.ndarray
+    revolute: bool
+    starts: tuple[int, ...]
+    sources: tuple[str, ...]
+
+    @property
+    def residual(self) -> FloatArray:
+        """(M,) measured minus predicted, N·m."""
+        return self.measured - self.predicted
+
+    @property
+    def torque_unit(self) -> str:
+        """Of measured, predicted and residual."""
+        return "N·m" if self.revolute else "N"
+
+    @property
+    def velocity_label(self) -> str:
+        """Of an axis."""
+        return f"velocity, {'rad' if self.revolute else 'm'}/s"
+
+
+def joint_signals(traces: Sequence[Trace], joint: int, revolute: bool) -> JointSignals | None:
+    """The rows of one joint, or None where there are none."""
+    traces = [trace for trace in traces if len(trace.time)]
+    if not traces:
+        return None
+    space = JOIN_SHARE * sum(float(np.ptp(trace.time)) for trace in traces)
+    times, end = [], None
+    for trace in traces:
+        times.append(trace.time if end is None else trace.time - trace.time[0] + end + space)
+        end = float(times[-1][-1])
+    velocity, measured, predicted, moving = (
+        np.concatenate([getattr(trace, name)[:, joint] for trace in traces])
+        for name in ("velocity", "measured", "predicted", "moving")
+    )
+    starts = np.cumsum([0, *(len(trace.time) for trace in traces[:-1])])
+    return JointSignals(
+        np.concatenate(times),
+        *(velocity, measured, predicted),
+        moving.astype(bool),
+        revolute,
+        tuple(int(start) for start in starts),
+        tuple(trace.source for trace in traces),
+    )
+
+
+def over_time(signals: JointSignals, joint: str) -> Markup:
+    """Measured and predicted torque, and below them the residual; standstill shaded."""
+    with stacked((1.45, 0.75)) as (figure, (torque, residual)):
+        ends = [*signals.starts[1:], len(signals.time)]
+        for start, end in zip(signals.starts, ends):
+            part = slice(start, end)
+            kept = start + decimated(
+                signals.measured[part], signals.residual[part], most=max(50, 1500 * (end - start) // len(signals.time))
+            )
+            time = signals.time[kept]
+            torque.plot(time, signals.measured[kept], color=COLOUR["measured"], linewidth=1.6)
+            torque.plot(time, signals.predicted[kept], color=COLOUR["predicted"], linewidth=0.8)
+            residual.plot(time, signals.residual[kept], color=COLOUR["residual"], linewidth=0.7)
+            for axes in (torque, residual):
+                _shade(axes, signals.time[part], ~signals.moving[part])
+                if start:
+                    axes.axvline(float(signals.time[start]), color=COLOUR["muted"], linewidth=0.6, linestyle=":")
+        torque.margins(x=0.005)
+        torque.set_ylabel(f"{'torque' if signals.revolute else 'force'}, {signals.torque_unit}")
+        residual.set_ylabel("residual")
+        _name_sources(torque, signals)
+        residual.set_xlabel("time, s" if len(signals.starts) == 1 else "time, s (stretches joined)")
+        return to_svg(figure, f"{joint}: measured and predicted torque, and residual, over time")
+
+
+def _shade(axes: Axes, time: FloatArray, where: np.ndarray) -> None:
+    """A band over every run of rows."""
+    change = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(int)))
+    for first, last in zip(change[::2], change[1::2]):
+        axes.axvspan(
+            float(time[first]), float(time[last - 1]), facecolor=COLOUR["band"], edgecolor="none", linewidth=0, zorder=0
+        )
+
+
+def _name_sources(axes: Axes, signals: JointSignals) -> None:
+    """Name each recording where it begins, when there is more than one."""
+    if len(set(signals.sources)) < 2:
+        return
+    before = None
+    for start, source in zip(signals.starts, signals.sources):
+        if source != before:
+            place = (float(signals.time[start]), 1.0)
+            axes.annotate(
+                _short(source, 40),
+                place,
+                (3, -2),
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                va="top",
+                fontsize=7,
+                color=COLOUR["muted"],
+            )
+        before = source
+
+
+def over_velocity(signals: dict[str, JointSignals]) -> Markup:
+    """Residual over velocity, a panel a joint, with the mean of every speed range."""
+    with grid(len(signals), 3, 1.95) as (figure, panels):
+        for axes, (joint, mine) in zip(panels, signals.items()):
+            keep = thinned(len(mine.time))
+            for where, colour in ((~mine.moving, CLOUD_STANDING), (mine.moving, CLOUD_MOVING)):
+                chosen = keep[where[keep]]
+                _cloud(axes, mine.velocity[chosen], mine.residual[chosen], colour)
+            axes.axhline(0.0, color=COLOUR["muted"], linewidth=0.6)
+            axes.plot(
+                *_trend(mine.velocity[mine.moving], mine.residual[mine.moving]), color=COLOUR["ink"], linewidth=1.1
+            )
+            _name(axes, joint, mine.velocity_label, f"residual, {mine.torque_unit}")
+        return to_svg(figure, "Residual over velocity, one panel a joint")
+
+
+def _cloud(axes: Axes, x: FloatArray, y: FloatArray, colour: str) -> None:
+    axes.plot(x, y, ".", markersize=3.2, markeredgewidth=0, color=colour, alpha=0.55, rasterized=True)
+
+
+def _trend(velocity: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean residual of equally filled ranges of velocity, at the mean velocity of each."""
+    if len(velocity) < FEWEST_IN_BIN:
+        return np.empty(0), np.empty(0)
+    order = np.argsort(velocity, kind="stable")
+    groups = np.array_split(order, min(BINS, len(order) // FEWEST_IN_BIN))
+    return (
+        np.array([velocity[group].mean() for group in groups]),
+        np.array([residual[group].mean() for group in groups]),
+    )
+
+
+def friction(model: IdentifiedModel, signals: dict[str, JointSignals], pose: FloatArray) -> Markup:
+    """The model's friction over velocity, with the residual added to it where the joint moves."""
+    names = model.model.arm.joint_names
+    with grid(len(signals), 3, 1.95) as (figure, panels):
+        for axes, (joint, mine) in zip(panels, signals.items()):
+            top = 1.05 * float(np.max(np.abs(mine.velocity))) or 1.0
+            velocity, torque = friction_curve(model, names.index(joint), top, pose)
+            rows = np.flatnonzero(mine.moving)
+            rows = rows[thinned(len(rows))]
+            shown = mine.residual[rows] + np.interp(mine.velocity[rows], velocity, torque)
+            _cloud(axes, mine.velocity[rows], shown, CLOUD_MOVING)
+            for half in (velocity < 0, velocity > 0):
+                axes.plot(velocity[half], torque[half], color=COLOUR["ink"], linewidth=1.1)
+            axes.axhline(0.0, color=COLOUR["muted"], linewidth=0.6)
+            axes.axvline(0.0, color=COLOUR["muted"], linewidth=0.6)
+            _name(axes, joint, mine.velocity_label, f"friction, {mine.torque_unit}")
+        return to_svg(figure, "Friction torque over velocity, one panel a joint")
+
+
+def _name(axes: Axes, title: str, below: str, beside: str) -> None:
+    axes.set_title(_short(title, LONGEST_NAME))
+    axes.set_xlabel(below, labelpad=1)
+    axes.set_ylabel(beside, labelpad=2)
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    axes.xaxis.set_major_locator(MaxNLocator(6))
+    axes.margins(x=0.03)
+
+
+def parameters(identified: Identified) -> Markup:
+    """Every parameter with its 95 % interval: a panel a symbol, the joints side by side in one unit."""
+    listing = by_joint(identified)
+    places = {joint: place for place, joint in enumerate(listing, start=1)}
+    searched = {constant.symbol for constant in identified.model.model.constants}
+    symbols: dict[str, list[Estimate]] = {}
+    for estimates in listing.values():
+        for item in estimates:
+            symbols.setdefault(item.symbol, []).append(item)
+    with grid(len(symbols), 6, 1.4, left_in=0.46, below_in=0.26) as (figure, panels):
+        for axes, (symbol, items) in zip(panels, symbols.items()):
+            axes.axhline(0.0, color=COLOUR["muted"], linewidth=0.5)
+            for item in items:
+                _draw_estimate(axes, places[item.joint], item)
+            unit = unit_text(next((item.unit for item in items if item.unit), ""))
+            axes.set_title(f"{symbol}, {unit}" if unit else symbol, fontsize=7.5)
+            axes.set_xlim(0.4, len(places) + 0.6)
+            axes.set_xticks(range(1, len(places) + 1))
+            axes.grid(visible=False, axis="x")
+            if symbol in searched and all(item.value > 0.0 for item in items):
+                axes.set_yscale("log")  # These are searched over decades.
+            else:
+                axes.set_ylim(*_reach(items))
+                axes.yaxis.set_major_locator(MaxNLocator(3))
+                axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", MINUS)))
+            axes.tick_params(labelsize=7)
+        return to_svg(figure, "Parameters with 95 % intervals, one panel a symbol")
+
+
+def _draw_estimate(axes: Axes, place: int, item: Estimate) -> None:
+    role, marker, filled = MARKER[item.determination]
+    colour = COLOUR[role]
+    if np.isfinite(item.standard_error):
+        axes.plot([place, place], item.interval, color=colour, linewidth=1.2, solid_capstyle="butt")
+    axes.plot(
+        place, item.value, marker, markersize=4, color=colour,
+        markerfacecolor=colour if filled else "none", markeredgewidth=0.9,
+    )  # fmt: skip
+
+
+def _reach(items: Sequence[Estimate]) -> tuple[float, float]:
+    """Vertical range of a panel: all values, and the intervals that are not hopelessly wide."""
+    largest = max(abs(item.value) for item in items) or 1.0
+    ends = [0.0]
+    for item in items:
+        half = item.interval[1] - item.value
+        half = min(half, WIDEST_BAR * largest) if np.isfinite(half) else 0.0
+        ends += [item.value - half, item.value + half]
+    low, high = min(ends), max(ends)
+    space = 0.08 * (high - low or largest)
+    return low - space, high + space
+
+
+def _short(name: str, most: int) -> str:
+    return name if len(name) <= most else name[: most - 1] + "…"

@@ -1,0 +1,202 @@
+"""`report.html`: one page that needs nothing else, with what a review asks first at the top.
+
+Verdict, figures of merit, torque over time, what the residual depends on, friction, parameters, structure, and
+how it was obtained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..identification.identified import Fit, JointValidation
+from . import figures
+from .details import obtained, structure
+from .markup import NOTHING, Markup, element, join, number, percent
+from .parameter_tables import base_table, determination_key, matrix, whole_list
+from .store import Result
+from .stylesheet import STYLESHEET
+from .tables import by_joint
+from .verdict import FAIR, GOOD, Verdict, judge_result
+
+SECURITY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""The page may not load anything, whatever text found its way into it."""
+
+
+def report_html(result: Result) -> str:
+    """The whole page."""
+    identified, validation = result.identified, result.validation
+    arm = identified.model.model.arm
+    title = f"Identified dynamics of {arm.name}"
+    body = join(
+        element("h1", title),
+        element("p", f"{len(arm.joints)} joints · written {_date(result.written)}", class_="quiet"),
+        _verdict(judge_result(identified, validation)),
+        _validation(result),
+        *_signals(result),
+        _parameters(result),
+        structure(identified),
+        obtained(identified),
+    )
+    head = join(
+        element("meta", charset="utf-8"),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", http_equiv="Content-Security-Policy", content=SECURITY),
+        element("title", title),
+        element("style", Markup(STYLESHEET)),
+    )
+    page = element("html", element("head", head), element("body", element("main", body)), lang="en")
+    return f"<!DOCTYPE html>\n{page}\n"
+
+
+def _date(written: str) -> str:
+    """`2025-01-31 12:05 UTC` of an ISO 8601 time in UTC."""
+    return f"{written[:10]} {written[11:16]} UTC"
+
+
+def _verdict(verdict: Verdict) -> Markup:
+    box = element(
+        "section",
+        element("h2", verdict.headline),
+        *(element("p", sentence) for sentence in verdict.sentences),
+        class_=f"verdict {verdict.level}",
+    )
+    warnings = element("ul", *(element("li", text) for text in verdict.warnings), class_="warnings")
+    return join(
+        box,
+        warnings if verdict.warnings else None,
+        *(element("p", f"Note: {note.rstrip('.')}.", class_="quiet") for note in verdict.notes),
+        element(
+            "p",
+            f"Good: the worst joint's residual is at most {100 * GOOD:g} % of its torque (RMS) while it moves; "
+            f"fair: at most {100 * FAIR:g} %.",
+            class_="quiet",
+        ),
+    )
+
+
+def _validation(result: Result) -> Markup:
+    joints = result.validation.joints
+    if not joints:
+        return join(element("h2", "Validation"), element("p", "No joint was validated."))
+    tested = any(joint.lack_of_fit for joint in joints.values())
+    names = ["rows", "RMSE, N·m", "MAE, N·m", "max, N·m", "R", "residual / torque"]
+    heads = [element("th", name) for name in (*names, *(["lack of fit F"] if tested else []))]
+    shares = [fit.relative_rms for joint in joints.values() for fit in (joint.everything, joint.moving)]
+    widest = max((share for share in shares if np.isfinite(share)), default=1.0) or 1.0
+    header = element("tr", element("th", "joint", class_="text"), element("th", "samples", class_="text"), *heads)
+    return join(
+        element("h2", "Validation"),
+        element(
+            "p",
+            f"Torque and prediction are compared up to {number(result.identified.bandwidth.cutoff_hz)} Hz, the "
+            "bandwidth of the fit; the full-bandwidth line compares the torque as recorded. At standstill friction "
+            "holds whatever the rest of the torque is, so a low figure cannot be expected there.",
+            class_="quiet",
+        ),
+        element(
+            "div",
+            element("table", element("thead", header), *(_joint_rows(n, j, widest, tested) for n, j in joints.items())),
+            class_="wide",
+        ),
+        element(
+            "p",
+            "Lack of fit: mean square of the residual that repeats from period to period over that of the scatter "
+            "between periods; about 1 when the model leaves nothing out.",
+            class_="quiet",
+        )
+        if tested
+        else None,
+    )
+
+
+def _joint_rows(name: str, joint: JointValidation, widest: float, tested: bool) -> Markup:
+    lack = joint.lack_of_fit
+    text = NOTHING if lack is None else f"{number(lack.f)} (p {number(lack.p_value, 2)})"
+    kinds: tuple[tuple[str, Fit], ...] = (
+        ("all", joint.everything),
+        ("moving", joint.moving),
+        ("full bandwidth", joint.unfiltered),
+    )
+    rows = []
+    for k, (kind, fit) in enumerate(kinds):
+        cells = [element("td", value) for value in (fit.rows, *map(number, (fit.rmse, fit.mae, fit.largest)))]
+        cells.append(element("td", f"{fit.correlation:.4f}" if np.isfinite(fit.correlation) else NOTHING))
+        part = 100 * min(1.0, fit.relative_rms / widest) if np.isfinite(fit.relative_rms) else 0.0
+        cells.append(element("td", percent(fit.relative_rms), class_="share", style=f"--part: {part:.0f}%"))
+        first = element("th", name, class_="text", rowspan=3) if k == 0 else None
+        last = element("td", text, rowspan=3) if tested and k == 0 else None
+        rows.append(
+            element("tr", first, element("td", kind, class_="text"), *cells, last, class_="minor" if k == 2 else None)
+        )
+    return element("tbody", *rows, class_="group")
+
+
+def _signals(result: Result) -> Iterable[Markup]:
+    """Every figure that is drawn from the validation's signals."""
+    model, validation = result.identified.model, result.validation
+    names, joints = model.model.arm.joint_names, model.model.arm.joints
+    found = {
+        name: figures.joint_signals(validation.traces, k, joint.revolute)
+        for k, (name, joint) in enumerate(zip(names, joints))
+    }
+    signals = {name: mine for name, mine in found.items() if mine is not None}
+    if not signals:
+        return
+    yield element("h2", "Torque over time")
+    yield element(
+        "div",
+        *(
+            element("span", element("span", class_="swatch", style=f"border-color: var(--{role})"), role)
+            for role in ("measured", "predicted", "residual")
+        ),
+        element("span", element("span", class_="swatch block"), "standstill"),
+        class_="key",
+    )
+    for name, mine in signals.items():
+        joint = validation.joints.get(name)
+        small = joint and element(
+            "small",
+            f"residual {number(joint.everything.rmse)} {mine.torque_unit} RMS, "
+            f"{percent(joint.everything.relative_rms)} of the torque ({percent(joint.moving.relative_rms)} moving)",
+        )
+        yield element("section", element("h3", name, small), figures.over_time(mine, name), class_="joint")
+    yield element("h2", "Residual over velocity")
+    yield _figure(
+        figures.over_velocity(signals),
+        "Blue: the joint moves; grey: it stands still. Line: mean over ranges of equally many moving samples. "
+        "A line that leaves zero is friction the model does not have.",
+    )
+    yield element("h2", "Friction")
+    pose = np.mean(np.concatenate([trace.position for trace in validation.traces if len(trace.time)]), axis=0)
+    yield _figure(
+        figures.friction(model, signals, pose),
+        "Line: the model's friction in steady motion, in the mean pose of the recording. Dots: the same plus the "
+        "residual, that is the measured torque less everything else in the model, while the joint moves.",
+    )
+
+
+def _figure(drawing: Markup, caption: str) -> Markup:
+    return element("figure", drawing, element("figcaption", caption))
+
+
+def _parameters(result: Result) -> Markup:
+    identified = result.identified
+    key = [f"{place} {joint}" for place, joint in enumerate(by_joint(identified), start=1)]
+    return join(
+        element("h2", "Parameters"),
+        determination_key(),
+        _figure(
+            figures.parameters(identified),
+            f"Values with their 95 % intervals, where the data give one. {' · '.join(key)}.",
+        ),
+        element("h3", "Values ± standard errors"),
+        matrix(identified),
+        element("details", element("summary", "Every parameter with its interval"), whole_list(identified)),
+        element(
+            "details",
+            element("summary", f"{len(identified.base_values)} base parameters, the combinations motion can reveal"),
+            base_table(identified),
+        ),
+    )

@@ -1,0 +1,138 @@
+"""The machine-readable tables of a result folder: parameters, base parameters and validation figures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from ..dynamics.term import Parameter
+from ..identification.identified import Determination, Estimate, Fit, Identified, Validation
+from .provenance import VALIDATED, source_paths
+
+PAPER_SYMBOLS = (
+    *("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "J_m", "k_1"),
+    *("f_c", "f_b", "v_b", "k_v1", "k_v2", "k_v3"),
+)
+"""The paper's 18 parameters a joint, in the order of its Table 1."""
+ABSENT = "not part of this model"
+
+
+def by_joint(identified: Identified) -> dict[str, list[Estimate]]:
+    """Joint (then coupling) -> its estimates: the paper's 18 first, then what else the model has.
+
+    A joint always has the paper's 18; one that the model leaves out, such as k_v2 in vacuum, is zero and fixed.
+    """
+    known: dict[str, dict[str, Estimate]] = {joint: {} for joint in identified.model.model.arm.joint_names}
+    arm_joints = set(known)
+    for estimate in identified.estimates:
+        known.setdefault(estimate.joint, {})[estimate.symbol] = estimate
+    ordered = {}
+    for joint, estimates in known.items():
+        paper = PAPER_SYMBOLS if joint in arm_joints else ()
+        first = [estimates.get(symbol) or _absent(symbol, joint) for symbol in paper]
+        ordered[joint] = first + [item for symbol, item in estimates.items() if symbol not in paper]
+    return ordered
+
+
+def _absent(symbol: str, joint: str) -> Estimate:
+    return Estimate(symbol, joint, "", 0.0, math.nan, Determination.FIXED, ABSENT)
+
+
+def parameters_csv(identified: Identified) -> str:
+    """One row a parameter; an empty cell is a number that is not known."""
+    return _csv(
+        (
+            *("name", "joint", "value", "unit", "standard_error", "ci95_low", "ci95_high"),
+            *("identifiable", "determined_by", "note"),
+        ),
+        (
+            (
+                *(item.symbol, item.joint, _cell(item.value), item.unit, _cell(item.standard_error)),
+                *map(_cell, item.interval),
+                "yes" if item.identifiable else "no",
+                item.determination.value,
+                item.note,
+            )
+            for estimates in by_joint(identified).values()
+            for item in estimates
+        ),
+    )
+
+
+def base_parameters_csv(identified: Identified) -> str:
+    """One row a base parameter, named by what it is made of; before physical consistency is imposed."""
+    return _csv(
+        ["name", "value", "standard_error", "ci95_low", "ci95_high"],
+        ((item.symbol, *map(_cell, (item.value, item.standard_error, *item.interval))) for item in base(identified)),
+    )
+
+
+def base(identified: Identified) -> list[Estimate]:
+    """Base parameters as estimates; the symbol is the whole expression, the joint that of its leading parameter."""
+    leaders = (identified.model.model.parameters[k] for k in identified.base.independent)
+    return [
+        _base_estimate(name, leader, float(value), float(error))
+        for name, leader, value, error in zip(
+            identified.base.names, leaders, identified.base_values, identified.base_errors
+        )
+    ]
+
+
+def _base_estimate(name: str, leader: Parameter, value: float, error: float) -> Estimate:
+    """A base parameter without a standard error is one whose parameters are all held fixed."""
+    known = error > 0.0
+    rests = Determination.DATA if known else Determination.FIXED
+    return Estimate(name, leader.joint, leader.unit, value, error if known else math.nan, rests)
+
+
+def validation_dict(identified: Identified, validation: Validation) -> dict[str, Any]:
+    """The content of `validation.json`; a figure that does not exist (NaN) is None."""
+    joints = {}
+    for name, joint in validation.joints.items():
+        lack = joint.lack_of_fit
+        joints[name] = {
+            **fit_dict(joint.everything),
+            "moving": fit_dict(joint.moving),
+            "unfiltered": fit_dict(joint.unfiltered),
+            "lack_of_fit": lack and {key: finite(value) for key, value in asdict(lack).items()},
+        }
+    named = source_paths(identified.model.provenance, VALIDATED)
+    return {
+        "joints": joints,
+        "bags": named or list(dict.fromkeys(trace.source for trace in validation.traces)),
+        "on": validation.what,
+        "held_out": validation.held_out,
+        "bandwidth_hz": finite(identified.bandwidth.cutoff_hz),
+    }
+
+
+def fit_dict(fit: Fit) -> dict[str, float | None]:
+    """The five figures under the names of contracts.md §3."""
+    return {
+        "rmse_Nm": finite(fit.rmse),
+        "mae_Nm": finite(fit.mae),
+        "max_Nm": finite(fit.largest),
+        "r": finite(fit.correlation),
+        "relative_rms": finite(fit.relative_rms),
+    }
+
+
+def finite(value: float) -> float | None:
+    """A plain float, or None for NaN and infinities, which JSON does not have."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _cell(value: float) -> str:
+    return repr(float(value)) if math.isfinite(value) else ""
+
+
+def _csv(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()

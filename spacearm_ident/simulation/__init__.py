@@ -1,0 +1,1 @@
+"""The simulated arm: a second, independent writing of the dynamics, with true standstill."""

@@ -1,0 +1,276 @@
+"""The simulated arm under its drives, recorded: a trajectory in, a `Recording` out.
+
+Two halves. `simulate_truth` runs plant and servo and keeps exact motion and torque at the stamps. `measure`
+looks at that truth through sensors. A recorded torque is the mean of what the drive applied over the sample
+interval centred on the stamp, so it belongs to the motion at that very stamp; a torque of the half-open
+interval before or after would be a hidden delay of half a millisecond, which identification would answer
+with a biased viscosity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
+
+from spacearm_ident.recording.recording import Recording, Series
+from spacearm_ident.simulation.joint_law import JointLaw
+from spacearm_ident.simulation.plant import Plant, PlantParameters
+from spacearm_ident.simulation.servo import DriveData, Servo, ServoTuning
+from spacearm_ident.simulation.thermal import ThermalParameters
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+_SETTLE_S = 0.5
+"""Held at the start before the recording begins, so that the drives carry gravity at its first sample."""
+_TEMPERATURE_HZ = 5.0
+
+
+class MotionStates(Protocol):
+    """Arrays (T, n) of position, velocity, acceleration, rad and s."""
+
+    @property
+    def q(self) -> FloatArray:
+        """Position."""
+
+    @property
+    def qd(self) -> FloatArray:
+        """Velocity."""
+
+    @property
+    def qdd(self) -> FloatArray:
+        """Acceleration."""
+
+
+class Commanded(Protocol):
+    """What can be followed: an `excitation.Trajectory`, or anything that evaluates like one."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the n joints."""
+
+    @property
+    def duration_s(self) -> float:
+        """Length, s."""
+
+    def evaluate(self, t: ArrayLike) -> MotionStates:
+        """Motion at the times `t` (T,), s; held still outside [0, `duration_s`]."""
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """What the sensors make of the truth.
+
+    Attributes:
+        effort_white: White noise of the torque from current, share of the drive's torque limit (where that is
+            infinite, of the joint's largest torque in the run).
+        effort_coloured: Its slow part, same unit: a first-order process.
+        effort_correlation_s: Time constant of that process, s.
+        position_counts: Counts per output turn of the joint encoder that `position` comes from; 0: exact.
+        velocity_noise: White noise of the reported velocity, rad/s.
+        temperature_noise: K.
+    """
+
+    effort_white: float = 0.0035
+    effort_coloured: float = 0.0012
+    effort_correlation_s: float = 0.01
+    position_counts: int = 2**19
+    velocity_noise: float = 5e-4
+    temperature_noise: float = 0.05
+
+    @classmethod
+    def none(cls) -> SensorNoise:
+        """Perfect sensors."""
+        return cls(0.0, 0.0, 1.0, 0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What really happened, at the stamps; (N, n) each.
+
+    Attributes:
+        joints: Names of the n joints.
+        time: (N,) s.
+        q: rad.
+        qd: rad/s.
+        qdd: Mean over the sample interval centred on the stamp, rad/s²: the acceleration `torque` causes.
+        torque: Motor torque on the output side, mean over that interval, N·m.
+        command: Set-points, rad.
+        temperature: Housings, °C, on the clock `temperature_time` (M,) s.
+        urdf: Robot description.
+        drives: Electrical data of the drives.
+    """
+
+    joints: tuple[str, ...]
+    time: FloatArray
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+    torque: FloatArray
+    command: FloatArray
+    temperature_time: FloatArray
+    temperature: FloatArray
+    urdf: str
+    drives: DriveData
+
+
+def simulate_run(
+    parameters: PlantParameters,
+    trajectory: Commanded,
+    *,
+    rate_hz: float = 1000.0,
+    seed: int = 0,
+    noise: SensorNoise | None = None,
+    drives: DriveData | None = None,
+    tuning: ServoTuning | None = None,
+    law: JointLaw | None = None,
+    thermal: ThermalParameters | None = None,
+    feedforward: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None,
+    progress: Progress | None = None,
+) -> Recording:
+    """Follow a trajectory and record it; `measure(simulate_truth(...), ...)`.
+
+    Args:
+        parameters: What the arm obeys.
+        trajectory: What it is told to do; its joints are those of the parameters, in the same order.
+        rate_hz: Sample rate of the recording; the servo rate is an even multiple of it.
+        seed: Of the noise.
+        noise: Sensors; the defaults of `SensorNoise` unless given.
+        drives: Electrical data; `DriveData.plain` unless given.
+        tuning: Of the servo loops.
+        law: Friction and drive train in place of the parameters' own.
+        thermal: Thermal data; copper losses follow from `drives` unless given.
+        feedforward: Torque (T, n) from commanded q, qd, qdd (T, n), added by the drives.
+        progress: Called now and then with the share done, 0 to 1.
+
+    Raises:
+        ValueError: Joints or rates do not fit.
+        UserError: Parameters and robot description do not fit.
+    """
+    truth = simulate_truth(
+        parameters,
+        trajectory,
+        rate_hz=rate_hz,
+        drives=drives,
+        tuning=tuning,
+        law=law,
+        thermal=thermal,
+        feedforward=feedforward,
+        progress=progress,
+    )
+    return measure(truth, SensorNoise() if noise is None else noise, seed)
+
+
+def simulate_truth(
+    parameters: PlantParameters,
+    trajectory: Commanded,
+    *,
+    rate_hz: float = 1000.0,
+    drives: DriveData | None = None,
+    tuning: ServoTuning | None = None,
+    law: JointLaw | None = None,
+    thermal: ThermalParameters | None = None,
+    feedforward: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None,
+    progress: Progress | None = None,
+) -> Truth:
+    """Follow a trajectory and return the noise-free truth; arguments as for `simulate_run`."""
+    if tuple(trajectory.joints) != parameters.joints:
+        raise ValueError(f"trajectory moves {trajectory.joints}, the plant has {parameters.joints}")
+    tuning = ServoTuning() if tuning is None else tuning
+    drives = DriveData.plain(len(parameters.joints)) if drives is None else drives
+    ratio = round(tuning.rate_hz / rate_hz)
+    if ratio % 2 or abs(ratio * rate_hz - tuning.rate_hz) > 1e-6 * tuning.rate_hz:
+        raise ValueError("the servo rate must be an even multiple of the recording's rate")
+
+    before, half = round(_SETTLE_S * tuning.rate_hz), ratio // 2
+    samples = int(np.floor(trajectory.duration_s * rate_hz + 1e-9)) + 1
+    at = before + ratio * np.arange(samples)
+    command = trajectory.evaluate((np.arange(at[-1] + half + 1) - before) / tuning.rate_hz)
+    extra = np.zeros_like(command.q)
+    if feedforward is not None:
+        extra = feedforward(command.q, command.qd, command.qdd)
+
+    start = command.q[0]
+    plant = Plant(parameters, position=start, law=law, thermal=thermal or ThermalParameters(drives.copper_loss))
+    servo = Servo(np.diag(plant.inertia()), drives, tuning, start)
+    warm_every = max(1, round(rate_hz / _TEMPERATURE_HZ))
+    q, qd, torque, warm = _run(plant, servo, command, extra, at[::warm_every], progress)
+    return Truth(
+        joints=parameters.joints,
+        time=np.arange(samples) / rate_hz,
+        q=q[at],
+        qd=qd[at],
+        qdd=(qd[at + half] - qd[at - half]) * rate_hz,
+        torque=np.mean([torque[at + k] for k in range(-half, half)], axis=0),
+        command=command.q[at],
+        temperature_time=np.arange(0, samples, warm_every) / rate_hz,
+        temperature=warm,
+        urdf=parameters.urdf,
+        drives=drives,
+    )
+
+
+def measure(truth: Truth, noise: SensorNoise, seed: int = 0, start_ns: int = 0) -> Recording:
+    """The truth through sensors: same seed, same recording."""
+    rng = np.random.default_rng(seed)
+    shape = truth.q.shape
+    limit = truth.drives.torque_limit
+    full_scale = np.where(np.isfinite(limit), limit, np.abs(truth.torque).max(axis=0))
+    keep = np.exp(-float(np.median(np.diff(truth.time))) / noise.effort_correlation_s)
+    # First-order process of unit variance; the long run-in forgets that the filter starts at zero.
+    run_in = int(np.ceil(10 / -np.log(keep))) if keep > 0 else 0
+    drive = rng.standard_normal((shape[0] + run_in, shape[1])) * np.sqrt(1 - keep**2)
+    coloured = lfilter([1.0], [1.0, -keep], drive, axis=0)[run_in:]
+    white = rng.standard_normal(shape)
+    effort = truth.torque + full_scale * (noise.effort_white * white + noise.effort_coloured * coloured)
+    position = truth.q
+    if noise.position_counts:
+        count = 2 * np.pi / noise.position_counts
+        position = np.rint(position / count) * count
+    warm = truth.temperature + noise.temperature_noise * rng.standard_normal(truth.temperature.shape)
+    return Recording(
+        joints=truth.joints,
+        time=truth.time,
+        position=position,
+        velocity=truth.qd + noise.velocity_noise * rng.standard_normal(shape),
+        effort=effort,
+        segments=(slice(0, len(truth.time)),),
+        start_ns=start_ns,
+        command=Series(truth.time, truth.command),
+        temperatures={name: Series(truth.temperature_time, warm[:, i]) for i, name in enumerate(truth.joints)},
+        urdf=truth.urdf,
+    )
+
+
+def _run(
+    plant: Plant,
+    servo: Servo,
+    command: MotionStates,
+    feedforward: FloatArray,
+    warm_at: NDArray[np.intp],
+    progress: Progress | None,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Position and velocity at the start of every servo cycle, torque during it; housings at `warm_at`."""
+    q, qd, torque = (np.empty_like(command.q) for _ in range(3))
+    warm = np.empty((len(warm_at), q.shape[1]))
+    edges = [0, *warm_at.tolist(), len(q)]
+    for chunk, (first, last) in enumerate(pairwise(edges)):
+        if chunk:
+            warm[chunk - 1] = plant.housing_temperature
+        if progress is not None:
+            progress(first / len(q))
+        for cycle in range(first, last):
+            q[cycle] = plant.position
+            qd[cycle] = plant.velocity
+            applied = servo.torque(plant.position, command.q[cycle], command.qd[cycle], feedforward[cycle])
+            torque[cycle] = applied
+            plant.step(applied, servo.dt)
+    if progress is not None:
+        progress(1.0)
+    return q, qd, torque, warm

@@ -1,0 +1,121 @@
+"""`PlantParameters`: the numbers the simulated arm obeys, as plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spacearm_ident.errors import UserError
+
+FloatArray = NDArray[np.float64]
+
+RIGID_BODY = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+"""Rigid-body parameters of a joint in Pinocchio's order, inertia about the joint frame's origin."""
+FRICTION = ("f_c", "f_b", "v_b", "k_v1", "k_v2", "k_v3")
+_KINDS = {
+    "rigid_body": RIGID_BODY,
+    "rotor_inertia": ("J_m",),
+    "joint_spring": ("k_1",),
+    "stribeck_friction": ("f_c", "f_b", "v_b"),
+    "viscous_friction": ("k_v1", "k_v2", "k_v3"),
+}
+_IN_VACUUM = {"k_v2", "k_v3"}
+_IGNORED = {"d_s"}
+"""Presliding distance: the plant sticks and slips by itself, over no distance."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlantParameters:
+    """Truth of a simulated arm. Output side, SI.
+
+    Attributes:
+        joints: Names of the n joints, base to tip.
+        urdf: Robot description; only its kinematics are used.
+        gravity: (3,) m/s², base frame.
+        rigid_body: (n, 10) in the order of `RIGID_BODY`.
+        rotor_inertia: (n,) J_m, kg·m².
+        joint_spring: (n,) k_1, N·m/rad.
+        f_c: (n,) Coulomb friction, N·m.
+        f_b: (n,) static friction, N·m.
+        v_b: (n,) Stribeck velocity, rad/s, above zero.
+        k_v1: (n,) N·m·s/rad.
+        k_v2: (n,) N·m·s²/rad².
+        k_v3: (n,) N·m·s³/rad³.
+        quadratic: `even`: k_v2·qd² as the paper prints it; `odd`: k_v2·qd·|qd|.
+    """
+
+    joints: tuple[str, ...]
+    urdf: str
+    gravity: FloatArray
+    rigid_body: FloatArray
+    rotor_inertia: FloatArray
+    joint_spring: FloatArray
+    f_c: FloatArray
+    f_b: FloatArray
+    v_b: FloatArray
+    k_v1: FloatArray
+    k_v2: FloatArray
+    k_v3: FloatArray
+    quadratic: Literal["even", "odd"] = "even"
+
+    def __post_init__(self) -> None:
+        n = len(self.joints)
+        if self.gravity.shape != (3,) or self.rigid_body.shape != (n, len(RIGID_BODY)):
+            raise ValueError("gravity must be (3,) and rigid_body (n, 10)")
+        for name in ("rotor_inertia", "joint_spring", *FRICTION):
+            if getattr(self, name).shape != (n,):
+                raise ValueError(f"{name} must be ({n},)")
+        if np.any(self.v_b <= 0) or np.any(np.minimum(self.f_c, self.f_b) < 0):
+            raise UserError("simulated friction needs v_b above zero and f_c, f_b not below zero; correct them")
+
+    @classmethod
+    def from_model(cls, document: Mapping[str, Any], urdf: str) -> PlantParameters:
+        """From the plain data of a model file (`spacearm_ident/model/1`) and its robot description.
+
+        Terms that are absent count as zero (frictionless, no rotor, no spring); v_b = 0 is plain Coulomb
+        friction.
+
+        Raises:
+            UserError: The model has a term this plant does not simulate, or lacks a value.
+        """
+        joints = tuple(document["joints"])
+        values = {name: np.zeros(len(joints)) for names in _KINDS.values() for name in names}
+        values["v_b"] = np.ones(len(joints))
+        quadratic = "even"
+        for term in document["terms"]:
+            kind = term["kind"]
+            if kind not in _KINDS:
+                raise UserError(f"the simulated arm has no term {kind!r}; remove it from the model")
+            quadratic = term.get("options", {}).get("quadratic", quadratic)
+            beyond = set(term["values"]) - set(_KINDS[kind]) - _IGNORED
+            if beyond:
+                raise UserError(f"the simulated arm has no {sorted(beyond)[0]!r} of {kind}; remove it from the model")
+            for name in _KINDS[kind]:
+                if name in term["values"] or name not in _IN_VACUUM:
+                    values[name] = _column(term["values"], name, joints)
+        plain = values["v_b"] == 0.0
+        values["f_b"] = np.where(plain, values["f_c"], values["f_b"])
+        values["v_b"] = np.where(plain, 1.0, values["v_b"])
+        if quadratic not in ("even", "odd"):
+            raise UserError(f"quadratic is {quadratic!r}; use even or odd")
+        return cls(
+            joints=joints,
+            urdf=urdf,
+            gravity=np.asarray(document["gravity_m_s2"], dtype=float),
+            rigid_body=np.column_stack([values[name] for name in RIGID_BODY]),
+            rotor_inertia=values["J_m"],
+            joint_spring=values["k_1"],
+            quadratic=quadratic,
+            **{name: values[name] for name in FRICTION},
+        )
+
+
+def _column(table: Mapping[str, Mapping[str, float]], name: str, joints: Sequence[str]) -> FloatArray:
+    try:
+        return np.array([float(table[name][joint]) for joint in joints])
+    except KeyError as error:
+        raise UserError(f"the model gives no {name} for {error}; add it") from None
