@@ -1,0 +1,49 @@
+"""A two-joint arm whose recordings are computed, not simulated: quick material for tests of the whole path."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from spacearm_ident.recording import Recording
+
+JOINTS = ("shoulder", "elbow")
+URDF = """<robot name="small_arm">
+<link name="base"/>
+<link name="upper"><inertial><origin xyz="0.02 0.01 0.2"/><mass value="4"/>
+<inertia ixx="0.06" ixy="0.001" ixz="0.002" iyy="0.07" iyz="0.001" izz="0.02"/></inertial></link>
+<link name="fore"><inertial><origin xyz="0.01 -0.02 0.15"/><mass value="2"/>
+<inertia ixx="0.02" ixy="0" ixz="0.001" iyy="0.02" iyz="0" izz="0.005"/></inertial></link>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.3"/>
+<axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="3" effort="100"/></joint>
+<joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0 0.05 0.4"/>
+<axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="3" effort="50"/></joint>
+</robot>"""
+COULOMB, VISCOUS, ROTOR = np.array([3.0, 1.5]), np.array([2.0, 0.8]), np.array([0.4, 0.1])
+
+
+def recording(
+    duration_s: float = 16.0,
+    rate_hz: float = 200.0,
+    seed: int = 0,
+    noise: float = 0.02,
+    still: tuple[int, ...] = (),
+    urdf: str | None = URDF,
+) -> Recording:
+    """A run that never repeats: sines of incommensurate frequencies; the joints in `still` stay where they are."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, duration_s, 1.0 / rate_hz)
+    frequency = np.array([[0.21, 0.37 + 0.01 * seed], [0.29, 0.47 + 0.01 * seed]]) * 2 * np.pi
+    size = np.array([[0.7, 0.4], [0.8, 0.3]])
+    size[list(still)] = 0.0
+    phase = rng.uniform(0, 2 * np.pi, (2, 2))
+    angle = time[:, None, None] * frequency + phase
+    q = (size * np.sin(angle)).sum(axis=2)
+    qd = (size * frequency * np.cos(angle)).sum(axis=2)
+    qdd = -(size * frequency**2 * np.sin(angle)).sum(axis=2)
+    model = pin.buildModelFromXML(URDF)
+    data = model.createData()
+    rigid = np.array([pin.rnea(model, data, *state) for state in zip(q, qd, qdd)])
+    torque = rigid + COULOMB * np.sign(qd) + VISCOUS * qd + ROTOR * qdd
+    torque += noise * rng.standard_normal(torque.shape) * np.array([10.0, 5.0])
+    return Recording(JOINTS, time, q, qd, torque, (slice(0, len(time)),), 1_700_000_000_000_000_000, urdf=urdf)
