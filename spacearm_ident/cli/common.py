@@ -10,13 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-from ..dynamics.arm import Arm, arm_from_urdf, load_arm
-from ..errors import UserError
-from ..recording import Recording, describe, read_recording
+from ..dynamics.arm import Arm
+from ..recording import Recording, describe
+from ..session import find_arm
+from ..session import read_bags as read_bags
+from ..session import within as within
 
 Report = Callable[[float, str], None]
 
@@ -41,29 +42,13 @@ def add_output_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--quiet", action="store_true", help="no progress bar and no notes on standard error")
 
 
-def read_bags(paths: Sequence[Path], report: Report) -> list[Recording]:
-    """Read bags one after the other."""
-    recordings = []
-    for number, path in enumerate(paths):
-        report(number / len(paths), f"reading {path.name}")
-        recordings.append(read_recording(path))
-    return recordings
-
-
 def arm_of(options: argparse.Namespace, recordings: Sequence[Recording]) -> Arm:
     """The arm asked for, or the one the recordings describe.
 
     Raises:
         UserError: Neither is there.
     """
-    if options.arm is not None:
-        arm = load_arm(options.arm)
-    else:
-        urdf = next((recording.urdf for recording in recordings if recording.urdf), None)
-        if urdf is None:
-            raise UserError("no bag holds a /robot_description: give the arm's URDF with --arm FILE")
-        arm = arm_from_urdf(urdf)
-    return arm if options.gravity is None else arm.with_gravity(np.array(options.gravity))
+    return find_arm(options.arm, options.gravity, recordings)
 
 
 def note(options: argparse.Namespace, text: str) -> None:
@@ -95,8 +80,3 @@ def progress(options: argparse.Namespace) -> Iterator[Report]:
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda share, what: bar.update(task, completed=share, description=what)
-
-
-def within(report: Report, start: float, stop: float) -> Report:
-    """Progress of a part of the work, as progress of the whole."""
-    return lambda share, what: report(start + (stop - start) * share, what)

@@ -27,7 +27,7 @@ DESCRIPTION = """
 Simulate an excitation run and a validation run of the paper's six-joint arm, record both to MCAP, identify the arm
 from the first and validate it on the second. Everything is written to DIR.
 """
-RUNS = (("excitation", 5, 1), ("validation", 2, 2))
+RUNS = (("excitation", 5, 1), ("validation", 3, 2))
 """Name, periods and seed of the runs: the same kind of motion with other coefficients."""
 
 

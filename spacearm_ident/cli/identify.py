@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from ..dynamics.arm import Arm
 from ..dynamics.model import FRICTION_LAWS, structure_of
 from ..identification.identified import Identified, Validation
-from ..identification.identify import Settings, identify, with_provenance
-from ..identification.validation import split, validate
-from ..recording import Recording
-from ..report.folder import write_result
-from ..report.provenance import provenance
+from ..identification.identify import Settings
 from ..report.tables import validation_dict
+from ..session import identify_session
 from . import common
 
 DESCRIPTION = """
@@ -58,18 +54,21 @@ def run(options: argparse.Namespace) -> int:
         fitted = common.read_bags(options.bags, common.within(report, 0.0, 0.2))
         validated = common.read_bags(options.validate, common.within(report, 0.2, 0.3))
         arm = common.arm_of(options, [*fitted, *validated])
-        identified, validation = identify_and_validate(
-            fitted, validated, arm, settings_of(options, arm), common.within(report, 0.3, 0.8)
+        session = identify_session(
+            fitted,
+            validated,
+            arm,
+            settings_of(options, arm),
+            options.out,
+            command=options.command_line,
+            progress=common.within(report, 0.3, 1.0),
         )
-        origin = provenance(fitted, validated or fitted[-1:], options.command_line)
-        identified = with_provenance(identified, origin)
-        report(0.8, "writing the report")
-        page = write_result(identified, validation, options.out)
+    identified, validation = session.identified, session.validation
     common.note_findings(options, [*fitted, *validated])
     if options.json:
         common.print_json({"result": str(options.out), **validation_dict(identified, validation)})
     else:
-        print(summary(identified, validation, page))
+        print(summary(identified, validation, session.page))
     return 0
 
 
@@ -77,24 +76,6 @@ def settings_of(options: argparse.Namespace, arm: Arm) -> Settings:
     """What the options decide."""
     structure = None if options.friction == "auto" else structure_of(arm, options.friction)
     return Settings(cutoff_hz=options.bandwidth, structure=structure)
-
-
-def identify_and_validate(
-    fitted: Sequence[Recording],
-    validated: Sequence[Recording],
-    arm: Arm,
-    settings: Settings,
-    report: common.Report,
-) -> tuple[Identified, Validation]:
-    """Identify on some recordings and validate on others, or on the held-out end of the last one."""
-    if validated:
-        what = "on other recordings than the fit"
-        identified = identify(fitted, arm, settings, report)
-        return identified, validate(identified.model, validated, what, held_out=True)
-    first, last = split(fitted[-1])
-    identified = identify([*fitted[:-1], first], arm, settings, report)
-    what = "on the last third of the last recording, held out of the fit"
-    return identified, validate(identified.model, [last], what, held_out=True)
 
 
 def summary(identified: Identified, validation: Validation, page: Path) -> str:

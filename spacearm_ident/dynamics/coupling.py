@@ -23,6 +23,8 @@ class CoupledMotor(Term):
     """Rotor inertia, viscous and Coulomb friction of one coupled motor."""
 
     kind: ClassVar[str] = "coupled_motor"
+    words: ClassVar[str] = "coupled motors"
+    friction: ClassVar[bool] = True
     coupling: Coupling | None = None
 
     @classmethod

@@ -68,6 +68,8 @@ class StribeckFriction(Term):
     """
 
     kind: ClassVar[str] = "stribeck_friction"
+    words: ClassVar[str] = "Stribeck friction f_c, f_b, v_b"
+    friction: ClassVar[bool] = True
 
     @classmethod
     def build(cls, arm: Arm, options: Mapping[str, Any]) -> tuple[Term, ...]:
@@ -126,6 +128,8 @@ class ViscousFriction(Term):
     """
 
     kind: ClassVar[str] = "viscous_friction"
+    words: ClassVar[str] = "viscous friction k_v1, k_v2, k_v3"
+    friction: ClassVar[bool] = True
     ODD: ClassVar[str] = "k_v2_odd"
 
     @classmethod

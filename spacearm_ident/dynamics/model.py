@@ -134,6 +134,11 @@ class TorqueModel:
                 total[:, row] += columns @ parameters[first + np.array(indices)]
         return total
 
+    @cached_property
+    def friction_kinds(self) -> tuple[str, ...]:
+        """Kinds of the terms that are friction."""
+        return tuple(dict.fromkeys(term.kind for term in self.terms if term.friction))
+
     @property
     def needs_load(self) -> bool:
         """Whether a term needs the rigid body's torque."""

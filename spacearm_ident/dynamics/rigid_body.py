@@ -23,6 +23,7 @@ class RigidBody(Term):
     """Mass, first moments and inertia about the joint frame of every link; gravity included."""
 
     kind: ClassVar[str] = "rigid_body"
+    words: ClassVar[str] = "rigid links"
     arm: Arm | None = None
 
     @classmethod
@@ -89,6 +90,7 @@ class RotorInertia(PerJoint):
     """J_m: inertia of rotor and gear, reflected to the output side."""
 
     kind: ClassVar[str] = "rotor_inertia"
+    words: ClassVar[str] = "rotor inertia J_m"
     symbol: ClassVar[str] = "J_m"
     unit: ClassVar[str] = "kg m^2"
     dimension: ClassVar[tuple[int, int, int]] = (0, 0, 1)
@@ -108,6 +110,7 @@ class JointSpring(PerJoint):
     """
 
     kind: ClassVar[str] = "joint_spring"
+    words: ClassVar[str] = "joint spring k_1"
     symbol: ClassVar[str] = "k_1"
     unit: ClassVar[str] = "N m/rad"
     dimension: ClassVar[tuple[int, int, int]] = (1, 0, 0)
@@ -134,6 +137,7 @@ class TorqueOffset(PerJoint):
     """A constant torque: current sensor offset, or what Coulomb friction differs by in its two directions."""
 
     kind: ClassVar[str] = "torque_offset"
+    words: ClassVar[str] = "torque offset"
     symbol: ClassVar[str] = "offset"
     unit: ClassVar[str] = "N m"
     dimension: ClassVar[tuple[int, int, int]] = (0, 0, 0)

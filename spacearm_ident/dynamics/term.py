@@ -78,11 +78,14 @@ class Constant:
 class Term(ABC):
     """One contribution to the joint torques of an arm.
 
-    Subclasses set `kind` (its name in model files), `parameters` and `constants`, and compute `columns`.
+    Subclasses set `kind` (its name in model files), `words` (what a report calls it), whether it is `friction`,
+    `parameters` and `constants`, and compute `columns`.
     `options` are the choices that shape it, as a model file keeps them.
     """
 
     kind: ClassVar[str]
+    words: ClassVar[str]
+    friction: ClassVar[bool] = False
     parameters: tuple[Parameter, ...]
     constants: tuple[Constant, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)

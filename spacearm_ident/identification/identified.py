@@ -159,7 +159,7 @@ class JointValidation:
 
 @dataclass(frozen=True)
 class Trace:
-    """Signals behind a validation, for figures: regression rows of one motion.
+    """Signals behind a validation, for figures: regression rows of one motion, columns in the order of the arm.
 
     Attributes:
         source: Which recording (its name).

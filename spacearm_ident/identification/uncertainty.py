@@ -2,8 +2,8 @@
 
 For weighted least squares with rows A, weights W and a Gaussian prior P,
     cov = H^-1 (S + P) H^-1,  H = A' W A + P,  S = A' W^(1/2) Omega W^(1/2) A,
-with Omega the autocovariance of the weighted residual, estimated per joint and motion and tapered (Newey and West
-1987). White residuals of the assumed size give back H^-1.
+with Omega the autocovariance of the weighted residual, estimated per joint and motion; what of it is more than the
+low-pass makes of white noise is tapered (Newey and West 1987). White residuals of the assumed size give back H^-1.
 """
 
 from __future__ import annotations
@@ -43,43 +43,56 @@ def covariance(
     Returns:
         (u, u), zero for unknowns that are not estimated.
     """
-    information = np.zeros((width, width))
-    score = np.zeros((width, width))
+    weighted = [block * rows.weight[:, None] for block, rows in zip(columns, regression.rows)]
+    information = [block.T @ block for block in weighted]
+    hessian = np.zeros((width, width))
+    hessian[: prior.rows.shape[1], : prior.rows.shape[1]] = prior.rows.T @ prior.rows
+    score = hessian.copy()
+    for number, known in zip(numbers, information):
+        hessian[np.ix_(number, number)] += known
+    inverse = _inverse(hessian)
     for joint, rows in enumerate(regression.rows):
-        weighted = columns[joint] * rows.weight[:, None]
         index = np.ix_(numbers[joint], numbers[joint])
-        information[index] += weighted.T @ weighted
-        freedom = _freedom(len(rows.torque), columns[joint].shape[1], correlation[joint])
-        for motion in range(len(regression.motions)):
-            mine = rows.owner == motion
+        spent = float(np.sum(inverse[index] * information[joint]))
+        freedom = _freedom(len(rows.torque), spent, correlation[joint])
+        for number, motion in enumerate(regression.motions):
+            mine = rows.owner == number
             if mine.sum() < 2:
                 continue
             residual = residuals[joint][mine] * rows.weight[mine]
-            score[index] += freedom * _score(weighted[mine], residual, rows.place[mine], correlation[joint][motion])
-    beliefs = np.zeros((width, width))
-    beliefs[: prior.rows.shape[1], : prior.rows.shape[1]] = prior.rows.T @ prior.rows
-    hessian = information + beliefs
+            kernel = _kernel(residual, rows.place[mine], motion.white_correlation, correlation[joint][number])
+            score[index] += freedom * _score(weighted[joint][mine], rows.place[mine], kernel)
+    return np.asarray(inverse @ score @ inverse)
+
+
+def _inverse(hessian: FloatArray) -> FloatArray:
+    """Inverse on the unknowns that are estimated, zero elsewhere."""
     used = np.flatnonzero(np.diag(hessian) > 0)
     block = np.ix_(used, used)
     scale = 1.0 / np.sqrt(np.diag(hessian)[used])
     factor = cho_factor(hessian[block] * np.outer(scale, scale))
-    inverse = cho_solve(factor, np.diag(scale)) * scale[:, None]
-    result = np.zeros((width, width))
-    result[block] = inverse @ (score + beliefs)[block] @ inverse
-    return result
+    inverse = np.zeros_like(hessian)
+    inverse[block] = cho_solve(factor, np.diag(scale)) * scale[:, None]
+    return inverse
 
 
-def _freedom(rows: int, parameters: int, correlation: list[float]) -> float:
-    """What the fit took from the residual: effective rows over effective rows left."""
+def _freedom(rows: int, spent: float, correlation: list[float]) -> float:
+    """What the fit took from the residual: effective rows over those left by the parameters these rows decide."""
     effective = rows / float(np.mean(correlation))
-    return effective / max(effective - parameters, 0.25 * effective) if rows else 1.0
+    return effective / max(effective - spent, 0.25 * effective) if rows else 1.0
 
 
-def _score(weighted: FloatArray, residual: FloatArray, place: np.ndarray, correlation: float) -> FloatArray:
-    """A' Omega A of one joint's rows in one motion; Omega is a tapered Toeplitz matrix applied by FFT."""
-    acov = autocovariance(residual, place)
-    lags = int(min(len(acov), max(1, np.ceil(TAPER_FACTOR * correlation)))) if correlation > 1.0 else 1
-    kernel = acov[:lags] * (1.0 - np.arange(lags) / lags)
+def _kernel(residual: FloatArray, place: np.ndarray, white: FloatArray, correlation: float) -> FloatArray:
+    """(L,) autocovariance of the weighted residual by lag: low-passed white noise, and a tapered rest."""
+    acov = autocovariance(residual, place, white)
+    lags = min(len(acov), max(len(white), int(np.ceil(TAPER_FACTOR * correlation))))
+    least = acov[0] * np.pad(white, (0, max(0, lags - len(white))))[:lags]
+    return np.asarray(least + (acov[:lags] - least) * (1.0 - np.arange(lags) / lags))
+
+
+def _score(weighted: FloatArray, place: np.ndarray, kernel: FloatArray) -> FloatArray:
+    """A' Omega A of one joint's rows in one motion; Omega is a Toeplitz matrix applied by FFT."""
+    lags = len(kernel)
     if lags == 1:
         return np.asarray(kernel[0] * (weighted.T @ weighted))
     length = int(place[-1] - place[0]) + 1

@@ -121,8 +121,8 @@ def _lack_of_fit(joint: int, motions: Sequence[Motion], traces: Sequence[Trace])
         if motion.noise_Nm is None or moving.sum() < 10:
             continue
         residual = (trace.measured - trace.predicted)[moving, joint]
-        independent = len(residual) * min(1.0, 2 * motion.cutoff_hz / motion.row_rate_hz)
-        independent /= max(1.0, residual_noise(residual, np.flatnonzero(moving)).correlation_rows / 2.0)
+        noise_of = residual_noise(residual, np.flatnonzero(moving), motion.white_correlation)
+        independent = len(residual) / noise_of.correlation_rows
         squares += float(np.mean(residual**2)) * independent
         noise += float(motion.noise_Nm[joint] ** 2) * independent
         freedom += independent

@@ -2,7 +2,9 @@
 
 The information of a row is 1/(sigma^2 kappa): sigma from the residual, kappa its integrated autocorrelation time
 (residuals of a low-passed signal, or of a model that leaves something out, repeat themselves, and counting them
-as independent is why residual-based intervals come out too short). Outliers are bounded after Huber (1964).
+as independent is why residual-based intervals come out too short). A fit takes from its residual what its columns
+can follow, the slow part first, so the residual looks whiter than the noise was: no correlation is taken to be
+smaller than what the low-pass makes of white noise. Outliers are bounded after Huber (1964).
 """
 
 from __future__ import annotations
@@ -35,8 +37,14 @@ class Noise:
     rows: int
 
 
-def residual_noise(residual: FloatArray, place: np.ndarray) -> Noise:
-    """Noise of a residual (M,) whose rows sit at `place` in time (gaps where the joint stood still)."""
+def residual_noise(residual: FloatArray, place: np.ndarray, white: FloatArray) -> Noise:
+    """Noise of a residual.
+
+    Args:
+        residual: (M,) N·m.
+        place: (M,) row numbers in time (gaps where the joint stood still).
+        white: (L,) autocorrelation of reduced white noise, `Motion.white_correlation`.
+    """
     if len(residual) < 2:
         return Noise(float("inf"), 1.0, len(residual))
     sigma = 1.4826 * float(np.median(np.abs(residual)))
@@ -45,11 +53,14 @@ def residual_noise(residual: FloatArray, place: np.ndarray) -> Noise:
     spread = float(np.sqrt(np.mean(clipped**2)))
     if spread == 0.0:
         return Noise(0.0, 1.0, len(residual))
-    return Noise(spread, _correlation_time(autocovariance(clipped, place)), len(residual))
+    return Noise(spread, _correlation_time(autocovariance(clipped, place, white)), len(residual))
 
 
-def autocovariance(residual: FloatArray, place: np.ndarray) -> FloatArray:
-    """(L,) autocovariance by lag in rows, gaps left out of the count, up to a quarter of the record."""
+def autocovariance(residual: FloatArray, place: np.ndarray, white: FloatArray) -> FloatArray:
+    """(L,) autocovariance by lag in rows, gaps left out of the count, up to a quarter of the record.
+
+    Nowhere less than low-passed white noise of the same variance has it; arguments as for `residual_noise`.
+    """
     length = int(place[-1] - place[0]) + 1
     signal, present = np.zeros(length), np.zeros(length)
     signal[place - place[0]] = residual
@@ -58,7 +69,9 @@ def autocovariance(residual: FloatArray, place: np.ndarray) -> FloatArray:
     lags = max(1, length // 4)
     products = np.fft.irfft(np.abs(np.fft.rfft(signal, size)) ** 2, size)[:lags]
     pairs = np.fft.irfft(np.abs(np.fft.rfft(present, size)) ** 2, size)[:lags]
-    return np.asarray(products / np.maximum(pairs, 1.0))
+    covariance = products / np.maximum(pairs, 1.0)
+    least = covariance[0] * np.pad(white, (0, max(0, lags - len(white))))[:lags]
+    return np.asarray(np.maximum(covariance, np.where(least > 0, least, -np.inf)))
 
 
 def _correlation_time(covariance: FloatArray) -> float:
@@ -75,8 +88,8 @@ def reweight(regression: Regression, residuals: list[FloatArray]) -> list[list[N
     result = []
     for rows, residual in zip(regression.rows, residuals):
         noises = [
-            residual_noise(residual[rows.owner == k], rows.place[rows.owner == k])
-            for k in range(len(regression.motions))
+            residual_noise(residual[rows.owner == k], rows.place[rows.owner == k], motion.white_correlation)
+            for k, motion in enumerate(regression.motions)
         ]
         floor = 1e-6 * float(np.sqrt(np.mean(rows.torque**2))) if len(rows.torque) else 1.0
         rows.set_weight(_weight(rows, residual, noises, max(floor, 1e-9)))

@@ -9,20 +9,10 @@ from ..identification.identified import Identified
 from .markup import Markup, element, join, number
 from .provenance import FITTED, VALIDATED
 
-TERM_WORDS = {
-    "rigid_body": "rigid links",
-    "rotor_inertia": "rotor inertia J_m",
-    "joint_spring": "joint spring k_1",
-    "stribeck_friction": "Stribeck friction f_c, f_b, v_b",
-    "viscous_friction": "viscous friction k_v1, k_v2, k_v3",
-    "coupled_motor": "coupled motors",
-    "torque_offset": "torque offset",
-}
-
 
 def structure(identified: Identified) -> Markup:
     """Terms of the model, and what was considered beyond them."""
-    terms = ", ".join(TERM_WORDS.get(kind, kind) for kind in identified.model.model.structure)
+    terms = ", ".join(dict.fromkeys(term.words for term in identified.model.model.terms))
     parts: list[object] = [element("h2", "Structure of the model"), element("p", f"Terms: {terms}.")]
     if identified.choices:
         ordered = sorted(identified.choices, key=lambda choice: (not choice.accepted, -choice.gain))

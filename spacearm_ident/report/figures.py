@@ -20,6 +20,8 @@ from .tables import by_joint
 BINS, FEWEST_IN_BIN = 30, 5
 JOIN_SHARE = 0.015
 """White space between two recordings joined on one time axis, as a share of it."""
+HEADROOM = 0.15
+"""Added above the torque for the names of recordings, as a share of its range."""
 LONGEST_NAME = 26
 WIDEST_BAR = 3.0
 """An interval wider than so many times the largest value of its panel runs out of the picture."""
@@ -134,6 +136,8 @@ def _name_sources(axes: Axes, signals: JointSignals) -> None:
     """Name each recording where it begins, when there is more than one."""
     if len(set(signals.sources)) < 2:
         return
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + HEADROOM * (high - low))
     before = None
     for start, source in zip(signals.starts, signals.sources):
         if source != before:
@@ -215,7 +219,6 @@ def parameters(identified: Identified) -> Markup:
     """Every parameter with its 95 % interval: a panel a symbol, the joints side by side in one unit."""
     listing = by_joint(identified)
     places = {joint: place for place, joint in enumerate(listing, start=1)}
-    searched = {constant.symbol for constant in identified.model.model.constants}
     symbols: dict[str, list[Estimate]] = {}
     for estimates in listing.values():
         for item in estimates:
@@ -230,12 +233,9 @@ def parameters(identified: Identified) -> Markup:
             axes.set_xlim(0.4, len(places) + 0.6)
             axes.set_xticks(range(1, len(places) + 1))
             axes.grid(visible=False, axis="x")
-            if symbol in searched and all(item.value > 0.0 for item in items):
-                axes.set_yscale("log")  # These are searched over decades.
-            else:
-                axes.set_ylim(*_reach(items))
-                axes.yaxis.set_major_locator(MaxNLocator(3))
-                axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", MINUS)))
+            axes.set_ylim(*_reach(items))
+            axes.yaxis.set_major_locator(MaxNLocator(3))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", MINUS)))
             axes.tick_params(labelsize=7)
         return to_svg(figure, "Parameters with 95 % intervals, one panel a symbol")
 

@@ -8,7 +8,6 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..recording.motion import Motion
 
-FRICTION_KINDS = ("stribeck_friction", "viscous_friction", "coupled_motor")
 SLOWEST = 1e-4
 """Smallest speed of the curve, as a share of its largest."""
 STEADY_HZ = 1e-9
@@ -38,4 +37,4 @@ def friction_curve(
     still = np.zeros_like(position)
     joints = identified.model.arm.joint_names
     motion = Motion(joints, STEADY_HZ, 0.0, position, velocity, still, still, zero, zero)
-    return sweep, identified.torque(motion, FRICTION_KINDS)[:, joint]
+    return sweep, identified.torque(motion, identified.model.friction_kinds)[:, joint]

@@ -13,7 +13,7 @@ import numpy as np
 from ..identification.identified import Fit, JointValidation
 from . import figures
 from .details import obtained, structure
-from .markup import NOTHING, Markup, element, join, number, percent
+from .markup import NOTHING, Markup, breakable, element, join, number, percent
 from .parameter_tables import base_table, determination_key, matrix, whole_list
 from .store import Result
 from .stylesheet import STYLESHEET
@@ -125,7 +125,7 @@ def _joint_rows(name: str, joint: JointValidation, widest: float, tested: bool) 
         cells.append(element("td", f"{fit.correlation:.4f}" if np.isfinite(fit.correlation) else NOTHING))
         part = 100 * min(1.0, fit.relative_rms / widest) if np.isfinite(fit.relative_rms) else 0.0
         cells.append(element("td", percent(fit.relative_rms), class_="share", style=f"--part: {part:.0f}%"))
-        first = element("th", name, class_="text", rowspan=3) if k == 0 else None
+        first = element("th", breakable(name), class_="text", rowspan=3) if k == 0 else None
         last = element("td", text, rowspan=3) if tested and k == 0 else None
         rows.append(
             element("tr", first, element("td", kind, class_="text"), *cells, last, class_="minor" if k == 2 else None)
@@ -161,7 +161,7 @@ def _signals(result: Result) -> Iterable[Markup]:
             f"residual {number(joint.everything.rmse)} {mine.torque_unit} RMS, "
             f"{percent(joint.everything.relative_rms)} of the torque ({percent(joint.moving.relative_rms)} moving)",
         )
-        yield element("section", element("h3", name, small), figures.over_time(mine, name), class_="joint")
+        yield element("section", element("h3", breakable(name), small), figures.over_time(mine, name), class_="joint")
     yield element("h2", "Residual over velocity")
     yield _figure(
         figures.over_velocity(signals),

@@ -17,6 +17,7 @@ MARK = {
     Determination.FIXED: ("fixed", "×"),
 }
 """What a value rests on -> class of the style sheet and the symbol, those of the figure."""
+ROOMY_COLUMNS = 6
 BAR_HALF = 56.0
 """Half the width of an interval's drawing, in its own units."""
 
@@ -44,7 +45,10 @@ def matrix(identified: Identified) -> Markup:
         label = element("th", symbol, " ", element("span", unit_text(unit), class_="quiet"), class_="text")
         rows.append(element("tr", label, *map(_cell, mine)))
     table = element(
-        "table", element("thead", element("tr", element("th"), *header)), element("tbody", *rows), class_="matrix"
+        "table",
+        element("thead", element("tr", element("th"), *header)),
+        element("tbody", *rows),
+        class_="matrix" if len(listing) <= ROOMY_COLUMNS else "matrix dense",
     )
     return element("div", table, class_="wide")
 

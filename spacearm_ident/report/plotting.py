@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -127,7 +128,10 @@ def _share(box_in: tuple[float, float, float, float], height_in: float) -> tuple
 def to_svg(figure: Figure, described: str) -> Markup:
     """A figure as an inline `<svg>` with no size, fonts, namespaces or colours of its own."""
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata=_METADATA, facecolor="none")
+    with warnings.catch_warnings():
+        # The reader's browser draws the text, with fonts of its own.
+        warnings.filterwarnings("ignore", "Glyph .* missing")
+        figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata=_METADATA, facecolor="none")
     text = _PREAMBLE.sub("", buffer.getvalue())
     head, rest = text.split(">", 1)
     head = _SIZE.sub("", _NAMESPACE.sub("", head))

@@ -50,6 +50,7 @@ td[rowspan] { vertical-align: top; }
 tr.minor td { color: var(--muted); }
 td.share { background: linear-gradient(to right, var(--bar) var(--part), transparent var(--part)); min-width: 110px; }
 table.matrix th, table.matrix td { padding: 2px 4px; font-size: 12px; } table.matrix .quiet { font-size: 11px; }
+table.dense th, table.dense td { padding: 2px 1px; font-size: 10.5px; } table.dense .quiet { font-size: 9.5px; }
 table.matrix thead th { white-space: normal; overflow-wrap: anywhere; max-width: 130px; }
 .mark { display: inline-block; width: 1.1em; text-align: center; }
 .data, .combined { color: var(--data); } .bound { color: var(--bound); } .prior, .fixed { color: var(--prior); }

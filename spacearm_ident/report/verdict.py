@@ -69,10 +69,8 @@ def _sentences(identified: Identified, validation: Validation) -> tuple[str, ...
         )
     correlations = _known(validation, lambda joint: joint.everything.correlation)
     if correlations:
-        low, high = min(correlations, key=correlations.__getitem__), max(correlations, key=correlations.__getitem__)
-        sentences.append(
-            f"Correlation R is between {correlations[low]:.4f} ({low}) and {correlations[high]:.4f} ({high})."
-        )
+        worst = min(correlations, key=correlations.__getitem__)
+        sentences.append(f"Correlation R is at least {correlations[worst]:.4f} ({worst}).")
     return (*sentences, _determined(identified))
 
 

@@ -1,0 +1,129 @@
+"""An identification session: recordings in, a validated model and its result folder out.
+
+The one pass behind `spacearm identify`, the identifier node and its `replay`: whatever asks, the numbers are the
+same because the code is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .dynamics.arm import Arm, arm_from_urdf, load_arm
+from .errors import UserError
+from .identification.identified import Identified, Validation
+from .identification.identify import Progress, Settings, identify, with_provenance
+from .identification.validation import split, validate
+from .recording import Recording, read_recording
+from .report.folder import write_result
+from .report.provenance import provenance
+
+ON_OTHERS = "on other recordings than the fit"
+ON_THE_FITTED = "on recordings of the fit itself"
+ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fit"
+
+
+@dataclass(frozen=True)
+class Session:
+    """What came out: the model, how well it predicts, and the report to open."""
+
+    identified: Identified
+    validation: Validation
+    page: Path
+
+
+def identify_session(
+    fitted: Sequence[Recording],
+    validated: Sequence[Recording] | None,
+    arm: Arm,
+    settings: Settings,
+    directory: Path,
+    *,
+    command: str | None = None,
+    known: Identified | None = None,
+    progress: Progress | None = None,
+) -> Session:
+    """Identify, validate, write the result folder.
+
+    Args:
+        fitted: Runs to identify the arm from.
+        validated: Runs to validate on. None or empty: the last third of the last fitted run is held out of the fit.
+        arm: What is known before.
+        settings: Decisions of the user.
+        directory: Result folder.
+        command: How to do it again; kept with the result.
+        known: The identification of all of `fitted`, where there is one already: then it is only validated.
+        progress: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UnfitDataError: The data cannot carry an identification or a validation.
+        UserError: The recordings do not fit the arm, or the folder cannot be written.
+    """
+    report = progress or (lambda share, what: None)
+    whole, what = list(fitted), _what(fitted, validated or ())
+    if validated:
+        judged = list(validated)
+    elif known is None:
+        first, last = split(fitted[-1])
+        whole, judged = [*fitted[:-1], first], [last]
+    else:
+        raise UserError("nothing to validate the known model on: name a recording")
+    identified = known or identify(whole, arm, settings, within(report, 0.0, 0.6))
+    report(0.6, "validating")
+    validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
+    identified = with_provenance(identified, provenance(fitted, validated or fitted[-1:], command))
+    report(0.7, "writing the report")
+    page = write_result(identified, validation, directory)
+    report(1.0, "done")
+    return Session(identified, validation, page)
+
+
+def _what(fitted: Sequence[Recording], validated: Sequence[Recording]) -> str:
+    """What a validation is on; a file that took part in the fit does not test it."""
+    if not validated:
+        return ON_THE_LAST_THIRD
+    seen = {source.sha256 for recording in fitted for source in recording.sources}
+    again = any(source.sha256 in seen for recording in validated for source in recording.sources)
+    return ON_THE_FITTED if again else ON_OTHERS
+
+
+def read_bags(paths: Sequence[Path], progress: Progress) -> list[Recording]:
+    """Read bags one after the other.
+
+    Raises:
+        UserError: One cannot be read, or holds no joint states.
+    """
+    recordings = []
+    for number, path in enumerate(paths):
+        progress(number / len(paths), f"reading {path.name}")
+        recordings.append(read_recording(path))
+    return recordings
+
+
+def find_arm(file: Path | None, gravity: Sequence[float] | None, recordings: Sequence[Recording]) -> Arm:
+    """The arm of a file, or else the one that the recordings describe.
+
+    Args:
+        file: URDF or arm YAML.
+        gravity: (3,) m/s^2 in the base frame, instead of the arm's own.
+        recordings: Whose `/robot_description` is taken where there is no file.
+
+    Raises:
+        UserError: There is neither, or it cannot be read.
+    """
+    if file is not None:
+        arm = load_arm(file)
+    else:
+        urdf = next((recording.urdf for recording in recordings if recording.urdf), None)
+        if urdf is None:
+            raise UserError("no bag holds a /robot_description: name the arm's URDF or arm YAML as 'arm' (--arm FILE)")
+        arm = arm_from_urdf(urdf)
+    return arm if gravity is None else arm.with_gravity(np.array(gravity, dtype=float))
+
+
+def within(progress: Progress, start: float, stop: float) -> Progress:
+    """Progress of a part of the work, as progress of the whole."""
+    return lambda share, what: progress(start + (stop - start) * share, what)
