@@ -54,7 +54,7 @@ def judge_result(identified: Identified, validation: Validation) -> Verdict:
 
 def _sentences(identified: Identified, validation: Validation) -> tuple[str, ...]:
     seen = "which the fit had not seen" if validation.held_out else "which the fit had seen"
-    sentences = [f"Validated on {validation.what}, {seen}."]
+    sentences = [f"Validated {validation.what}, {seen}."]
     shares = _known(validation, lambda joint: joint.everything.relative_rms)
     moving = _known(validation, lambda joint: joint.moving.relative_rms)
     if shares:
@@ -112,7 +112,7 @@ def _warnings(identified: Identified, validation: Validation) -> tuple[str, ...]
     if lacking:
         warnings.append(
             f"The residual of {listed(lacking)} repeats from period to period, so it is not noise: "
-            "the model leaves something out (spacearm mismatch finds what)."
+            "the model leaves something out."
         )
     if identified.consistency_shift > LARGE_SHIFT:
         warnings.append(
