@@ -70,9 +70,7 @@ messages = st.one_of(
         st.booleans(),
     ),
     st.builds(
-        lambda can_id, dlc: can.Message(
-            arbitration_id=can_id, is_extended_id=False, is_remote_frame=True, dlc=dlc
-        ),
+        lambda can_id, dlc: can.Message(arbitration_id=can_id, is_extended_id=False, is_remote_frame=True, dlc=dlc),
         st.integers(0, 0x7FF),
         st.integers(0, 8),
     ),
@@ -271,9 +269,7 @@ def test_processes_that_join_at_the_same_moment_all_meet():
     count = 5
     context = multiprocessing.get_context("fork")
     ready, results = context.Barrier(count), context.Queue()
-    children = [
-        context.Process(target=_join_and_report, args=("crowd", count, ready, results)) for _ in range(count)
-    ]
+    children = [context.Process(target=_join_and_report, args=("crowd", count, ready, results)) for _ in range(count)]
     for child in children:
         child.start()
     assert [results.get(timeout=20) for _ in range(count)] == [count - 1] * count

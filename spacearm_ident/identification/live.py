@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
+from scipy.signal.windows import tukey
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
@@ -32,6 +33,7 @@ from ..recording.signals import STENCIL
 
 REACH = 2.0
 """Half length of the positions' filter, in periods of its cut-off; 0.3 % of the kernel lies beyond."""
+FADE = 0.5
 DEFAULT_CUTOFF_HZ = 10.0
 """Of a model that does not say in which bandwidth it was identified."""
 HISTORY_S = 1.0
@@ -78,8 +80,8 @@ class LiveResidual:
         self.row_rate_hz = rate_hz / (self._block * self._stride)
         self._taps = derivative_taps(self.cutoff_hz, rate_hz)
         self._half = (self._taps.shape[1] - 1) // 2
-        half_row = int(np.ceil(HALF_LENGTH / self.cutoff_hz * rate_hz))
-        self.delay_s = (self._half + half_row + self._block + _MARGIN + 1) / rate_hz
+        self._half_row = int(np.ceil(HALF_LENGTH / self.cutoff_hz * rate_hz))
+        self.delay_s = (self._half + self._half_row + self._block + _MARGIN + 1) / rate_hz
         self.restarts = 0
         joints = len(model.model.arm.joints)
         self._history = np.zeros((0, 4, joints))
@@ -187,15 +189,14 @@ class LiveResidual:
 
     def _reduce(self) -> Residuals | None:
         """Low-pass and thin out measured and predicted torque; what is done with leaves the queue."""
-        motion = self._motion(self._full[:, :4], np.zeros(self._full.shape[2]))
-        rows = motion.reduce(self._full[:, 3:])
-        if not len(rows):
+        if len(self._full) < 2 * self._half_row + 3 * self._block:
             return None
-        time = motion.time
-        done = len(rows) * self._stride * self._block
+        motion = self._motion(self._full[:, :4], np.zeros(self._full.shape[2]))
+        rows = np.stack([motion.reduce(self._full[:, 3]), motion.reduce(self._full[:, 4])])
+        done = rows.shape[1] * self._stride * self._block
         self._full = self._full[done:]
         self._full_s += done / self.rate_hz
-        return Residuals(time, rows[:, 0], rows[:, 1])
+        return Residuals(motion.time, rows[0], rows[1])
 
     def _motion(self, signals: FloatArray, speed_noise: FloatArray) -> Motion:
         position, velocity, acceleration, torque = signals.transpose(1, 0, 2)
@@ -225,7 +226,8 @@ def derivative_taps(cutoff_hz: float, rate_hz: float) -> FloatArray:
     impulse = np.zeros(6 * reach + 1)
     impulse[3 * reach] = 1.0
     whole = sosfiltfilt(butter(4, cutoff_hz, fs=rate_hz, output="sos"), impulse, padlen=0)
-    kernel = whole[2 * reach : 4 * reach + 1]
+    # Faded out, not cut off: differentiated twice, an edge would be a large impulse.
+    kernel = whole[2 * reach : 4 * reach + 1] * tukey(2 * reach + 1, FADE)
     kernel = kernel / kernel.sum()
     # A correlation with the stencil of the filtered signal is one with the convolved kernel of the raw one.
     velocity = np.convolve(kernel, STENCIL * rate_hz)

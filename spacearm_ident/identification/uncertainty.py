@@ -44,17 +44,15 @@ def covariance(
         (u, u), zero for unknowns that are not estimated.
     """
     weighted = [block * rows.weight[:, None] for block, rows in zip(columns, regression.rows)]
-    information = [block.T @ block for block in weighted]
     hessian = np.zeros((width, width))
     hessian[: prior.rows.shape[1], : prior.rows.shape[1]] = prior.rows.T @ prior.rows
     score = hessian.copy()
-    for number, known in zip(numbers, information):
-        hessian[np.ix_(number, number)] += known
+    for number, block in zip(numbers, weighted):
+        hessian[np.ix_(number, number)] += block.T @ block
     inverse = _inverse(hessian)
     for joint, rows in enumerate(regression.rows):
         index = np.ix_(numbers[joint], numbers[joint])
-        spent = float(np.sum(inverse[index] * information[joint]))
-        freedom = _freedom(len(rows.torque), spent, correlation[joint])
+        freedom = _freedom(len(rows.torque), len(numbers[joint]), correlation[joint])
         for number, motion in enumerate(regression.motions):
             mine = rows.owner == number
             if mine.sum() < 2:
@@ -76,18 +74,23 @@ def _inverse(hessian: FloatArray) -> FloatArray:
     return inverse
 
 
-def _freedom(rows: int, spent: float, correlation: list[float]) -> float:
-    """What the fit took from the residual: effective rows over those left by the parameters these rows decide."""
+def _freedom(rows: int, columns: int, correlation: list[float]) -> float:
+    """What the fit took from the residual: effective rows over effective rows left.
+
+    All of a joint's columns are counted though other joints help to decide the inertials: an estimated autocovariance
+    leaves standard errors too small, never too large.
+    """
     effective = rows / float(np.mean(correlation))
-    return effective / max(effective - spent, 0.25 * effective) if rows else 1.0
+    return effective / max(effective - columns, 0.25 * effective) if rows else 1.0
 
 
 def _kernel(residual: FloatArray, place: np.ndarray, white: FloatArray, correlation: float) -> FloatArray:
-    """(L,) autocovariance of the weighted residual by lag: low-passed white noise, and a tapered rest."""
+    """(L,) autocovariance of the weighted residual by lag: low-passed white noise, and a tapered rest if it adds."""
     acov = autocovariance(residual, place, white)
     lags = min(len(acov), max(len(white), int(np.ceil(TAPER_FACTOR * correlation))))
     least = acov[0] * np.pad(white, (0, max(0, lags - len(white))))[:lags]
-    return np.asarray(least + (acov[:lags] - least) * (1.0 - np.arange(lags) / lags))
+    rest = (acov[:lags] - least) * (1.0 - np.arange(lags) / lags)
+    return np.asarray(least + rest if rest.sum() > 0 else least)
 
 
 def _score(weighted: FloatArray, place: np.ndarray, kernel: FloatArray) -> FloatArray:

@@ -53,13 +53,14 @@ def residual_noise(residual: FloatArray, place: np.ndarray, white: FloatArray) -
     spread = float(np.sqrt(np.mean(clipped**2)))
     if spread == 0.0:
         return Noise(0.0, 1.0, len(residual))
-    return Noise(spread, _correlation_time(autocovariance(clipped, place, white)), len(residual))
+    return Noise(spread, _correlation_time(autocovariance(clipped, place, white), white), len(residual))
 
 
 def autocovariance(residual: FloatArray, place: np.ndarray, white: FloatArray) -> FloatArray:
     """(L,) autocovariance by lag in rows, gaps left out of the count, up to a quarter of the record.
 
-    Nowhere less than low-passed white noise of the same variance has it; arguments as for `residual_noise`.
+    Over the length of the low-pass it is nowhere less than white noise of the same variance would have it; arguments
+    as for `residual_noise`.
     """
     length = int(place[-1] - place[0]) + 1
     signal, present = np.zeros(length), np.zeros(length)
@@ -70,17 +71,18 @@ def autocovariance(residual: FloatArray, place: np.ndarray, white: FloatArray) -
     products = np.fft.irfft(np.abs(np.fft.rfft(signal, size)) ** 2, size)[:lags]
     pairs = np.fft.irfft(np.abs(np.fft.rfft(present, size)) ** 2, size)[:lags]
     covariance = products / np.maximum(pairs, 1.0)
-    least = covariance[0] * np.pad(white, (0, max(0, lags - len(white))))[:lags]
-    return np.asarray(np.maximum(covariance, np.where(least > 0, least, -np.inf)))
+    reach = min(len(white), lags)
+    covariance[:reach] = np.maximum(covariance[:reach], covariance[0] * white[:reach])
+    return np.asarray(covariance)
 
 
-def _correlation_time(covariance: FloatArray) -> float:
-    """1 + 2 sum of the autocorrelation, cut off where it has died away (Sokal 1997)."""
+def _correlation_time(covariance: FloatArray, white: FloatArray) -> float:
+    """1 + 2 sum of the autocorrelation, cut off where it has died away (Sokal 1997), at least white noise's."""
     time = 1.0 + 2.0 * np.cumsum(covariance[1:] / covariance[0])
     lags = np.arange(1, len(time) + 1)
     enough = np.flatnonzero(lags >= WINDOW * np.maximum(time, 1.0))
     value = time[enough[0]] if len(enough) else time[-1] if len(time) else 1.0
-    return float(max(1.0, value))
+    return float(max(1.0 + 2.0 * white[1:].sum(), value))
 
 
 def reweight(regression: Regression, residuals: list[FloatArray]) -> list[list[Noise]]:

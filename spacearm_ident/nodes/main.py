@@ -1,7 +1,13 @@
-"""Entry points of the nodes (`ros2 run spacearm_ident NAME`)."""
+"""Entry points of the nodes (`ros2 run spacearm_ident NAME`, or `spacearm node NAME`).
+
+Each node is the module of its name in this package, with a `main(arguments) -> int`. It is imported when it
+is started, and only then is ROS 2 needed.
+"""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import sys
 from collections.abc import Sequence
 
@@ -9,9 +15,22 @@ NODES = ("canopen_driver", "trajectory", "identifier", "recorder", "simulated_ar
 
 
 def start(name: str, arguments: Sequence[str]) -> int:
-    """Start a node by name; returns its exit code."""
-    print(f"{name}: the live nodes are not in this version yet; use 'spacearm identify BAG' offline", file=sys.stderr)
-    return 2
+    """Start a node by name; returns its exit code (2 where it cannot start, with the reason on stderr)."""
+    module = f"{__package__}.{name}"
+    if importlib.util.find_spec(module) is None:
+        print(f"{name}: this node is not in this version yet; use 'spacearm identify BAG' offline", file=sys.stderr)
+        return 2
+    try:
+        return int(importlib.import_module(module).main(arguments))
+    except ModuleNotFoundError as error:
+        print(
+            f"{name}: the Python package {error.name!r} is missing; source a ROS 2 Jazzy setup file, or install "
+            "spacearm_ident with its extra 'ros' (offline commands such as 'spacearm identify' need no ROS)",
+            file=sys.stderr,
+        )
+        return 2
+    except KeyboardInterrupt:  # while still importing; from then on the node takes care of its signals
+        return 130
 
 
 def canopen_driver() -> int:

@@ -83,11 +83,23 @@ class Motion:
         return int(np.ceil(HALF_LENGTH / self.cutoff_hz * self.rate_hz / self.block))
 
     @cached_property
+    def _taps(self) -> FloatArray:
+        """Weights of the low-pass, by block."""
+        taps = hann(2 * self._half_length + 3)[1:-1]
+        return np.asarray(taps / taps.sum())
+
+    @cached_property
+    def white_correlation(self) -> FloatArray:
+        """(L,) autocorrelation by lag in rows that `reduce` gives to a white signal; 1 at lag 0."""
+        taps = self._taps
+        products = np.array([taps[lag:] @ taps[: len(taps) - lag] for lag in range(0, len(taps), self.stride)])
+        return np.asarray(products / products[0])
+
+    @cached_property
     def _low_pass(self) -> csr_array:
         """(M, blocks) linear-phase low-pass and decimation in one; only what is kept is computed."""
         reach, blocks = self._half_length, len(self.position) // self.block
-        taps = hann(2 * reach + 3)[1:-1]
-        taps /= taps.sum()
+        taps = self._taps
         columns = (self._rows[:, None] + np.arange(-reach, reach + 1)) % blocks
         starts = np.arange(len(self._rows) + 1) * len(taps)
         values = np.tile(taps, len(self._rows))
