@@ -43,6 +43,7 @@ setup(
     description="On-line identification of manipulator dynamics, and of what the model leaves out.",
     license="Apache-2.0",
     entry_points={
+        "can.interface": ["local = spacearm_ident.canbus.local_bus:LocalBus"],
         "console_scripts": [
             "spacearm = spacearm_ident.cli.main:main",
             *(

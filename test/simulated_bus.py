@@ -1,0 +1,51 @@
+"""Helper of the tests: simulated drives in a process of their own, on local buses."""
+
+import multiprocessing
+import threading
+from contextlib import contextmanager
+
+from spacearm_ident.canbus.local_bus import LocalBus
+from spacearm_ident.canbus.realtime import prepare_process, prepare_thread
+from spacearm_ident.canbus.scaling import JointScale
+from spacearm_ident.simulation.drives import DriveConfig
+from spacearm_ident.simulation.drives_mechanics import FirstOrderArm
+from spacearm_ident.simulation.drives_network import DriveNetwork
+
+SCALE = JointScale(counts_per_turn=65536, gear_ratio=100.0, torque_constant=0.1, rated=5.0)
+FORK = multiprocessing.get_context("fork")
+
+
+def _serve(channels, configs, ready, stop):
+    prepare_thread()
+    prepare_process()
+    buses = [LocalBus(channel) for channel in channels]
+    network = DriveNetwork(buses, configs, FirstOrderArm(len(configs)))
+    started = threading.Event()
+
+    def stopping():
+        if not started.is_set():
+            started.set()
+            ready.set()
+        return stop.is_set()
+
+    network.run(stopping)
+    for bus in buses:
+        bus.shutdown()
+
+
+@contextmanager
+def simulated_drives(channels=("t",), per_bus=2, scale=SCALE):
+    """Start `per_bus` drives on each channel (nodes counted through); yields the process."""
+    configs = [(bus, DriveConfig(1 + bus * per_bus + k, scale)) for bus in range(len(channels)) for k in range(per_bus)]
+    ready, stop = FORK.Event(), FORK.Event()
+    process = FORK.Process(target=_serve, args=(channels, configs, ready, stop), daemon=True)
+    process.start()
+    try:
+        assert ready.wait(20)
+        yield process
+    finally:
+        stop.set()
+        process.join(5)
+        if process.is_alive():
+            process.kill()
+            process.join()
