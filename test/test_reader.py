@@ -41,15 +41,11 @@ def states(count: int = 100, *, step_ns: int = 1_000_000, joints=JOINTS) -> list
 
 
 def state(stamp: int, names, position, velocity, effort) -> bytes:
-    columns = [
-        None if values is None else np.array([values], float) for values in (position, velocity, effort)
-    ]
+    columns = [None if values is None else np.array([values], float) for values in (position, velocity, effort)]
     return cdr.encode_joint_states([stamp], names, *columns)[0]
 
 
-def bag_bytes(
-    rows, *, topic=messages.STATES_TOPIC, others=(), finish=True, flush_every=0, **options
-) -> bytes:
+def bag_bytes(rows, *, topic=messages.STATES_TOPIC, others=(), finish=True, flush_every=0, **options) -> bytes:
     """An MCAP file of (log time, payload) rows on `topic` and (log time, topic, payload) rows besides."""
     stream = BytesIO()
     writer = Writer(stream, **options)
@@ -109,9 +105,7 @@ def numbers(recording: Recording) -> list[int]:
 @pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE])
 @pytest.mark.parametrize("chunked", [True, False])
 def test_any_compression_with_or_without_index(bag, compression, index, chunked):
-    recording = bag(
-        states(), compression=compression, index_types=index, use_chunking=chunked, use_statistics=chunked
-    )
+    recording = bag(states(), compression=compression, index_types=index, use_chunking=chunked, use_statistics=chunked)
     assert numbers(recording) == list(range(100)) and recording.issues == ()
     assert recording.joints == JOINTS and recording.start_ns == START
     assert np.array_equal(recording.velocity, -recording.position)
@@ -232,8 +226,7 @@ def test_increasing_keeps_a_longest_strictly_increasing_subsequence(values):
 def test_log_time_when_the_stamps_carry_no_time(bag, stamp):
     position, velocity, effort = signals(50)
     rows = [
-        (START + row * 2_000_000, state(stamp, JOINTS, position[row], velocity[row], effort[row]))
-        for row in range(50)
+        (START + row * 2_000_000, state(stamp, JOINTS, position[row], velocity[row], effort[row])) for row in range(50)
     ]
     recording = bag(rows)
     assert issues(recording) == {"log_time_used": 50}
@@ -284,8 +277,7 @@ def test_velocity_is_given_for_all_samples_or_not_at_all(bag, lacking, kept):
 def test_no_velocity_anywhere_is_no_defect(bag):
     position, _, effort = signals(20)
     rows = [
-        (START + row * 10**6, state(START + row * 10**6, JOINTS, position[row], None, effort[row]))
-        for row in range(20)
+        (START + row * 10**6, state(START + row * 10**6, JOINTS, position[row], None, effort[row])) for row in range(20)
     ]
     recording = bag(rows)
     assert recording.velocity is None and recording.issues == ()
@@ -334,9 +326,7 @@ def test_uneven_sampling_is_no_gap(bag):
 
 def test_empty_effort_is_a_user_error(bag):
     position, velocity, _ = signals(20)
-    rows = [
-        (START + row, state(START + row, JOINTS, position[row], velocity[row], None)) for row in range(20)
-    ]
+    rows = [(START + row, state(START + row, JOINTS, position[row], velocity[row], None)) for row in range(20)]
     with pytest.raises(UserError, match="no effort for shoulder, elbow, wrist"):
         bag(rows)
 
@@ -421,9 +411,7 @@ def test_bit_flips_never_crash_and_never_let_a_false_sample_through(scratch, fli
         damaged[flip // 8] ^= 1 << flip % 8
     scratch.write_bytes(damaged)
     hit = {
-        number
-        for number, (start, stop) in enumerate(CHUNKS)
-        if any(start - 9 <= flip // 8 < stop for flip in flips)
+        number for number, (start, stop) in enumerate(CHUNKS) if any(start - 9 <= flip // 8 < stop for flip in flips)
     }
     try:
         recording = read_recording(scratch)

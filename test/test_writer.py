@@ -37,9 +37,7 @@ NUMBERS = st.floats(-1e6, 1e6)
 
 @st.composite
 def recordings(draw) -> Recording:
-    joints = tuple(
-        draw(st.lists(st.text("abcj_1é", min_size=1, max_size=6), min_size=1, max_size=4, unique=True))
-    )
+    joints = tuple(draw(st.lists(st.text("abcj_1é", min_size=1, max_size=6), min_size=1, max_size=4, unique=True)))
 
     def clock(least: int, most: int) -> np.ndarray:
         steps = draw(st.lists(st.integers(200_000, 11_000_000), min_size=least, max_size=most))
@@ -92,9 +90,7 @@ def assert_equal(one: Recording, other: Recording) -> None:
     assert (one.joints, one.start_ns, one.urdf) == (other.joints, other.start_ns, other.urdf)
     for name in ("time", "position", "effort"):
         assert np.array_equal(getattr(one, name), getattr(other, name))
-    assert (
-        np.array_equal(one.velocity, other.velocity) if one.velocity is not None else other.velocity is None
-    )
+    assert np.array_equal(one.velocity, other.velocity) if one.velocity is not None else other.velocity is None
     assert same(one.command, other.command)
     assert one.temperatures.keys() == other.temperatures.keys()
     assert all(same(one.temperatures[name], other.temperatures[name]) for name in one.temperatures)

@@ -66,9 +66,7 @@ def _listed(folder: Path) -> list[str] | None:
     except (OSError, yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     if compression in ("file", "message") or any(name.endswith(".zstd") for name in names):
-        raise UserError(
-            f"{folder}: rosbag2 compression is not read; convert it with `ros2 bag convert` to plain mcap"
-        )
+        raise UserError(f"{folder}: rosbag2 compression is not read; convert it with `ros2 bag convert` to plain mcap")
     if any(name.endswith(".db3") for name in names):
         raise UserError(f"{folder}: a bag of sqlite3 storage; convert it with `ros2 bag convert` to mcap")
     return names

@@ -146,9 +146,7 @@ def _block(layout: _Layout, matrix: NDArray[np.uint8], rows: IntArray) -> JointS
     seconds = numbers(_STAMP.start, 1, "i4")[:, 0].astype(np.int64)
     nanoseconds = numbers(_STAMP.start + 4, 1, "u4")[:, 0].astype(np.int64)
     position, velocity, effort = (array(*place) for place in layout.arrays)
-    return JointStateBlock(
-        rows, layout.names, seconds * 1_000_000_000 + nanoseconds, position, velocity, effort
-    )
+    return JointStateBlock(rows, layout.names, seconds * 1_000_000_000 + nanoseconds, position, velocity, effort)
 
 
 def _agrees(layout: _Layout, matrix: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -163,9 +161,7 @@ def _agrees(layout: _Layout, matrix: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return agrees
 
 
-def _same_size(
-    payloads: Sequence[bytes], rows: IntArray, blocks: list[JointStateBlock], bad: list[int]
-) -> None:
+def _same_size(payloads: Sequence[bytes], rows: IntArray, blocks: list[JointStateBlock], bad: list[int]) -> None:
     """Decode messages of one size: by comparison with a few layouts, the rest one by one."""
     size = len(payloads[rows[0]])
     joined = b"".join([payloads[row] for row in rows])

@@ -42,9 +42,7 @@ STRING = MessageType(
 )
 JOINT_STATE = MessageType(
     "sensor_msgs/msg/JointState",
-    _with_header(
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-    ),
+    _with_header("std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"),
     "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
 )
 TEMPERATURE = MessageType(

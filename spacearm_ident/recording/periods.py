@@ -21,6 +21,10 @@ TOLERANCE = 0.01
 """Positions a period apart agree to this share of each joint's own spread."""
 TRIM_FACTOR, TRIM_FLOOR, TRIM_WINDOW = 5.0, 1e-5, 11
 """A sample belongs to the period if it repeats within so many times the median difference, or this share."""
+SHORTFALL = 0.01
+"""A last period that lacks no more than this share is counted: where the approach ends is not seen to the sample."""
+PROBES = 8
+"""Samples a period looked at before all of them are."""
 NOISE_FACTOR = 4.0
 QUIET_HARMONICS = 5
 """So many harmonics in a row inside the noise end the motion's spectrum."""
@@ -62,7 +66,10 @@ def find_period(position: FloatArray, rate_hz: float) -> Period | None:
     scaled = coarse[:, moving] / spread[moving]
     best: tuple[float, int, int, int] | None = None
     for lag in range(max(1, round(SHORTEST_S * rate_hz / step)), len(scaled) // 2 + 1):
-        start, length = _longest_run(np.abs(scaled[lag:] - scaled[:-lag]).max(axis=1) < TOLERANCE + _slip(scaled))
+        probe = max(1, lag // PROBES)
+        if _longest_run(_alike(scaled, lag, probe))[1] < lag // probe:
+            continue
+        start, length = _longest_run(_alike(scaled, lag))
         if length < lag or scaled[start : start + lag].std(axis=0).max() < 0.1:
             continue
         # A multiple of the period covers no more than the period itself: the shortest lag wins unless a longer
@@ -73,15 +80,29 @@ def find_period(position: FloatArray, rate_hz: float) -> Period | None:
         return None
     _, lag, start, length = best
     first, last = start * step, min((start + length + lag) * step, len(position))
-    samples = _refine(position[first:last, moving] / spread[moving], lag * step, step)
-    first, last = _trim(position[:, moving] / spread[moving], round(samples), first, last, step)
-    count = int((last - first) / samples + 1e-6)
+    return _exactly(position[:, moving] / spread[moving], lag * step, first, last, step)
+
+
+def _alike(scaled: FloatArray, lag: int, every: int = 1) -> np.ndarray:
+    """Where positions are what they are `lag` samples later; half a sample more or less, for the lag is rounded."""
+    here, there = scaled[:-lag:every], scaled[lag::every]
+    slip = 0.6 * np.abs(scaled[1 : len(scaled) - lag + 1 : every] - here)
+    return np.asarray((np.abs(there - here) - slip).max(axis=1) < TOLERANCE)
+
+
+def _exactly(scaled: FloatArray, lag: int, first: int, last: int, step: int) -> Period | None:
+    """The period and its whole repetitions, from a lag and an extent that are right to `step` samples."""
+    samples = _refine(scaled[first:last], lag, step)
+    first, last = _trim(scaled, round(samples), first, last, step)
+    # Once more without the approach and the return, which pulled at the first estimate.
+    samples = _refine(scaled[first:last], round(samples), 1)
+    count = int((last - first) / samples + SHORTFALL)
+    missing = samples * count - (last - first)
+    if missing > 0:
+        first = max(0, min(first - int(missing / 2), int(len(scaled) - samples * count)))
+    if first + samples * count > len(scaled) + 1e-6:
+        count -= 1
     return Period(first, samples, count) if count >= 2 else None
-
-
-def _slip(scaled: FloatArray) -> float:
-    """How far a position may move in half a coarse step: a lag falls between the samples."""
-    return 0.5 * float(np.percentile(np.abs(np.diff(scaled, axis=0)), 99))
 
 
 def _longest_run(hit: np.ndarray) -> tuple[int, int]:
@@ -107,15 +128,22 @@ def _trim(scaled: FloatArray, lag: int, first: int, last: int, step: int) -> tup
 
 def _refine(scaled: FloatArray, lag: int, reach: int) -> float:
     """The period to a fraction of a sample: vertex of the parabola through the least squared difference."""
-    lags = np.arange(max(1, lag - 2 * reach), min(lag + 2 * reach, len(scaled) - 2) + 1)
-    cost = np.array([np.mean((scaled[k:] - scaled[:-k]) ** 2) for k in lags])
-    i = int(np.argmin(cost))
-    if not 0 < i < len(lags) - 1:
-        return float(lags[i])
-    curvature = cost[i - 1] - 2 * cost[i] + cost[i + 1]
-    shift = 0.5 * (cost[i - 1] - cost[i + 1]) / curvature if curvature > 0 else 0.0
+
+    def cost(lag: int) -> float:
+        return float(np.mean((scaled[lag:] - scaled[:-lag]) ** 2))
+
+    spacing = reach
+    while spacing >= 1:
+        around = [k for k in range(lag - 2 * spacing, lag + 2 * spacing + 1, spacing) if 0 < k < len(scaled) - 1]
+        lag = min(around, key=cost)
+        spacing //= 2
+    if not 1 < lag < len(scaled) - 2:
+        return float(lag)
+    before, here, after = cost(lag - 1), cost(lag), cost(lag + 1)
+    curvature = before - 2 * here + after
+    shift = 0.5 * (before - after) / curvature if curvature > 0 else 0.0
     # A whole number of samples is what a clocked trajectory gives; a shift the noise could make is not believed.
-    return float(lags[i] + (shift if abs(shift) > 0.02 else 0.0))
+    return float(lag + (shift if abs(shift) > 0.02 else 0.0))
 
 
 def fold(signal: FloatArray, period: Period) -> FloatArray:
@@ -126,7 +154,7 @@ def fold(signal: FloatArray, period: Period) -> FloatArray:
         if stop <= len(signal):
             return signal[period.start : stop].reshape(period.count, length, *signal.shape[1:])
     phase = period.start + period.samples * (np.arange(period.count * length) / length)
-    spline = make_interp_spline(np.arange(len(signal)), signal, k=1)
+    spline = make_interp_spline(np.arange(len(signal)), signal, k=3)
     return spline(np.minimum(phase, len(signal) - 1)).reshape(period.count, length, *signal.shape[1:])
 
 
@@ -147,7 +175,8 @@ def project(folded: FloatArray, rate_hz: float, cutoff_hz: float) -> tuple[Float
     noise_power = folded.var(axis=0, ddof=1).mean(axis=0) / count * length
     frequency = np.fft.rfftfreq(length, 1.0 / rate_hz)
     loud = (np.abs(spectrum) ** 2 > NOISE_FACTOR * noise_power).any(axis=1)
-    highest = _last_before_quiet(loud)
+    # Every joint's fastest line is in, whatever lies empty below it.
+    highest = _last_before_quiet(loud, int(np.argmax(np.abs(frequency[:, None] * spectrum), axis=0).max()))
     keep = (np.arange(len(frequency)) <= highest) & (frequency <= cutoff_hz)
     spectrum = spectrum * keep[:, None]
     derivative = (2j * np.pi * frequency)[:, None]
@@ -156,10 +185,10 @@ def project(folded: FloatArray, rate_hz: float, cutoff_hz: float) -> tuple[Float
     return position, velocity, acceleration, float(frequency[keep].max())
 
 
-def _last_before_quiet(loud: np.ndarray) -> int:
-    """Highest harmonic that is loud before `QUIET_HARMONICS` quiet ones in a row."""
+def _last_before_quiet(loud: np.ndarray, first: int) -> int:
+    """Highest harmonic from `first` on that is loud before `QUIET_HARMONICS` quiet ones in a row."""
     quiet = 0
-    for index in range(1, len(loud)):
+    for index in range(first + 1, len(loud)):
         quiet = 0 if loud[index] else quiet + 1
         if quiet == QUIET_HARMONICS:
             return index - QUIET_HARMONICS

@@ -51,9 +51,7 @@ def _read_states(bag: Bag, path: str, joints: Sequence[str] | None) -> tuple[Int
     intake.put_in_time()
     if len(intake.samples.stamp_ns) < 2:
         reasons = "; ".join([defect.text for defect in bag.defects] + [f.message for f in intake.findings])
-        raise UserError(
-            f"{path}: fewer than two usable joint states ({reasons or 'too short'}); record again"
-        )
+        raise UserError(f"{path}: fewer than two usable joint states ({reasons or 'too short'}); record again")
     return intake, has_velocity
 
 
@@ -226,9 +224,7 @@ def describe(recording: Recording) -> list[str]:
         )
         if present
     ]
-    lines.append(
-        f"with {', '.join(also)}" if also else "without velocity, set-points, temperatures, description"
-    )
+    lines.append(f"with {', '.join(also)}" if also else "without velocity, set-points, temperatures, description")
     for issue in recording.issues:
         place = "" if issue.where_s is None else f" (from {issue.where_s:.3f} s)"
         lines.append(f"{issue.kind}: {issue.message}{place}")

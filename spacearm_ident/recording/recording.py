@@ -116,7 +116,5 @@ class Recording:
             position=self.position[:, columns],
             velocity=None if self.velocity is None else self.velocity[:, columns],
             effort=self.effort[:, columns],
-            command=None
-            if self.command is None
-            else Series(self.command.time, self.command.values[:, columns]),
+            command=None if self.command is None else Series(self.command.time, self.command.values[:, columns]),
         )

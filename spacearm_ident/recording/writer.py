@@ -105,9 +105,7 @@ class RecordingWriter:
         }
         return number
 
-    def write(
-        self, channel: int, log_time_ns: int, payload: bytes, publish_time_ns: int | None = None
-    ) -> None:
+    def write(self, channel: int, log_time_ns: int, payload: bytes, publish_time_ns: int | None = None) -> None:
         """Append one message.
 
         Args:
@@ -151,8 +149,7 @@ class RecordingWriter:
             "message_count": count,
         }
         topics = [
-            {"topic_metadata": topic, "message_count": self._counts[number]}
-            for number, topic in self._topics.items()
+            {"topic_metadata": topic, "message_count": self._counts[number]} for number, topic in self._topics.items()
         ]
         return {
             "rosbag2_bagfile_information": {

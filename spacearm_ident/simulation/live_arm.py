@@ -1,0 +1,141 @@
+"""The paper's arm behind the simulated drives, in real time: plant, inner loops and current sensors.
+
+The drives give a demand once a step (they have interpolated the set-points with 0x60C2); the inner loops run
+several times within it. A reported torque is the mean of what the motor gave a servo cycle before and after
+the moment the position is of, so both belong to the same SYNC: a torque of the interval before would be a
+delay, which identification answers with a biased viscosity.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spacearm_ident.dynamics.arm import Arm
+from spacearm_ident.simulation.closed_loop import SensorNoise
+from spacearm_ident.simulation.drives_mechanics import BoolArray
+from spacearm_ident.simulation.joint_law import JointLaw, StribeckLaw
+from spacearm_ident.simulation.plant import Plant, PlantParameters
+from spacearm_ident.simulation.servo import DriveData, Servo, ServoTuning
+from spacearm_ident.simulation.thermal import ThermalParameters
+
+FloatArray = NDArray[np.float64]
+
+PEAK = 1.2
+"""What the drives can give, as a multiple of the arm's torque limit: the limit is the arm's, not the motor's."""
+BRAKE = 2.0
+"""Holding torque of a closed brake, same unit."""
+_TEMPERATURE_STEPS = 100
+
+
+class BrakedLaw:
+    """A joint law with holding brakes: a closed brake is dry friction.
+
+    Attributes:
+        extra: (n,) N·m of the brakes now.
+    """
+
+    def __init__(self, law: JointLaw, joints: int) -> None:
+        self._law = law
+        self.extra = np.zeros(joints)
+
+    def dry_level(self, q: FloatArray, qd: FloatArray, temperature: FloatArray) -> FloatArray:
+        """Dry friction of the joint and its brake, (n,) N·m."""
+        return self._law.dry_level(q, qd, temperature) + self.extra
+
+    def smooth_torque(self, q: FloatArray, qd: FloatArray, temperature: FloatArray) -> FloatArray:
+        """As without brake, (n,) N·m."""
+        return self._law.smooth_torque(q, qd, temperature)
+
+
+class LiveArm:
+    """The physics behind the drives (`drives_mechanics.Mechanics`).
+
+    Attributes:
+        position: (n,) rad, true.
+        velocity: (n,) rad/s, true.
+        torque: (n,) N·m on the output side as the current sensors see it; zero without power.
+        temperature: (n,) °C of the windings.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        arm: Arm,
+        *,
+        position: ArrayLike | None = None,
+        noise: SensorNoise | None = None,
+        seed: int = 0,
+        tuning: ServoTuning | None = None,
+        law: JointLaw | None = None,
+    ) -> None:
+        """Start at rest with the brakes closed.
+
+        Args:
+            parameters: What the arm obeys.
+            arm: Gear ratios, torque constants and torque limits.
+            position: (n,) rad where it starts; zero unless given.
+            noise: Sensors; of the current only, for the encoder's resolution is the drive's.
+            seed: Of the noise.
+            tuning: Of the inner loops.
+            law: Friction and drive train in place of the parameters' own.
+
+        Raises:
+            UserError: Parameters and robot description do not fit.
+        """
+        n = len(parameters.joints)
+        self._noise = SensorNoise() if noise is None else noise
+        tuning = ServoTuning() if tuning is None else tuning
+        limit = np.array([joint.effort_limit for joint in arm.joints])
+        drives = DriveData.plain(
+            n,
+            gear_ratio=[joint.gear_ratio for joint in arm.joints],
+            torque_constant=[joint.torque_constant for joint in arm.joints],
+            torque_limit=PEAK * limit,
+        )
+        self._law = BrakedLaw(StribeckLaw(parameters) if law is None else law, n)
+        thermal = ThermalParameters(drives.copper_loss)
+        self._plant = Plant(parameters, position=position, law=self._law, thermal=thermal)
+        self._servo = Servo(np.diag(self._plant.inertia()), drives, tuning, self._plant.position)
+        self._holding = BRAKE * np.where(np.isfinite(limit), limit, 1e3)
+        self._scale = np.where(np.isfinite(limit), limit, 0.0)
+        self._rng = np.random.default_rng(seed)
+        self._coloured = np.zeros(n)
+        self._motor = np.zeros(n)
+        self._none = np.zeros(n)
+        self._target = self._plant.position
+        self._was_enabled = np.zeros(n, dtype=bool)
+        self._steps = 0
+        self.position = self._plant.position
+        self.velocity = self._plant.velocity
+        self.torque = np.zeros(n)
+        self.temperature = self._plant.winding_temperature
+
+    def step(self, target: FloatArray, enabled: BoolArray, brake: BoolArray, dt: float) -> None:
+        """Let `dt` seconds pass; see `drives_mechanics.Mechanics`."""
+        plant, servo = self._plant, self._servo
+        self._law.extra = np.where(brake, self._holding, 0.0)
+        start = np.where(self._was_enabled, self._target, target)
+        move, parts = target - start, max(1, round(dt / servo.dt))
+        rate, before = move / dt, self._motor
+        self._motor = np.where(enabled, self._motor, 0.0)
+        for part in range(1, parts + 1):
+            before = self._motor
+            plant.step(before, dt / parts)
+            wanted = servo.torque(plant.position, start + part / parts * move, rate, self._none)
+            self._motor = np.where(enabled, wanted, 0.0)
+        self._target, self._was_enabled = target.copy(), enabled.copy()
+        self.position, self.velocity = plant.position, plant.velocity
+        self.torque = np.where(enabled, 0.5 * (before + self._motor) + self._sensor_error(dt), 0.0)
+        self._steps += 1
+        if self._steps % _TEMPERATURE_STEPS == 0:
+            self.temperature = plant.winding_temperature
+
+    def _sensor_error(self, dt: float) -> FloatArray:
+        """White and coloured noise of the torque from current, (n,) N·m."""
+        noise = self._noise
+        keep = np.exp(-dt / noise.effort_correlation_s)
+        white, drive = self._rng.standard_normal((2, len(self._scale)))
+        self._coloured = keep * self._coloured + np.sqrt(1.0 - keep * keep) * drive
+        error: FloatArray = self._scale * (noise.effort_white * white + noise.effort_coloured * self._coloured)
+        return error
