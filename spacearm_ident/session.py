@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from .dynamics.arm import Arm, arm_from_urdf, load_arm
+from .dynamics.model import structure_of
 from .errors import UserError
 from .identification.identified import Identified, Validation
 from .identification.identify import Progress, Settings, identify, with_provenance
@@ -21,6 +22,7 @@ from .recording import Recording, read_recording
 from .report.folder import write_result
 from .report.provenance import provenance
 
+AUTO = "auto"
 ON_OTHERS = "on other recordings than the fit"
 ON_THE_FITTED = "on recordings of the fit itself"
 ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fit"
@@ -122,6 +124,20 @@ def find_arm(file: Path | None, gravity: Sequence[float] | None, recordings: Seq
             raise UserError("no bag holds a /robot_description: name the arm's URDF or arm YAML as 'arm' (--arm FILE)")
         arm = arm_from_urdf(urdf)
     return arm if gravity is None else arm.with_gravity(np.array(gravity, dtype=float))
+
+
+def settings_for(arm: Arm, friction: str = AUTO, cutoff_hz: float | None = None) -> Settings:
+    """Settings from the words of a user.
+
+    Args:
+        arm: The arm.
+        friction: `auto` (the paper's law, and what else the data demand), or one of `FRICTION_LAWS`.
+        cutoff_hz: Bandwidth; None: chosen from the data.
+
+    Raises:
+        UserError: No friction law of that name.
+    """
+    return Settings(cutoff_hz, None if friction == AUTO else structure_of(arm, friction))
 
 
 def within(progress: Progress, start: float, stop: float) -> Progress:

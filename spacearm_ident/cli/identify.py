@@ -6,12 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ..dynamics.arm import Arm
-from ..dynamics.model import FRICTION_LAWS, structure_of
+from ..dynamics.model import FRICTION_LAWS
 from ..identification.identified import Identified, Validation
-from ..identification.identify import Settings
 from ..report.tables import validation_dict
-from ..session import identify_session
+from ..session import AUTO, identify_session, settings_for
 from . import common
 
 DESCRIPTION = """
@@ -40,8 +38,8 @@ def add(commands: Any) -> None:
     )
     command.add_argument(
         "--friction",
-        choices=("auto", *FRICTION_LAWS),
-        default="auto",
+        choices=(AUTO, *FRICTION_LAWS),
+        default=AUTO,
         help="friction law; auto (default): the paper's, and what else the data demand",
     )
     common.add_output_options(command)
@@ -58,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
             fitted,
             validated,
             arm,
-            settings_of(options, arm),
+            settings_for(arm, options.friction, options.bandwidth),
             options.out,
             command=options.command_line,
             progress=common.within(report, 0.3, 1.0),
@@ -70,12 +68,6 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(summary(identified, validation, session.page))
     return 0
-
-
-def settings_of(options: argparse.Namespace, arm: Arm) -> Settings:
-    """What the options decide."""
-    structure = None if options.friction == "auto" else structure_of(arm, options.friction)
-    return Settings(cutoff_hz=options.bandwidth, structure=structure)
 
 
 def summary(identified: Identified, validation: Validation, page: Path) -> str:

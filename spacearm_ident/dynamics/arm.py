@@ -199,7 +199,7 @@ def arm_from_description(urdf: str, data: Mapping[str, Any], where: str) -> Arm:
     return replace(arm, name=str(data.get("name", arm.name)), joints=joints, couplings=couplings)
 
 
-_JOINT_KEYS = {
+JOINT_KEYS = {
     "gear_ratio": "gear_ratio",
     "torque_constant_Nm_per_A": "torque_constant",
     "position_lower_rad": "lower",
@@ -208,15 +208,16 @@ _JOINT_KEYS = {
     "acceleration_limit_rad_s2": "acceleration_limit",
     "torque_limit_Nm": "effort_limit",
 }
+"""What an arm YAML may say of a joint, and the attribute of `Joint` that holds it."""
 
 
 def _with_drive(joint: Joint, given: Any, where: str) -> Joint:
     data = _mapping(given, f"{where}: {joint.name}")
-    unknown = set(data) - set(_JOINT_KEYS)
+    unknown = set(data) - set(JOINT_KEYS)
     if unknown:
         raise UserError(f"{where}: {joint.name} has an unknown key {sorted(unknown, key=str)[0]!r}")
     values: dict[str, Any] = {
-        _JOINT_KEYS[key]: _number(value, f"{where}: {joint.name}: {key}") for key, value in data.items()
+        JOINT_KEYS[key]: _number(value, f"{where}: {joint.name}: {key}") for key, value in data.items()
     }
     return replace(joint, **values)
 

@@ -22,7 +22,7 @@ import numpy as np
 from ..errors import UserError
 from ..recording.motion import Motion
 from .arm import Arm, FloatArray
-from .term import Columns, Constant, Parameter, Term
+from .term import Columns, Constant, Parameter, Term, chosen_joints
 
 STRIBECK_GRID = (0.0, *(float(v) for v in np.geomspace(5e-4, 0.4, 13)))
 PRESLIDING_GRID = (0.0, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
@@ -75,8 +75,7 @@ class StribeckFriction(Term):
     def build(cls, arm: Arm, options: Mapping[str, Any]) -> tuple[Term, ...]:
         """One term a joint: its constants are searched joint by joint."""
         presliding = PRESLIDING_GRID if options.get("presliding", True) else (0.0,)
-        loaded = options.get("load", ())
-        loaded = arm.joint_names if loaded is True else tuple(loaded or ())
+        loaded = chosen_joints(arm, options.get("load"))
         terms = []
         for joint in arm.joint_names:
             stribeck = options.get("stribeck", True)

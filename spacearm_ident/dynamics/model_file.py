@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from ..errors import UserError
-from .arm import FloatArray, arm_from_description
+from .arm import JOINT_KEYS, FloatArray, arm_from_description
 from .model import IdentifiedModel, Structure, TorqueModel
 
 MODEL_SCHEMA = "spacearm_ident/model/1"
@@ -39,13 +39,9 @@ def model_to_dict(identified: IdentifiedModel) -> dict[str, Any]:
         "bandwidth_hz": identified.cutoff_hz,
         "drives": {
             joint.name: {
-                "gear_ratio": joint.gear_ratio,
-                "torque_constant_Nm_per_A": joint.torque_constant,
-                **(
-                    {}
-                    if np.isinf(joint.acceleration_limit)
-                    else {"acceleration_limit_rad_s2": joint.acceleration_limit}
-                ),
+                key: getattr(joint, attribute)
+                for key, attribute in JOINT_KEYS.items()
+                if np.isfinite(getattr(joint, attribute))
             }
             for joint in arm.joints
         },

@@ -11,7 +11,7 @@ import numpy as np
 from ..recording.motion import Motion
 from .arm import Arm, FloatArray
 from .regressor import INERTIAL_SYMBOLS, rigid_body_blocks
-from .term import Columns, Parameter, Term
+from .term import Columns, Parameter, Term, chosen_joints
 
 INERTIAL_UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)
 SMALLEST_SHARE = 0.1
@@ -66,7 +66,7 @@ class PerJoint(Term):
     @classmethod
     def build(cls, arm: Arm, options: Mapping[str, Any]) -> tuple[Term, ...]:
         """One parameter a joint, or only for `options["joints"]`."""
-        chosen = options.get("joints", arm.joint_names)
+        chosen = chosen_joints(arm, options.get("joints", True))
         parameters = tuple(
             Parameter(cls.symbol, name, cls.unit, dimension=cls.dimension, lower=cls.lower) for name in chosen
         )
@@ -118,8 +118,7 @@ class JointSpring(PerJoint):
     @classmethod
     def build(cls, arm: Arm, options: Mapping[str, Any]) -> tuple[Term, ...]:
         """A spring at every joint, held at zero where it is not free."""
-        free = options.get("free", ())
-        free = arm.joint_names if free is True else tuple(free)
+        free = chosen_joints(arm, options.get("free"))
         parameters = tuple(
             Parameter(cls.symbol, name, cls.unit, scale=None if name in free else 0.0, dimension=cls.dimension)
             for name in arm.joint_names

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..errors import UserError
 from ..recording.motion import Motion
 from .arm import Arm, FloatArray
 
@@ -108,3 +109,20 @@ class Term(ABC):
             constants: Values in the order of `self.constants`.
             load: (N, n) torque of the rigid body as last estimated, N·m; None where not yet known.
         """
+
+
+def chosen_joints(arm: Arm, choice: Any) -> tuple[str, ...]:
+    """The joints that an option names; true stands for all, false or nothing for none.
+
+    Raises:
+        UserError: The arm does not have one of them.
+    """
+    if choice is True:
+        return arm.joint_names
+    names = tuple(choice or ())
+    for name in names:
+        if name not in arm.joint_names:
+            raise UserError(
+                f"an option of the model names the joint {name!r}: the arm has {', '.join(arm.joint_names)}"
+            )
+    return names

@@ -29,7 +29,7 @@ from .trajectory import (
     Trajectory,
 )
 
-State = Literal["approach", "running", "returning", "done"]
+State = Literal["approach", "running", "returning", "stopping", "done"]
 
 LONGEST_RUN_S = 3600.0
 _BLOCK_S = 30.0

@@ -2,9 +2,10 @@
 
 Off line the positions go through a zero-phase Butterworth filter, torque and prediction through one period of a
 Hann window (`recording.signals`, `recording.motion`). Both are convolutions with symmetric kernels, so a causal
-filter can do the same, only later: the kernels are cut off where little of them is left, and a row is known
-`delay_s` after the moment it belongs to, 2.5 periods of the cut-off (0.25 s at 10 Hz) plus what the caller waits
-between two `add`. The row's time is that moment, not the time of its computation: the residual is late, not shifted.
+filter can do the same, only later: the longer kernel fades out within 1.5 periods of the cut-off, and a row is known
+`delay_s` after the moment it belongs to, two periods of the cut-off (0.2 s at 10 Hz) and a few samples, plus what the
+caller waits between two `add`. The row's time is that moment, not the time of its computation: the residual is late,
+not shifted.
 
 Friction remembers (`dynamics.friction`): its state depends on the distance travelled. The prediction of each new
 piece therefore starts from a history of the last second in which anything moved; standing still adds no travel, so
@@ -16,13 +17,12 @@ Where the stamps leave a gap the filters start anew; no row lies within `delay_s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
-from scipy.signal.windows import tukey
+from scipy.signal.windows import hann
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
@@ -31,9 +31,8 @@ from ..recording.motion import HALF_LENGTH, Motion
 from ..recording.reader import GAP_MEDIANS
 from ..recording.signals import STENCIL
 
-REACH = 2.0
-"""Half length of the positions' filter, in periods of its cut-off; 0.3 % of the kernel lies beyond."""
-FADE = 0.5
+REACH = 1.5
+"""Half length of the positions' filter, in periods of its cut-off: more brings the residual no nearer."""
 DEFAULT_CUTOFF_HZ = 10.0
 """Of a model that does not say in which bandwidth it was identified."""
 HISTORY_S = 1.0
@@ -86,7 +85,6 @@ class LiveResidual:
         joints = len(model.model.arm.joints)
         self._history = np.zeros((0, 4, joints))
         self._noise = np.zeros(joints)
-        self._noise_positions = np.zeros((0, joints))
         self._noise_age = np.inf
         self._start_anew()
 
@@ -100,6 +98,7 @@ class LiveResidual:
         self._even_s = 0.0
         self._full = np.zeros((0, 5, joints))
         self._full_s = 0.0
+        self._noise_positions = np.zeros((0, joints))
 
     def add(self, time: FloatArray, position: FloatArray, effort: FloatArray) -> list[Residuals]:
         """Take samples; returns the rows they complete, a part for each uninterrupted stretch (often none).
@@ -219,27 +218,17 @@ class LiveResidual:
 def derivative_taps(cutoff_hz: float, rate_hz: float) -> FloatArray:
     """(3, L) symmetric kernels for position, velocity and acceleration: correlate with L samples about a moment.
 
-    The first is the zero-phase Butterworth filter of `recording.signals` cut off at `REACH` periods, the others its
-    central differences.
+    The first is the zero-phase Butterworth filter of `recording.signals`, faded out within `REACH` periods, the others
+    its central differences.
     """
     reach = int(np.ceil(REACH / cutoff_hz * rate_hz))
     impulse = np.zeros(6 * reach + 1)
     impulse[3 * reach] = 1.0
     whole = sosfiltfilt(butter(4, cutoff_hz, fs=rate_hz, output="sos"), impulse, padlen=0)
     # Faded out, not cut off: differentiated twice, an edge would be a large impulse.
-    kernel = whole[2 * reach : 4 * reach + 1] * tukey(2 * reach + 1, FADE)
-    kernel = kernel / kernel.sum()
+    kernel = whole[2 * reach : 4 * reach + 1] * hann(2 * reach + 3)[1:-1]
+    kernel = (kernel + kernel[::-1]) / (2 * kernel.sum())
     # A correlation with the stencil of the filtered signal is one with the convolved kernel of the raw one.
     velocity = np.convolve(kernel, STENCIL * rate_hz)
     acceleration = np.convolve(velocity, STENCIL * rate_hz)
     return np.stack([np.pad(kernel, 6), np.pad(velocity, 3), acceleration])
-
-
-def columns_of(joints: Sequence[str], names: Sequence[str]) -> list[int]:
-    """Where the arm's joints stand among the names of a message.
-
-    Raises:
-        KeyError: One is not there.
-    """
-    places = {name: place for place, name in enumerate(names)}
-    return [places[joint] for joint in joints]

@@ -33,6 +33,7 @@ class Rows:
         owner: (M,) which motion a row belongs to.
         place: (M,) its row number within that motion.
         weight: (M,) square root of the row's information, 1/(N·m).
+        trust: (M,) share of its information that a row keeps as a possible outlier.
         basis: (M, r) orthonormal basis of the weighted fixed columns.
         triangle: (r, k) their coordinates in it.
     """
@@ -43,12 +44,14 @@ class Rows:
     owner: np.ndarray
     place: np.ndarray
     weight: FloatArray
+    trust: FloatArray
     basis: FloatArray
     triangle: FloatArray
 
-    def set_weight(self, weight: FloatArray) -> None:
-        """Weight the rows, and factor the fixed columns anew."""
+    def set_weight(self, weight: FloatArray, trust: FloatArray | None = None) -> None:
+        """Weight the rows (`trust` is in the weight already), and factor the fixed columns anew."""
         self.weight = weight
+        self.trust = np.ones(len(weight)) if trust is None else trust
         self.basis, self.triangle = np.linalg.qr(self.fixed * weight[:, None])
 
 
@@ -59,12 +62,13 @@ Shaped = dict[int, tuple[list[int], FloatArray]]
 class Regression:
     """A torque model's columns on the moving rows of some motions."""
 
-    def __init__(self, model: TorqueModel, motions: Sequence[Motion]) -> None:
+    def __init__(self, model: TorqueModel, motions: Sequence[Motion], known: Regression | None = None) -> None:
         """Compute all columns that no constant shapes.
 
         Args:
             model: The structure.
             motions: At least one; all with the model's joints.
+            known: Regression of the same arm on the same motions: of the terms it shares, columns are taken over.
         """
         self.model = model
         self.motions = list(motions)
@@ -72,7 +76,8 @@ class Regression:
         self._terms = list(model.numbered())
         self._kept: dict[int, tuple[tuple[float, ...], Shaped]] = {}
         self.rows = [self._rows(joint) for joint in range(len(model.arm.joints))]
-        self._fill_fixed()
+        self._fixed: list[tuple[Term, Shaped]] = []
+        self._fill_fixed(known._fixed if known else [])
         for rows in self.rows:
             rows.set_weight(np.ones(len(rows.torque)))
 
@@ -89,24 +94,32 @@ class Regression:
             owner,
             np.concatenate(place),
             np.ones(count),
+            np.ones(count),
             empty,
             np.empty((0, 0)),
         )
 
-    def _fill_fixed(self) -> None:
+    def _fill_fixed(self, known: list[tuple[Term, Shaped]]) -> None:
         for term, first, _ in self._terms:
             if term.constants:
                 continue
-            per_motion = [term.columns(motion, (), None) for motion in self.motions]
-            for joint in per_motion[0]:
-                indices = per_motion[0][joint][0]
-                free = [k for k, index in enumerate(indices) if term.parameters[index].scale != 0.0]
-                if not free:
-                    continue
+            fixed = next((columns for other, columns in known if other == term), None) or self._fixed_columns(term)
+            self._fixed.append((term, fixed))
+            for joint, (indices, columns) in fixed.items():
                 rows = self.rows[joint]
-                columns = self._gather(joint, [part[joint][1][:, free] for part in per_motion])
-                rows.indices = [*rows.indices, *(first + indices[k] for k in free)]
+                rows.indices = [*rows.indices, *(first + index for index in indices)]
                 rows.fixed = np.concatenate([rows.fixed, columns], axis=1)
+
+    def _fixed_columns(self, term: Term) -> Shaped:
+        """Columns of a term without constants, numbered within it; those of parameters held at zero are left out."""
+        per_motion = [term.columns(motion, (), None) for motion in self.motions]
+        fixed = {}
+        for joint, (indices, _) in per_motion[0].items():
+            free = [k for k, index in enumerate(indices) if term.parameters[index].scale != 0.0]
+            if free:
+                columns = self._gather(joint, [part[joint][1][:, free] for part in per_motion])
+                fixed[joint] = [indices[k] for k in free], columns
+        return fixed
 
     def _gather(self, joint: int, columns: Sequence[FloatArray]) -> FloatArray:
         """Reduce full-rate columns of every motion and keep the joint's moving rows."""

@@ -54,20 +54,26 @@ class Solution:
     status: str
 
 
-def solve(regression: Regression, prior: Prior, start: FloatArray | None = None) -> Solution:
+def solve(
+    regression: Regression, prior: Prior, start: FloatArray | None = None, gate: float = PRESENCE_GATE
+) -> Solution:
     """Least squares over all parameters and constants.
 
     Args:
         regression: Weighted rows.
         prior: Beliefs that keep the problem regular.
         start: (c,) constants to begin from; a grid search where None.
+        gate: What a constant that may be absent must gain in that search.
     """
-    constants = grid_search(regression) if start is None else start.copy()
+    constants = grid_search(regression, gate) if start is None else start.copy()
     return levenberg_marquardt(regression, prior, constants)
 
 
-def grid_search(regression: Regression) -> FloatArray:
-    """Constants at the best point of their grids, coordinate by coordinate, each joint by itself."""
+def grid_search(regression: Regression, gate: float = PRESENCE_GATE) -> FloatArray:
+    """Constants at the best point of their grids, coordinate by coordinate, each joint by itself.
+
+    One that may be absent is there if that gains `gate` weighted squares, beside the others as they then are.
+    """
     constants = np.array([_first_value(grid) for grid in regression.grids])
     for term, first, count in regression.shaped_terms():
         grids = regression.grids[first : first + count]
@@ -81,7 +87,7 @@ def grid_search(regression: Regression) -> FloatArray:
                         continue
                     trial[k] = value
                     cost = _local_cost(regression, term, trial)
-                    if cost < best - (PRESENCE_GATE if constants[first + k] == 0.0 else 0.0):
+                    if cost < best + gate * (float(value == 0.0) - float(constants[first + k] == 0.0)):
                         best = cost
                         constants[first + k] = value
             if np.array_equal(before, constants[first : first + count]):

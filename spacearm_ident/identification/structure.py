@@ -130,7 +130,7 @@ def _everything(regression: Regression, solution: Solution) -> tuple[TorqueModel
         "torque_offset": {},
     }
     model = TorqueModel(fitted.arm, structure)
-    full = Regression(model, regression.motions)
+    full = Regression(model, regression.motions, regression)
     for rows, known in zip(full.rows, regression.rows):
         rows.set_weight(known.weight)
     by_name = {parameter.name: value for parameter, value in zip(fitted.parameters, solution.parameters)}

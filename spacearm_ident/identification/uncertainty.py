@@ -57,9 +57,11 @@ def covariance(
             mine = rows.owner == number
             if mine.sum() < 2:
                 continue
-            residual = residuals[joint][mine] * rows.weight[mine]
+            # Rows as if none were an outlier, residuals as far as the bound on outliers lets them pull.
+            trust = np.sqrt(rows.trust[mine])
+            residual = residuals[joint][mine] * rows.weight[mine] * trust
             kernel = _kernel(residual, rows.place[mine], motion.white_correlation, correlation[joint][number])
-            score[index] += freedom * _score(weighted[joint][mine], rows.place[mine], kernel)
+            score[index] += freedom * _score(weighted[joint][mine] / trust[:, None], rows.place[mine], kernel)
     return np.asarray(inverse @ score @ inverse)
 
 

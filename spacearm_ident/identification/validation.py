@@ -32,6 +32,7 @@ def validate(model: IdentifiedModel, recordings: Sequence[Recording], what: str,
 
     Raises:
         UnfitDataError: The recordings are too short, or nothing moves.
+        UserError: A recording lacks a joint of the model.
     """
     joints = model.model.arm.joint_names
     motions, _ = prepare(recordings, joints, model.cutoff_hz)

@@ -94,13 +94,14 @@ def reweight(regression: Regression, residuals: list[FloatArray]) -> list[list[N
             for k, motion in enumerate(regression.motions)
         ]
         floor = 1e-6 * float(np.sqrt(np.mean(rows.torque**2))) if len(rows.torque) else 1.0
-        rows.set_weight(_weight(rows, residual, noises, max(floor, 1e-9)))
+        rows.set_weight(*_weight(rows, residual, noises, max(floor, 1e-9)))
         result.append(noises)
     return result
 
 
-def _weight(rows: Rows, residual: FloatArray, noises: list[Noise], floor: float) -> FloatArray:
+def _weight(rows: Rows, residual: FloatArray, noises: list[Noise], floor: float) -> tuple[FloatArray, FloatArray]:
+    """(M,) weights, and (M,) what Huber's bound left of their squares."""
     sigma = np.array([max(noise.sigma_Nm, floor) for noise in noises])[rows.owner]
     kappa = np.array([noise.correlation_rows for noise in noises])[rows.owner]
     huber = np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(residual), 1e-300))
-    return np.asarray(np.sqrt(huber / kappa) / sigma)
+    return np.asarray(np.sqrt(huber / kappa) / sigma), np.asarray(huber)

@@ -20,6 +20,8 @@ from .recording import FloatArray
 DYNAMIC_SHARE = 0.99
 DYNAMIC_FACTOR = 5.0
 BOUNDS_HZ = (5.0, 20.0)
+WINDOW_S = 8.0
+"""Length of the spectra's window; what is shorter shows no lines, only their smear."""
 FLOOR_FACTOR = 4.0
 """A line this far above the floor (6 dB) is taken for signal."""
 
@@ -50,7 +52,7 @@ def choose_bandwidth(position: FloatArray, rate_hz: float) -> Bandwidth:
         position: (N, n) rad, evenly sampled.
         rate_hz: Sample rate, Hz.
     """
-    window = min(len(position), max(64, int(8 * rate_hz)))
+    window = min(len(position), max(64, int(WINDOW_S * rate_hz)))
     frequency, density = welch(position, rate_hz, nperseg=window, detrend="linear", axis=0)
     floor = np.median(density[frequency > 0.3 * rate_hz], axis=0)
     noise = np.sqrt(floor * rate_hz / 2)

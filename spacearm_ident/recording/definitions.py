@@ -13,10 +13,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 _RULE = "=" * 80
-_PRIMITIVES = frozenset(
-    ("bool", "byte", "char", "float32", "float64", "string", "wstring")
-    + tuple(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
-)
+_PRIMITIVES = frozenset(("bool", "byte", "char", "float32", "float64", "string", "wstring")) | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 # `type name`, the type with an optional array suffix or string bound; constants are of primitive type.
 _FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]")
 

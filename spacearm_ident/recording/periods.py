@@ -21,11 +21,13 @@ TOLERANCE = 0.01
 """Positions a period apart agree to this share of each joint's own spread."""
 TRIM_FACTOR, TRIM_FLOOR, TRIM_WINDOW = 5.0, 1e-5, 11
 """A sample belongs to the period if it repeats within so many times the median difference, or this share."""
+REFITS = 4
 SHORTFALL = 0.01
 """A last period that lacks no more than this share is counted: where the approach ends is not seen to the sample."""
 PROBES = 8
 """Samples a period looked at before all of them are."""
-NOISE_FACTOR = 4.0
+CERTAIN_FACTOR, NOISE_FACTOR = 100.0, 4.0
+"""A harmonic with so many times the noise's power is the motion's; it may be with the smaller of the two."""
 QUIET_HARMONICS = 5
 """So many harmonics in a row inside the noise end the motion's spectrum."""
 
@@ -64,12 +66,15 @@ def find_period(position: FloatArray, rate_hz: float) -> Period | None:
     if not moving.any():
         return None
     scaled = coarse[:, moving] / spread[moving]
+    # A lag in whole samples may be half a sample off.
+    steps = np.pad(np.abs(np.diff(scaled, axis=0)), ((1, 1), (0, 0)), mode="edge")
+    slip = 0.6 * np.maximum(steps[1:], steps[:-1])
     best: tuple[float, int, int, int] | None = None
     for lag in range(max(1, round(SHORTEST_S * rate_hz / step)), len(scaled) // 2 + 1):
         probe = max(1, lag // PROBES)
-        if _longest_run(_alike(scaled, lag, probe))[1] < lag // probe:
+        if _longest_run(_alike(scaled, lag, slip, probe))[1] < lag // probe:
             continue
-        start, length = _longest_run(_alike(scaled, lag))
+        start, length = _longest_run(_alike(scaled, lag, slip))
         if length < lag or scaled[start : start + lag].std(axis=0).max() < 0.1:
             continue
         # A multiple of the period covers no more than the period itself: the shortest lag wins unless a longer
@@ -83,21 +88,24 @@ def find_period(position: FloatArray, rate_hz: float) -> Period | None:
     return _exactly(position[:, moving] / spread[moving], lag * step, first, last, step)
 
 
-def _alike(scaled: FloatArray, lag: int, every: int = 1) -> np.ndarray:
-    """Where positions are what they are `lag` samples later; half a sample more or less, for the lag is rounded."""
-    here, there = scaled[:-lag:every], scaled[lag::every]
-    slip = 0.6 * np.abs(scaled[1 : len(scaled) - lag + 1 : every] - here)
-    return np.asarray((np.abs(there - here) - slip).max(axis=1) < TOLERANCE)
+def _alike(scaled: FloatArray, lag: int, slip: FloatArray, every: int = 1) -> np.ndarray:
+    """Where positions are what they are `lag` samples later, give or take what they move in half a sample."""
+    apart = np.abs(scaled[lag::every] - scaled[:-lag:every]) - slip[:-lag:every]
+    return np.asarray(apart.max(axis=1) < TOLERANCE)
 
 
 def _exactly(scaled: FloatArray, lag: int, first: int, last: int, step: int) -> Period | None:
     """The period and its whole repetitions, from a lag and an extent that are right to `step` samples."""
-    samples = _refine(scaled[first:last], lag, step)
-    first, last = _trim(scaled, round(samples), first, last, step)
-    # Once more without the approach and the return, which pulled at the first estimate.
-    samples = _refine(scaled[first:last], round(samples), 1)
-    count = int((last - first) / samples + SHORTFALL)
-    missing = samples * count - (last - first)
+    lag = _whole_samples(scaled[first:last], lag, step)
+    first, last = max(0, first - step), min(last + step, len(scaled))
+    apart, fraction = _mismatch(scaled[first:last], lag)
+    if np.median(apart) > TOLERANCE:
+        return None
+    start, stop = _trim(apart, step)
+    samples = lag + fraction
+    count = int((stop - start + lag) / samples + SHORTFALL)
+    first += start
+    missing = samples * count - (stop - start + lag)
     if missing > 0:
         first = max(0, min(first - int(missing / 2), int(len(scaled) - samples * count)))
     if first + samples * count > len(scaled) + 1e-6:
@@ -115,35 +123,53 @@ def _longest_run(hit: np.ndarray) -> tuple[int, int]:
     return int(edge[2 * longest]), int(length[longest])
 
 
-def _trim(scaled: FloatArray, lag: int, first: int, last: int, step: int) -> tuple[int, int]:
-    """Without what only resembles the period: the end of the approach, the beginning of the return."""
-    apart = np.abs(scaled[first + lag : last] - scaled[first : last - lag]).max(axis=1)
+def _trim(apart: FloatArray, step: int) -> tuple[int, int]:
+    """Where `apart` (N,) is small, without what only resembles the period: the approach's end, the return's begin."""
     limit = max(TRIM_FACTOR * float(np.median(apart)), TRIM_FLOOR)
     # Joints stick and slip at slightly different moments in each period: brief spikes are no end of the period.
-    smooth = median_filter(apart[::step], size=TRIM_WINDOW)
+    smooth = median_filter(apart[::step], size=TRIM_WINDOW, mode="constant", cval=np.inf)
     alike, length = _longest_run(smooth < limit)
-    start = first + alike * step
-    return start, min(start + length * step + lag, last)
+    start, stop = alike * step, min((alike + length - 1) * step + 1, len(apart))
+    # The run begins and ends somewhere between two of the samples looked at.
+    start -= _run_at_end(apart[max(0, start - step) : start] < limit)
+    stop += _run_at_end(apart[stop : stop + step][::-1] < limit)
+    return start, stop
 
 
-def _refine(scaled: FloatArray, lag: int, reach: int) -> float:
-    """The period to a fraction of a sample: vertex of the parabola through the least squared difference."""
+def _run_at_end(hit: np.ndarray) -> int:
+    """How many samples at the end are True."""
+    miss = np.flatnonzero(~hit)
+    return len(hit) - 1 - int(miss[-1]) if len(miss) else len(hit)
+
+
+def _whole_samples(scaled: FloatArray, lag: int, reach: int) -> int:
+    """The period to a sample, by the median difference: approach and return at the ends have no say in it."""
 
     def cost(lag: int) -> float:
-        return float(np.mean((scaled[lag:] - scaled[:-lag]) ** 2))
+        return float(np.median(np.abs(scaled[lag:] - scaled[:-lag]).max(axis=1)))
 
     spacing = reach
     while spacing >= 1:
-        around = [k for k in range(lag - 2 * spacing, lag + 2 * spacing + 1, spacing) if 0 < k < len(scaled) - 1]
+        around = [k for k in range(lag - 2 * spacing, lag + 2 * spacing + 1, spacing) if 0 < k < len(scaled)]
         lag = min(around, key=cost)
         spacing //= 2
-    if not 1 < lag < len(scaled) - 2:
-        return float(lag)
-    before, here, after = cost(lag - 1), cost(lag), cost(lag + 1)
-    curvature = before - 2 * here + after
-    shift = 0.5 * (before - after) / curvature if curvature > 0 else 0.0
-    # A whole number of samples is what a clocked trajectory gives; a shift the noise could make is not believed.
-    return float(lag + (shift if abs(shift) > 0.02 else 0.0))
+    return lag
+
+
+def _mismatch(scaled: FloatArray, lag: int) -> tuple[FloatArray, float]:
+    """How far apart (N - lag,) positions a period apart are, and the fraction of a sample the period is longer.
+
+    x(t + lag) - x(t) = -fraction x'(t): fitted where it holds, for approach and return obey no period.
+    """
+    difference = scaled[lag:] - scaled[:-lag]
+    speed = np.gradient(scaled, axis=0)[lag:]
+    apart, fraction = np.abs(difference).max(axis=1), 0.0
+    for _ in range(REFITS):
+        good = apart <= TRIM_FACTOR * np.median(apart)
+        fraction = -float(np.sum(difference[good] * speed[good]) / max(np.sum(speed[good] ** 2), 1e-300))
+        apart = np.abs(difference + fraction * speed).max(axis=1)
+    # A whole number of samples is what a clocked trajectory gives; a fraction the noise could make is not believed.
+    return apart, fraction if abs(fraction) > 0.02 else 0.0
 
 
 def fold(signal: FloatArray, period: Period) -> FloatArray:
@@ -174,9 +200,11 @@ def project(folded: FloatArray, rate_hz: float, cutoff_hz: float) -> tuple[Float
     spectrum = np.fft.rfft(mean, axis=0)
     noise_power = folded.var(axis=0, ddof=1).mean(axis=0) / count * length
     frequency = np.fft.rfftfreq(length, 1.0 / rate_hz)
-    loud = (np.abs(spectrum) ** 2 > NOISE_FACTOR * noise_power).any(axis=1)
-    # Every joint's fastest line is in, whatever lies empty below it.
-    highest = _last_before_quiet(loud, int(np.argmax(np.abs(frequency[:, None] * spectrum), axis=0).max()))
+    power = np.abs(spectrum) ** 2
+    # A spectrum may have gaps between its lines: what no noise could make is in, whatever lies empty below it.
+    certain = np.flatnonzero((power > CERTAIN_FACTOR * noise_power).any(axis=1))
+    loud = (power > NOISE_FACTOR * noise_power).any(axis=1)
+    highest = _last_before_quiet(loud, int(certain[-1]) if len(certain) else 0)
     keep = (np.arange(len(frequency)) <= highest) & (frequency <= cutoff_hz)
     spectrum = spectrum * keep[:, None]
     derivative = (2j * np.pi * frequency)[:, None]

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
+from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt
 
 from ..errors import UnfitDataError, UserError
-from .bandwidth import BOUNDS_HZ, Bandwidth, choose_bandwidth
+from .bandwidth import BOUNDS_HZ, WINDOW_S, Bandwidth, choose_bandwidth
 from .motion import Motion
 from .periods import Period, find_period, fold, project
 from .recording import FloatArray, Recording
@@ -23,6 +24,8 @@ PADDING_CUTOFF_PERIODS = 2.0
 """What the filter continues a stretch by; scipy's default is a few samples, far less than its memory at 1 kHz."""
 EVEN_SHARE = 0.02
 """Stamps this close to an even grid, as a share of the sample time, need no interpolation."""
+SPIKE_WINDOW, SPIKE_FACTOR = 5, 8.0
+"""A torque so many standard deviations off the median of so many samples is a false reading; a step is not."""
 PERIODIC_CUTOFF_HZ = 40.0
 # Sixth-order central difference: at 5 Hz sampled at 100 Hz it is right to 1e-5, where the usual one errs by 2 %.
 STENCIL = np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0
@@ -49,6 +52,21 @@ class _Stretch:
         )
 
 
+def require_joints(recording: Recording, joints: Sequence[str]) -> None:
+    """Refuse a recording that lacks a joint.
+
+    Raises:
+        UserError: The message names the joint, and those that are there.
+    """
+    missing = [joint for joint in joints if joint not in recording.joints]
+    if missing:
+        where = recording.sources[0].path if recording.sources else "the recording"
+        raise UserError(
+            f"{where} has no joint {missing[0]!r} of the arm (it has {', '.join(recording.joints)}): "
+            "give the arm it was recorded from with --arm"
+        )
+
+
 def prepare(
     recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float | None = None
 ) -> tuple[list[Motion], Bandwidth]:
@@ -57,14 +75,17 @@ def prepare(
     Args:
         recordings: One or more runs of the same arm.
         joints: The arm's joints, in its order.
-        cutoff_hz: Low-pass cut-off; chosen from the data where None.
+        cutoff_hz: Low-pass cut-off; chosen from the data where None, wider for the averaged periods than for the rest.
 
     Returns:
         The motions (periodic stretches averaged, the rest filtered) and the bandwidth with its reason.
 
     Raises:
         UnfitDataError: No stretch is long enough, or no joint moves.
+        UserError: A recording lacks a joint, or is too slow for the cut-off asked for.
     """
+    for recording in recordings:
+        require_joints(recording, joints)
     stretches = [
         (number, stretch)
         for number, recording in enumerate(recordings)
@@ -73,7 +94,10 @@ def prepare(
     if not stretches:
         raise UnfitDataError("no uninterrupted stretch of joint states is longer than a second: record a longer run")
     bandwidth = _bandwidth([stretch for _, stretch in stretches], cutoff_hz)
-    motions = [motion for number, stretch in stretches for motion in _motions(stretch, joints, bandwidth, number)]
+    asked = cutoff_hz is not None
+    motions = [
+        motion for number, stretch in stretches for motion in _motions(stretch, joints, bandwidth, asked, number)
+    ]
     if not motions:
         raise UnfitDataError(
             f"every stretch is shorter than {SHORTEST_CUTOFF_PERIODS / bandwidth.cutoff_hz:.2g} s: record a longer run"
@@ -84,12 +108,15 @@ def prepare(
 
 
 def _bandwidth(stretches: Sequence[_Stretch], cutoff_hz: float | None) -> Bandwidth:
-    """One bandwidth for all: the widest any stretch needs, or the one asked for."""
-    chosen = [choose_bandwidth(stretch.position, stretch.rate_hz) for stretch in stretches]
+    """One bandwidth for all: the widest a stretch long enough to tell needs, or the one asked for."""
+    lengths = [len(stretch.position) / stretch.rate_hz for stretch in stretches]
+    enough = min(WINDOW_S, max(lengths))
+    telling = [stretch for stretch, length in zip(stretches, lengths) if length >= enough]
+    chosen = [choose_bandwidth(stretch.position, stretch.rate_hz) for stretch in telling]
     widest = max(chosen, key=lambda candidate: candidate.cutoff_hz)
-    if cutoff_hz is None:
-        return widest
     slowest = min(stretch.rate_hz for stretch in stretches)
+    if cutoff_hz is None:
+        return replace(widest, cutoff_hz=min(widest.cutoff_hz, 0.2 * slowest))
     if not 0.0 < cutoff_hz < 0.4 * slowest:
         raise UserError(
             f"a bandwidth of {cutoff_hz:g} Hz does not fit a recording at {slowest:.0f} Hz: "
@@ -107,7 +134,7 @@ def _even_stretches(recording: Recording) -> list[_Stretch]:
         if len(time) < max(32, rate):
             continue
         grid = time[0] + np.arange(int((time[-1] - time[0]) * rate + 1e-6) + 1) / rate
-        position, torque = recording.position[segment], recording.effort[segment]
+        position, torque = recording.position[segment], _without_spikes(recording.effort[segment])
         if len(grid) <= len(time) and np.abs(grid - time[: len(grid)]).max() < EVEN_SHARE / rate:
             position, torque = position[: len(grid)], torque[: len(grid)]
         else:
@@ -116,6 +143,14 @@ def _even_stretches(recording: Recording) -> list[_Stretch]:
             torque = make_interp_spline(time, torque, k=1)(grid)
         stretches.append(_Stretch(rate, float(time[0]), position, torque, _temperature(recording, grid)))
     return stretches
+
+
+def _without_spikes(torque: FloatArray) -> FloatArray:
+    """(N, n) torque; single readings far off their neighbours are replaced, before a low-pass smears them out."""
+    smooth = median_filter(torque, size=(SPIKE_WINDOW, 1))
+    apart = np.abs(torque - smooth)
+    usual = np.percentile(apart, 95, axis=0) / 1.96
+    return np.where((apart > SPIKE_FACTOR * usual) & (usual > 0), smooth, torque)
 
 
 def _temperature(recording: Recording, grid: FloatArray) -> FloatArray | None:
@@ -129,14 +164,14 @@ def _temperature(recording: Recording, grid: FloatArray) -> FloatArray | None:
     return np.stack(columns, axis=1)
 
 
-def _motions(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, source: int) -> list[Motion]:
+def _motions(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, asked: bool, source: int) -> list[Motion]:
     """The averaged periods of a stretch, if it has any, and what lies before and after them."""
     period = find_period(stretch.position, stretch.rate_hz)
     if period is None:
         return _filtered(stretch, joints, bandwidth, source)
     return [
         *_filtered(stretch[0 : period.start], joints, bandwidth, source),
-        _averaged(stretch, period, joints, bandwidth, source),
+        _averaged(stretch, period, joints, bandwidth, asked, source),
         *_filtered(stretch[period.stop : len(stretch.position)], joints, bandwidth, source),
     ]
 
@@ -175,16 +210,18 @@ def _filtered(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, so
     ]
 
 
-def _averaged(stretch: _Stretch, period: Period, joints: Sequence[str], bandwidth: Bandwidth, source: int) -> Motion:
+def _averaged(
+    stretch: _Stretch, period: Period, joints: Sequence[str], bandwidth: Bandwidth, asked: bool, source: int
+) -> Motion:
     """The mean of the periods, with the scatter between them as its noise."""
     torque = fold(stretch.torque, period)
     positions = fold(stretch.position, period)
     rate = stretch.rate_hz * torque.shape[1] / period.samples
     widest = min(PERIODIC_CUTOFF_HZ, 0.2 * rate)
     position, velocity, acceleration, highest = project(positions, rate, widest)
-    # Torque follows a reversal faster than the harmonics of the motion do: columns and torque are compared where
-    # the projection still holds all of the motion.
-    cutoff = min(max(bandwidth.cutoff_hz, 0.5 * highest), BOUNDS_HZ[1])
+    # Torque follows a reversal faster than the harmonics of the motion do: unless a cut-off was asked for, columns
+    # and torque are compared as far as the projection holds all of the motion.
+    cutoff = bandwidth.cutoff_hz if asked else min(max(bandwidth.cutoff_hz, 0.5 * highest), BOUNDS_HZ[1])
     noise = _speed_noise(positions.std(axis=0, ddof=1).mean(axis=0) / np.sqrt(period.count), rate, highest)
     block = max(1, int(rate / (20 * cutoff)))
     motion = Motion(

@@ -1,0 +1,82 @@
+"""The batched regressor against Pinocchio's, one sample at a time, on random trees."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planted_arm import THREE_LINKS, Link, real, trees, urdf_of
+
+from spacearm_ident.dynamics.arm import arm_from_urdf
+from spacearm_ident.dynamics.regressor import regressor, rigid_body_blocks
+
+SAMPLES = 4
+
+
+def pinocchio_position(model, q):
+    """An unbounded joint is its cosine and sine there."""
+    whole = pin.neutral(model)
+    for k in range(1, model.njoints):
+        joint = model.joints[k]
+        value = q[joint.idx_v]
+        whole[joint.idx_q : joint.idx_q + joint.nq] = (np.cos(value), np.sin(value)) if joint.nq == 2 else (value,)
+    return whole
+
+
+def reference(urdf, gravity, q, qd, qdd):
+    """Pinocchio's regressor and inverse dynamics, sample by sample."""
+    model = pin.buildModelFromXML(urdf)
+    model.gravity.linear = np.asarray(gravity, dtype=float)
+    data = model.createData()
+    columns, torque = [], []
+    for state in zip(q, qd, qdd):
+        position = pinocchio_position(model, state[0])
+        regressor_now = pin.computeJointTorqueRegressor(model, data, position, state[1], state[2])
+        columns.append(np.array(regressor_now).reshape(model.nv, -1))  # A single row comes as a vector.
+        torque.append(pin.rnea(model, data, position, state[1], state[2]).copy())
+    return np.array(columns), np.array(torque)
+
+
+@given(
+    links=trees(),
+    gravity=st.one_of(st.just((0.0, 0.0, 0.0)), st.tuples(*[real(-10, 10)] * 3)),
+    seed=st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=60, deadline=None)
+def test_it_is_pinocchio_s_on_any_tree(links, gravity, seed):
+    urdf = urdf_of(links)
+    arm = arm_from_urdf(urdf, np.array(gravity))
+    q, qd, qdd = np.random.default_rng(seed).uniform(-3, 3, (3, SAMPLES, len(arm.joints)))
+    columns, torque = reference(urdf, gravity, q, qd, qdd)
+    mine = regressor(arm, q, qd, qdd)
+    scale = max(1.0, np.abs(columns).max())
+    np.testing.assert_allclose(mine, columns, rtol=0, atol=1e-10 * scale)
+    inertials = np.concatenate([joint.inertial for joint in arm.joints])
+    np.testing.assert_allclose(mine @ inertials, torque, rtol=0, atol=1e-9 * max(1.0, np.abs(torque).max()))
+
+
+def test_blocks_are_there_exactly_where_a_joint_carries_a_link():
+    links = (Link("trunk"), Link("left", parent="trunk"), Link("right", parent="trunk"))
+    arm = arm_from_urdf(urdf_of(links))
+    blocks = rigid_body_blocks(arm, *np.zeros((3, 2, 3)))
+    at = arm.joint_names.index
+    carried = {(at("trunk"), link) for link in range(3)} | {(at("left"), at("left")), (at("right"), at("right"))}
+    assert set(blocks) == carried
+    assert {block.shape for block in blocks.values()} == {(10, 2)}
+
+
+def test_in_orbit_an_arm_at_rest_needs_no_torque():
+    arm = arm_from_urdf(urdf_of(THREE_LINKS), np.zeros(3))
+    q = np.random.default_rng(0).uniform(-3, 3, (5, 3))
+    np.testing.assert_array_equal(regressor(arm, q, np.zeros_like(q), np.zeros_like(q)), 0.0)
+
+
+@pytest.mark.parametrize("samples", [0, 1, 1000])
+def test_any_number_of_samples_at_once_is_the_same_as_one_by_one(samples):
+    arm = arm_from_urdf(urdf_of(THREE_LINKS))
+    q, qd, qdd = np.random.default_rng(1).uniform(-3, 3, (3, samples, 3))
+    together = regressor(arm, q, qd, qdd)
+    assert together.shape == (samples, 3, 30)
+    for k in range(0, samples, 97):
+        alone = regressor(arm, q[k : k + 1], qd[k : k + 1], qdd[k : k + 1])[0]
+        np.testing.assert_allclose(together[k], alone, atol=1e-12)
