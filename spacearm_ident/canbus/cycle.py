@@ -110,8 +110,9 @@ class Cycle:
         self._next_heartbeat_ns = 0
         self._sync = _frame(SYNC, b"")
         self._beat = _frame(HEARTBEAT + arm.master_id, b"\x05")
-        self._points = [_frame(RPDO1 + axis.node_id, bytes(arm.set_point.size)) for axis in arm.axes]
-        self._controls = [_frame(RPDO1 + 0x100 + axis.node_id, bytes(2)) for axis in arm.axes]
+        fd = arm.bit_rate.data is not None
+        self._points = [_frame(RPDO1 + axis.node_id, bytes(arm.set_point.size), fd) for axis in arm.axes]
+        self._controls = [_frame(RPDO1 + 0x100 + axis.node_id, bytes(2), fd) for axis in arm.axes]
         self._routes: list[dict[int, int]] = [{} for _ in buses]
         self._expected = [0] * len(self._buses)
         for number, axis in enumerate(arm.axes):
@@ -352,5 +353,5 @@ class Cycle:
                 self.report(EventKind.HEARTBEAT_LOST, number, text)
 
 
-def _frame(can_id: int, data: bytes) -> can.Message:
-    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+def _frame(can_id: int, data: bytes, fd: bool = False) -> can.Message:
+    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False, is_fd=fd, bitrate_switch=fd)

@@ -41,6 +41,10 @@ RATED_TOLERANCE: Final = 0.01
 WINDING_TEMPERATURE: Final = 0x2000
 
 
+class OtherMasterError(UserError):
+    """Somebody else is master of these drives; waiting does not help."""
+
+
 class DriveMaster:
     """The master of all drives of an arm.
 
@@ -69,6 +73,7 @@ class DriveMaster:
         self._networks = [canopen.Network(bus) for bus in buses]
         self._booted: set[tuple[int, int]] = set()
         self._others: set[int] = set()
+        self._ours = False
         self._statuswords: list[int] | None = None
         self._cycle: Cycle | None = None
         path = str(eds_path(eds))
@@ -93,12 +98,14 @@ class DriveMaster:
                 heartbeats, so one that is alive is heard.
 
         Raises:
-            UserError: Another master is on a bus, a drive is missing, is no CiA 402 drive, or refuses what
+            OtherMasterError: Another master is on a bus. Nothing has been sent.
+            UserError: A drive is missing, is no CiA 402 drive, or refuses what
                 the cycle needs.
         """
         self.warnings.clear()
         with self._pumping():
             self._refuse_second_master(3.0 * self.arm.heartbeat if listen is None else listen)
+            self._ours = True
             self._reset_drives(timeout)
             for axis, node in zip(self.arm.axes, self.nodes):
                 self._configure(axis, node)
@@ -124,7 +131,8 @@ class DriveMaster:
     def close(self) -> None:
         """Take the drives out of operation and leave the buses. Never raises; the cycle must have ended."""
         with suppress(can.CanError, SdoError, UserError), self._pumping():
-            for axis, node in zip(self.arm.axes, self.nodes):
+            # Drives of another master are left alone.
+            for axis, node in zip(self.arm.axes, self.nodes) if self._ours else ():
                 with suppress(SdoError):
                     node.sdo.download(0x1016, 1, bytes(4))
                 self._nmt(axis, PRE_OPERATIONAL)
@@ -137,7 +145,7 @@ class DriveMaster:
         time.sleep(listen)
         if self._others:
             found = ", ".join(f"{self._buses[bus]}" for bus in sorted(self._others))
-            raise UserError(f"another master is active on {found}: stop it first (one driver a bus)")
+            raise OtherMasterError(f"another master is active on {found}: stop it first (one driver a bus)")
 
     def _reset_drives(self, timeout: float) -> None:
         wanted = {(axis.bus, axis.node_id) for axis in self.arm.axes}

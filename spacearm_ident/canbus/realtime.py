@@ -14,6 +14,8 @@ import numpy as np
 _PR_SET_TIMERSLACK: Final = 29
 #: Threads give way to each other within this time, s; Python's default of 5 ms is five cycles.
 SWITCH_INTERVAL: Final = 5e-4
+#: Priority for the other threads of a process with a cycle.
+BESIDE_THE_CYCLE: Final = 10
 
 
 def prepare_process() -> None:

@@ -23,8 +23,9 @@ def start(name: str, arguments: Sequence[str]) -> int:
     try:
         return int(importlib.import_module(module).main(arguments))
     except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
         print(
-            f"{name}: the Python package {error.name!r} is missing; source a ROS 2 Jazzy setup file, or install "
+            f"{name}: the Python package {package!r} is missing; source a ROS 2 Jazzy setup file, or install "
             "spacearm_ident with its extra 'ros' (offline commands such as 'spacearm identify' need no ROS)",
             file=sys.stderr,
         )

@@ -226,7 +226,7 @@ class SimulatedDrive(Communication):
         target = values[TARGET if values[MODE] == CYCLIC_MODE else INTERPOLATED_TARGET]
         target = min(max(target, values[key(0x607D, 1)]), values[key(0x607D, 2)])
         period = values[key(0x60C2, 1)] * 10.0 ** values[key(0x60C2, 2)]
-        self.motion.follow(target, period)
+        self.motion.follow(target, period, self.stale)
 
     def _change_mode(self) -> None:
         if self.values[key(0x6061)] == self.values[MODE]:

@@ -54,6 +54,7 @@ class Communication(ABC):
         nmt: Its NMT state.
         values: Its object dictionary, `key(index, sub)` to integer.
         faults: What a test has told it to do wrong.
+        stale: How long the set-points that take effect now have waited for a SYNC that was missing, s.
         routes_changed: Set whenever `routes` has new entries; whoever dispatches frames clears it.
     """
 
@@ -61,6 +62,7 @@ class Communication(ABC):
         self.node_id = node_id
         self._put = send
         self.nmt = NmtState.BOOT
+        self.stale = 0.0
         self.routes_changed = True
         self.dictionary = DriveDictionary(node_id, self)
         self.values = self.dictionary.values
@@ -116,13 +118,15 @@ class Communication(ABC):
             if pdo.can_id is not None and pdo.synchronous and pdo.due():
                 self._send_pdo(pdo)
 
-    def after_sync(self) -> None:
-        """Let the set-points received since the last SYNC take effect."""
+    def after_sync(self, stale: float = 0.0) -> None:
+        """Let the set-points received since the last SYNC take effect, `stale` seconds late."""
         if not self._received or self.faults.silent:
             return
         received, self._received = self._received, {}
+        self.stale = stale
         for number, payload in received.items():
             self._take(self.receive[number], payload)
+        self.stale = 0.0
 
     def status_changed(self) -> None:
         """Send the event-driven TPDOs that carry the statusword."""

@@ -1,9 +1,17 @@
 """How a simulated drive turns set-points into a demand: interpolation between them, ramps to a stop.
 
-Positions are encoder counts as floats, times seconds.
+A set-point that is missing in an even stream is extrapolated, as drives do (some call it "extrapolation
+cycles"): otherwise each one would be a jerk. Positions are encoder counts as floats, times seconds.
 """
 
 from __future__ import annotations
+
+from typing import Final
+
+#: Interpolation periods over which a stream of set-points that breaks off is extrapolated.
+EXTRAPOLATED: Final = 30
+#: Interpolation periods in which the drive then goes back to the last set-point.
+RETURN: Final = 100
 
 
 class Motion:
@@ -20,6 +28,10 @@ class Motion:
         self._goal = 0.0
         self._remaining = 0.0
         self._deceleration: float | None = None
+        # Seconds: the interpolation period, since the last set-point, how long to go on without one.
+        self._period = 0.0
+        self._age = float("inf")
+        self._beyond = 0.0
 
     @property
     def stopped(self) -> bool:
@@ -30,14 +42,25 @@ class Motion:
         """Stand at `position` from now on."""
         self.demand = self._goal = position
         self.velocity = 0.0
-        self._remaining = 0.0
+        self._remaining = self._beyond = 0.0
+        self._age = float("inf")
         self._deceleration = None
 
-    def follow(self, target: float, period: float) -> None:
-        """Move evenly to `target` within `period`, the interpolation time 0x60C2."""
-        self._goal = target
-        self._remaining = period
+    def follow(self, target: float, period: float, stale: float = 0.0) -> None:
+        """Move evenly to `target` within `period`, the interpolation time 0x60C2.
+
+        Args:
+            target: Where to be.
+            period: In how many seconds.
+            stale: How many seconds ago that should have begun; made up with the velocity.
+        """
+        self._goal = target + self.velocity * stale
+        self._remaining = self._period = period
         self._deceleration = None
+        most = EXTRAPOLATED * period
+        # A lone set-point is a place to go to, not a motion to continue.
+        self._beyond = most if self._age <= most else 0.0
+        self._age = 0.0
 
     def stop(self, deceleration: float) -> None:
         """Ramp the demand down to a stop; set-points no longer count."""
@@ -51,11 +74,16 @@ class Motion:
             self.demand += self.velocity * dt
             return
         before = self.demand
+        self._age += dt
         if self._remaining > dt * 1.001:
             self.demand += (self._goal - self.demand) * dt / self._remaining
             self._remaining -= dt
-        else:
-            # Nothing is extrapolated: without a new set-point the drive stands at the last one.
+        elif self._remaining > 0.0:
             self.demand = self._goal
             self._remaining = 0.0
+        elif self._beyond > 0.0:
+            self.demand += self.velocity * dt
+            self._beyond -= dt
+            if self._beyond <= 0.0:
+                self._remaining = RETURN * self._period
         self.velocity = (self.demand - before) / dt

@@ -32,7 +32,9 @@ CATCH_UP: Final = 20
 SLEW: Final = 0.005
 GAIN: Final = 0.02
 #: How long past its time a state waits for a SYNC, as a share of the step.
-GRACE: Final = 0.3
+GRACE: Final = 0.8
+#: A SYNC this share of a step before its state's time belongs to the state before.
+OVERDUE: Final = 0.1
 #: Seconds without SYNC after which a bus is not waited for.
 SYNC_MEMORY: Final = 0.05
 #: A SYNC older than this share of the cycle is not answered: the master would take it for the next one's.
@@ -40,6 +42,7 @@ ANSWERABLE: Final = 0.8
 #: Frames taken from one bus before the others and the physics get their turn.
 BURST: Final = 64
 _VELOCITY: Final = key(0x606C)
+_CYCLE_PERIOD: Final = key(0x1006)
 
 
 @dataclass
@@ -52,6 +55,10 @@ class _Line:
     last_sync: float = 0.0
     answered: bool = False
     actuate: bool = False
+    # Steps since a SYNC, and whether the last was made without waiting for one any longer.
+    steps: int = 0
+    ahead: bool = False
+    stale: float = 0.0
 
 
 class DriveNetwork:
@@ -119,9 +126,12 @@ class DriveNetwork:
     def poll(self) -> None:
         """Wait for frames or for the next step, whichever comes first, and deal with it."""
         wait = self._due() - time.time()
-        if wait <= 0.0:
+        behind = CATCH_UP
+        # A position that is behind must not be reported as that of now: all steps first, then the answers.
+        while wait <= 0.0 and behind:
             self._step()
-            wait = 0.0
+            behind -= 1
+            wait = max(0.0, self._due() - time.time()) if behind else 0.0
         ready = select.select(self._by_fd, (), (), wait)[0]
         for fd in ready:
             self._drain(self._by_fd[fd])
@@ -168,8 +178,17 @@ class DriveNetwork:
         if not any(other.answered for other in self._lines):
             limit = SLEW * self._dt
             self._state_time += min(max(GAIN * lag, -limit), limit)
-        line.answered = True
+        # A SYNC that comes after the step it should have caused has none to cause.
+        steps_a_sync = self._steps_a_sync(line)
+        line.answered = not (line.ahead and steps_a_sync == 1 and lag < -OVERDUE * self._dt)
         line.last_sync = stamp
+        beyond = (line.steps - steps_a_sync) * self._dt if steps_a_sync else 0.0
+        line.stale = beyond if 0.0 < beyond < SYNC_MEMORY else 0.0
+        line.steps = 0
+
+    def _steps_a_sync(self, line: _Line) -> int:
+        """Steps in the period of SYNC that the master has stated; 0 where it has not."""
+        return round(1e-6 * line.drives[0].values[_CYCLE_PERIOD] / self._dt) if line.drives else 0
 
     def _step(self) -> None:
         behind = int((time.time() - self._state_time) / self._dt)
@@ -178,6 +197,8 @@ class DriveNetwork:
             self._state_time += behind * self._dt
         self._state_time += self._dt
         for line in self._lines:
+            line.steps += 1
+            line.ahead = not line.answered
             line.answered = False
             if line.actuate:
                 _actuate(line)
@@ -214,7 +235,7 @@ class DriveNetwork:
 def _actuate(line: _Line) -> None:
     line.actuate = False
     for drive in line.drives:
-        drive.after_sync()
+        drive.after_sync(line.stale)
 
 
 def _collect_routes(line: _Line) -> None:

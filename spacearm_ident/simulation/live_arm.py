@@ -25,6 +25,9 @@ PEAK = 1.2
 """What the drives can give, as a multiple of the arm's torque limit: the limit is the arm's, not the motor's."""
 BRAKE = 2.0
 """Holding torque of a closed brake, same unit."""
+FEEDFORWARD = 4.0
+"""How fast the velocity feedforward may change, as a multiple of the arm's acceleration limit: a set-point that a
+busy machine delivers a millisecond late must not hit the gears."""
 _TEMPERATURE_STEPS = 100
 
 
@@ -99,6 +102,8 @@ class LiveArm:
         self._servo = Servo(np.diag(self._plant.inertia()), drives, tuning, self._plant.position)
         self._holding = BRAKE * np.where(np.isfinite(limit), limit, 1e3)
         self._scale = np.where(np.isfinite(limit), limit, 0.0)
+        self._slew = FEEDFORWARD * np.array([joint.acceleration_limit for joint in arm.joints])
+        self._rate = np.zeros(n)
         self._rng = np.random.default_rng(seed)
         self._coloured = np.zeros(n)
         self._motor = np.zeros(n)
@@ -117,7 +122,9 @@ class LiveArm:
         self._law.extra = np.where(brake, self._holding, 0.0)
         start = np.where(self._was_enabled, self._target, target)
         move, parts = target - start, max(1, round(dt / servo.dt))
-        rate, before = move / dt, self._motor
+        change = np.minimum(np.maximum(move / dt - self._rate, -self._slew * dt), self._slew * dt)
+        rate = self._rate = np.where(enabled, self._rate + change, 0.0)
+        before = self._motor
         self._motor = np.where(enabled, self._motor, 0.0)
         for part in range(1, parts + 1):
             before = self._motor

@@ -1,0 +1,386 @@
+"""`ArmDriver`: the arm behind five verbs: connect, enable, command, halt, recover.
+
+One thread owns the buses. It connects (boots and configures the drives, again and again until they answer),
+then runs the cycle: target, SYNC, feedback, safety policy, sample. Everyone else leaves wishes for it and
+waits for what it reports; nothing else touches the cycle. A second thread asks for temperatures by SDO.
+
+A fault (`safety.Fault`) stops all axes with the frame after the one that showed it, and stays until
+`recover`: the drives hold the arm on their quick-stop ramps, then at rest under power. `recover` never moves:
+it ends with the power stages off and the brakes closed, where a drive went astray after configuring all anew.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final
+
+import numpy as np
+
+from spacearm_ident.canbus.cia402 import Goal, State
+from spacearm_ident.canbus.cycle import Cycle
+from spacearm_ident.canbus.events import EventKind
+from spacearm_ident.canbus.master import DriveMaster, OtherMasterError
+from spacearm_ident.canbus.pdo import Feedback
+from spacearm_ident.canbus.realtime import Pacer, prepare_process, prepare_thread
+from spacearm_ident.driver.arm_can import ArmCan
+from spacearm_ident.driver.bus_lock import BusLock
+from spacearm_ident.driver.safety import Fault, FloatArray, MotionMonitor, Rule, fault_of
+from spacearm_ident.driver.set_points import SetPointStream
+from spacearm_ident.driver.status import DriverStatus, Phase
+from spacearm_ident.errors import UserError
+
+RETRY_S: Final = 0.5
+ENABLE_S: Final = 3.0
+REST_S: Final = 3.0
+BOOT_S: Final = 2.0
+_POLL_S: Final = 0.005
+#: After these the drives' configuration is not to be trusted.
+_ASTRAY: Final = frozenset(
+    (EventKind.RESTARTED, EventKind.HEARTBEAT_LOST, EventKind.STALE_FEEDBACK, EventKind.BUS_ERROR, EventKind.BAD_FRAME)
+)
+
+#: Called in the cyclic thread for every complete cycle: time of its SYNC (ns since the epoch), feedback.
+OnSample = Callable[[int, Feedback], None]
+#: Called with joint number, °C and time (ns since the epoch).
+OnTemperature = Callable[[int, float, int], None]
+
+
+class ArmDriver:
+    """Drives one arm. The verbs may be called from any thread but the cyclic one."""
+
+    def __init__(
+        self,
+        config: ArmCan,
+        on_sample: OnSample,
+        on_temperature: OnTemperature | None = None,
+        *,
+        delay: float = 0.2,
+        priority: int = 60,
+        temperature_hz: float = 1.0,
+    ) -> None:
+        """Take the buses' locks; nothing is sent before `start`.
+
+        Args:
+            config: The arm.
+            on_sample: Takes feedback.
+            on_temperature: Takes winding temperatures; they are not read unless given.
+            delay: Of the set-points, s; see `set_points`.
+            priority: Real-time priority of the cyclic thread; 0 for none.
+            temperature_hz: Readings a joint and second.
+
+        Raises:
+            OtherMasterError: Another driver on this machine has a bus.
+        """
+        self.config = config
+        self.warnings: list[str] = []
+        self.fault: Fault | None = None
+        self.connection = "not started"
+        self.refused: str | None = None
+        self._on_sample, self._on_temperature = on_sample, on_temperature
+        self._delay, self._priority, self._temperature_hz = delay, priority, temperature_hz
+        self._locks = [BusLock(address.interface, address.channel) for address in config.buses]
+        self._sdo = threading.Lock()
+        self._ending = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._master: DriveMaster | None = None
+        self._cycle: Cycle | None = None
+        self._pacer = Pacer(config.bus.period)
+        self._missed_before = 0
+        self._monitor = MotionMonitor(config.limits)
+        self._stream: SetPointStream | None = None
+        self._target = np.zeros(len(config.limits.joints))
+        self._wanted = self._resetting = self._reconnecting = self._astray = False
+        self._latency: str | None = None
+        self.samples = self.set_points = self.temperature_failures = 0
+
+    def start(self) -> None:
+        """Connect and run, in the background."""
+        self._threads = [threading.Thread(target=self._work, name="cycle", daemon=True)]
+        if self._on_temperature is not None:
+            self._threads.append(threading.Thread(target=self._read_temperatures, name="temperatures", daemon=True))
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def phase(self) -> Phase:
+        """What it does."""
+        if self.fault is not None:
+            return Phase.FAULT
+        if self._cycle is None:
+            return Phase.CONNECTING
+        if self._wanted:
+            return Phase.ENABLED if self._stream is not None else Phase.ENABLING
+        return Phase.DISABLED
+
+    # Verbs ----------------------------------------------------------------------------------------------
+
+    def enable(self) -> str:
+        """Bring all drives to "operation enabled", holding the arm where it is.
+
+        Raises:
+            UserError: A fault is latched, the arm is not connected, or a drive does not come.
+        """
+        cycle = self._connected()
+        if self.fault is not None:
+            raise UserError(f"not enabled, the arm was stopped ({self.fault}): call /driver/recover first")
+        if self._wanted:
+            return "enabled already"
+        self._wanted = True
+        if self._until(lambda: self._stream is not None or self.fault is not None, ENABLE_S) and self.fault is None:
+            return "enabled, the arm is held where it is"
+        stuck = self._not_in(State.OPERATION_ENABLED, cycle)
+        self._wanted = False
+        raise UserError(f"not enabled: {self.fault or stuck or 'a drive left operation'}")
+
+    def disable(self) -> str:
+        """Stop the arm if it moves, then take the drives out of operation.
+
+        Raises:
+            UserError: The arm does not come to rest, or a drive stays under power.
+        """
+        self._wanted = False
+        cycle = self._cycle
+        if cycle is None:
+            return "disabled"
+        off = (State.SWITCH_ON_DISABLED, State.FAULT, State.READY_TO_SWITCH_ON)
+        if self.fault is None and not self._until(lambda: all(state in off for state in cycle.states), REST_S):
+            raise UserError(f"still under power: {self._not_in(State.SWITCH_ON_DISABLED, cycle)}")
+        return f"stopped, held by a fault ({self.fault}): call /driver/recover" if self.fault else "disabled"
+
+    def halt(self, reason: str = "asked for by /driver/halt") -> str:
+        """Stop all axes now, latched."""
+        self.trip(Fault(Rule.HALT, reason))
+        return "stopping, held until /driver/recover"
+
+    def recover(self) -> str:
+        """Leave a fault without moving.
+
+        Raises:
+            UserError: The arm still moves, a drive does not answer, or does not leave its fault.
+        """
+        if self.fault is None and self._cycle is not None:
+            return "there is no fault to recover from"
+        self._wanted = False
+        if not self._until(lambda: self._monitor.at_rest or self._cycle is None, REST_S):
+            raise UserError("not recovered: the arm still moves")
+        if self._cycle is None or self._astray or self._silent():
+            self._reconnecting = True
+            if not self._until(lambda: not self._reconnecting, BOOT_S + 2.0):
+                raise UserError(f"not recovered: {self.connection}")
+        cycle = self._connected()
+        self._resetting = True
+        try:
+            done = self._until(lambda: all(state is State.SWITCH_ON_DISABLED for state in cycle.states), ENABLE_S)
+        finally:
+            self._resetting = False
+        if not done or self._silent():
+            raise UserError(
+                f"not recovered: {self._silent() or self._not_in(State.SWITCH_ON_DISABLED, cycle) or self.fault}"
+            )
+        self.fault = None
+        return "recovered, disabled: call /driver/enable"
+
+    def command(self, stamp_ns: int, position: FloatArray) -> None:
+        """Take a set-point (n,) rad; a refused one stops the arm. Ignored while not enabled."""
+        stream = self._stream
+        if stream is not None and self.fault is None:
+            self.set_points += 1
+            fault = stream.put(stamp_ns, position, time.time_ns())
+            if fault is not None:
+                self.trip(fault)
+
+    def trip(self, fault: Fault) -> None:
+        """Stop the arm for this reason; the first one stays."""
+        if self.fault is None:
+            self.fault = fault
+
+    def close(self) -> None:
+        """Bring the arm to rest and the drives out of operation, then leave the buses. Never raises."""
+        with suppress(UserError):
+            self.disable()
+        self._until(lambda: self._cycle is None or self._monitor.at_rest, REST_S)
+        self._ending.set()
+        for thread in self._threads:
+            thread.join(REST_S + BOOT_S)
+        for lock in self._locks:
+            lock.release()
+
+    def status(self) -> DriverStatus:
+        """What the diagnostics show; cheap, from any thread."""
+        cycle, master = self._cycle, self._master
+        return DriverStatus(
+            phase=self.phase,
+            fault=self.fault,
+            connection=self.connection,
+            states=dict(zip(self.config.limits.joints, cycle.states)) if cycle else {},
+            cycles=cycle.cycles if cycle else 0,
+            missed=self._missed_before + self._pacer.missed,
+            incomplete=cycle.incomplete if cycle else 0,
+            late_frames=cycle.late if cycle else 0,
+            malformed=cycle.malformed if cycle else 0,
+            lateness_s=tuple(self._pacer.lateness(q) for q in (0.5, 0.99, 0.999)),
+            samples=self.samples,
+            set_points=self.set_points,
+            buffered_s=self._stream.fill_s if self._stream else 0.0,
+            temperature_failures=self.temperature_failures,
+            loads=tuple(master.loads) if master else (),
+            warnings=tuple(self.warnings) + ((self._latency,) if self._latency else ()),
+        )
+
+    # Connecting -----------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        self._latency = prepare_thread(self._priority)
+        while not self._ending.is_set():
+            try:
+                self._connect()
+                self._serve()
+            except OtherMasterError as error:
+                self.refused = self.connection = str(error)
+                return
+            except UserError as error:
+                self.connection = str(error)
+                self._reconnecting = False
+            except Exception as error:
+                # The drives stop by themselves: their master's heartbeat ends here.
+                self.trip(Fault(Rule.BUS, f"the cycle has failed: {type(error).__name__} {error}"))
+                self.refused = self.connection = str(self.fault)
+            finally:
+                self._disconnect()
+            if self.refused:
+                return
+            self._ending.wait(0.0 if self._reconnecting else RETRY_S)
+
+    def _connect(self) -> None:
+        with self._sdo:
+            self.connection = "connecting to the drives"
+            master = DriveMaster(self.config.bus, self.config.open(), self.config.eds)
+            self._master = master
+            master.boot(timeout=BOOT_S)
+            self.warnings = list(master.warnings)
+            self._astray = False
+
+    def _disconnect(self) -> None:
+        self._cycle = self._stream = None
+        self._missed_before += self._pacer.missed
+        self._pacer = Pacer(self.config.bus.period)
+        with self._sdo:
+            if self._master is not None:
+                self._master.close()
+            self._master = None
+
+    # The cycle ------------------------------------------------------------------------------------------
+
+    def _serve(self) -> None:
+        assert self._master is not None
+        cycle = self._master.cycle()
+        monitor = self._monitor = MotionMonitor(self.config.limits)
+        cycle.run()
+        begin_ns = cycle.sync_ns
+        self._cycle, self.connection, self._reconnecting = cycle, "connected", False
+        pacer, sample = self._pacer, self._on_sample
+        prepare_process()
+        while not self._ending.is_set() and not self._reconnecting:
+            late = pacer.wait()
+            self._lead(cycle)
+            feedback = cycle.run(self._next_target(late))
+            fresh = cycle.missing == 0
+            monitor.observe(1e-9 * (cycle.sync_ns - begin_ns), feedback.position, feedback.torque, fresh)
+            self._judge(cycle, monitor, feedback)
+            if fresh.all():
+                self.samples += 1
+                sample(cycle.sync_ns, feedback)
+
+    def _lead(self, cycle: Cycle) -> None:
+        """Set the goal of this cycle."""
+        if self.fault is not None:
+            self._stream = None
+            if self._resetting:
+                cycle.goal = Goal.RESET
+            elif cycle.goal not in (Goal.QUICK_STOP, Goal.RESET):
+                cycle.quick_stop()
+        elif self._wanted:
+            cycle.goal = Goal.ENABLED
+        elif self._stream is not None or (cycle.goal is Goal.ENABLED and not self._monitor.at_rest):
+            self._stream = None
+            cycle.quick_stop()
+        elif self._monitor.at_rest:
+            cycle.goal = Goal.DISABLED
+
+    def _next_target(self, late: float) -> FloatArray | None:
+        # For when the cycle was due: a target for now would turn every lateness into a jerk.
+        stream = self._stream
+        return None if stream is None else stream.target(time.time_ns() - round(1e9 * late))
+
+    def _judge(self, cycle: Cycle, monitor: MotionMonitor, feedback: Feedback) -> None:
+        events = cycle.events
+        while events:
+            event = events.popleft()
+            self._astray = self._astray or event.kind in _ASTRAY
+            fault = fault_of(event)
+            if fault is not None:
+                self.trip(fault)
+        if self.fault is None and self._wanted and cycle.enabled:
+            if self._stream is None:
+                monitor.limits = self.config.limits.around(feedback.position)
+                self._stream = SetPointStream(monitor.limits, cycle.set_points.position(), self._delay)
+            fault = monitor.judge(cycle.set_points.position())
+            fault = fault or self._stream.starved(cycle.sync_ns)
+            if fault is not None:
+                self.trip(fault)
+        if self.fault is not None and cycle.goal is Goal.ENABLED:
+            cycle.quick_stop()
+
+    # Beside the cycle -----------------------------------------------------------------------------------
+
+    def _read_temperatures(self) -> None:
+        joints, take = len(self.config.limits.joints), self._on_temperature
+        assert take is not None
+        number = 0
+        while not self._ending.wait(1.0 / (self._temperature_hz * joints)):
+            number = (number + 1) % joints
+            cycle = self._cycle
+            if cycle is None or cycle.missing[number] >= self.config.bus.stale_cycles:
+                continue
+            try:
+                with self._sdo:
+                    if self._master is None:
+                        continue
+                    value = self._master.temperature(number)
+                take(number, value, time.time_ns())
+            except Exception:
+                # A slow answer, a drive that has no such object: counted, and asked again.
+                self.temperature_failures += 1
+
+    def _connected(self) -> Cycle:
+        cycle = self._cycle
+        if cycle is None:
+            raise UserError(f"the arm is not connected: {self.connection}")
+        return cycle
+
+    def _silent(self) -> str:
+        """Which drive sends no usable feedback; empty if all do."""
+        cycle = self._cycle
+        if cycle is None:
+            return self.connection
+        worst = int(cycle.missing.argmax())
+        if cycle.missing[worst] < self.config.bus.stale_cycles:
+            return ""
+        return f"{self.config.limits.joints[worst]} sends no usable feedback"
+
+    def _not_in(self, wanted: State, cycle: Cycle) -> str:
+        for joint, state in zip(self.config.limits.joints, cycle.states):
+            if state is not wanted:
+                return f"{joint} stays in {state.label if state else 'an unknown state'}"
+        return ""
+
+    def _until(self, condition: Callable[[], bool], seconds: float) -> bool:
+        deadline = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(_POLL_S)
+        return True

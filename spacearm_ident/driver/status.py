@@ -1,0 +1,62 @@
+"""What the driver tells about itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from spacearm_ident.canbus.bus_load import BusLoad
+from spacearm_ident.canbus.cia402 import State
+from spacearm_ident.driver.safety import Fault
+
+
+class Phase(Enum):
+    """What the driver does; the value is for people."""
+
+    CONNECTING = "connecting"
+    DISABLED = "disabled"
+    ENABLING = "enabling"
+    ENABLED = "enabled"
+    FAULT = "stopped by a fault"
+
+
+@dataclass(frozen=True)
+class DriverStatus:
+    """A snapshot.
+
+    Attributes:
+        phase: What it does.
+        fault: Why the arm was stopped, until recovered.
+        connection: How it stands with the drives.
+        states: CiA 402 state of each joint's drive; None for a pattern CiA 402 does not know.
+        cycles: Cycles since the last connection, as for the counts up to `malformed`.
+        missed: Slots that passed before they could begin, since the start.
+        incomplete: Cycles without the feedback of all joints; their samples are not published.
+        late_frames: Feedback after its cycle.
+        malformed: Frames that could not be read.
+        lateness_s: How late cycles begin: median, 99 %, 99.9 %.
+        samples: Samples published, since the start.
+        set_points: Set-points received while enabled, since the start.
+        buffered_s: Seconds of set-points waiting.
+        temperature_failures: SDO reads that failed, since the start.
+        loads: Of each bus.
+        warnings: What a user should know.
+    """
+
+    phase: Phase
+    fault: Fault | None
+    connection: str
+    states: Mapping[str, State | None]
+    cycles: int
+    missed: int
+    incomplete: int
+    late_frames: int
+    malformed: int
+    lateness_s: tuple[float, ...]
+    samples: int
+    set_points: int
+    buffered_s: float
+    temperature_failures: int
+    loads: tuple[BusLoad, ...]
+    warnings: tuple[str, ...]

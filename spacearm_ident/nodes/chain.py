@@ -1,0 +1,197 @@
+"""The live chain on one machine: all nodes as processes, and a client that calls their services.
+
+What an engineer does by hand with a launch file and `ros2 service call`, for `spacearm demo` and for tests. The
+processes get a ROS domain and a CAN runtime folder of their own, so that two chains on one machine never meet, and
+none of them outlives the chain.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from ..errors import UserError
+from .main import NODES
+from .runtime import LATCHED
+
+STARTED_S = 60.0
+"""Longest wait for a node to come up, or a service to answer, on a busy machine."""
+ENDED_S = 20.0
+STOP_ORDER = ("trajectory", "identifier", "recorder", "canopen_driver", "simulated_arm")
+"""Who moves the arm goes first, the arm itself last."""
+
+Values = Mapping[str, str]
+
+
+class Chain:
+    """The running nodes, and what they say.
+
+    Use it as a context manager: leaving it ends every process, whatever happened.
+    """
+
+    def __init__(self, directory: Path, parameters: Mapping[str, Mapping[str, object]]) -> None:
+        """Start all nodes.
+
+        Args:
+            directory: Where each node's output goes, as `logs/NODE.log`.
+            parameters: Node -> its ROS parameters.
+        """
+        self._logs = directory / "logs"
+        self._logs.mkdir(parents=True, exist_ok=True)
+        self._sockets = tempfile.TemporaryDirectory(prefix="spacearm-can-")
+        self._environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", str(1 + os.getpid() % 100)),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "SPACEARM_RUNTIME_DIR": self._sockets.name,
+            "PYTHONUNBUFFERED": "1",
+        }
+        self._processes = {name: self._spawn(name, parameters.get(name, {})) for name in reversed(STOP_ORDER)}
+        self._context = rclpy.Context()
+        rclpy.init(
+            context=self._context,
+            domain_id=int(self._environment["ROS_DOMAIN_ID"]),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self._node = rclpy.create_node("chain", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._statuses: dict[str, DiagnosticStatus] = {}
+        self._excitation: dict[str, Any] = {}
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._keep_statuses, 100)
+        self._node.create_subscription(String, "/excitation/state", self._keep_excitation, LATCHED)
+
+    def _spawn(self, name: str, parameters: Mapping[str, object]) -> subprocess.Popen[bytes]:
+        words = [word for key, value in parameters.items() for word in ("-p", f"{key}:={_yaml(value)}")]
+        command = [sys.executable, "-m", "spacearm_ident.cli.main", "node", name, "--ros-args", *words]
+        with (self._logs / f"{name}.log").open("wb") as log:
+            return subprocess.Popen(
+                command, env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+            )
+
+    def __enter__(self) -> Chain:
+        """The chain."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End everything."""
+        self.close()
+
+    def call(self, service: str, data: bool | None = None) -> str:
+        """Call a Trigger service, or a SetBool service with `data`; returns its reply.
+
+        Raises:
+            UserError: It refused, with its reason, or does not answer.
+        """
+        kind = Trigger if data is None else SetBool
+        request = Trigger.Request() if data is None else SetBool.Request(data=data)
+        reply = self._request(kind, service, request)
+        if not reply.success:
+            raise UserError(f"{service} refused: {reply.message}")
+        return str(reply.message)
+
+    def set_parameter(self, node: str, name: str, text: str) -> None:
+        """Set a text parameter of a running node.
+
+        Raises:
+            UserError: It is refused.
+        """
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
+        request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+        result = self._request(SetParameters, f"/{node}/set_parameters", request).results[0]
+        if not result.successful:
+            raise UserError(f"{node} refuses {name}={text}: {result.reason}")
+
+    def _request(self, kind: Any, service: str, request: Any) -> Any:
+        client = self._node.create_client(kind, service)
+        try:
+            self.wait(client.service_is_ready, f"the service {service}", STARTED_S)
+            future = client.call_async(request)
+            self.wait(future.done, f"a reply from {service}", STARTED_S)
+            return future.result()
+        finally:
+            self._node.destroy_client(client)
+
+    def wait(self, condition: Callable[[], object], what: str, longest_s: float) -> None:
+        """Spin until a condition holds.
+
+        Raises:
+            UserError: It did not within `longest_s`, or a node has ended meanwhile.
+        """
+        end = time.monotonic() + longest_s
+        while not condition():
+            self._executor.spin_once(timeout_sec=0.05)
+            for name, process in self._processes.items():
+                if process.poll() is not None:
+                    raise UserError(f"{name} ended with exit code {process.returncode}: {self._last_words(name)}")
+            if time.monotonic() > end:
+                raise UserError(f"waited {longest_s:.0f} s for {what} in vain: see {self._logs}")
+
+    def status(self, name: str) -> str:
+        """The message of a node's latest diagnostics, or empty."""
+        found = self._statuses.get(name)
+        return str(found.message) if found else ""
+
+    def values(self, name: str) -> Values:
+        """The figures of a node's latest diagnostics."""
+        found = self._statuses.get(name)
+        return {pair.key: pair.value for pair in found.values} if found else {}
+
+    @property
+    def excitation(self) -> Mapping[str, Any]:
+        """The latest `/excitation/state`."""
+        return self._excitation
+
+    def close(self) -> dict[str, int]:
+        """End every process, the mover first; returns their exit codes."""
+        for name in STOP_ORDER:
+            process = self._processes[name]
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(ENDED_S)
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        if self._context.ok():
+            self._executor.shutdown()
+            self._node.destroy_node()
+            self._context.try_shutdown()
+        self._sockets.cleanup()
+        return {name: self._processes[name].returncode for name in NODES}
+
+    def _last_words(self, name: str) -> str:
+        lines = (self._logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else f"it said nothing; see {self._logs}"
+
+    def _keep_statuses(self, message: DiagnosticArray) -> None:
+        self._statuses |= {status.name: status for status in message.status}
+
+    def _keep_excitation(self, message: String) -> None:
+        self._excitation = json.loads(message.data)
+
+
+def _yaml(value: object) -> str:
+    """A parameter value as --ros-args wants it."""
+    return json.dumps(value) if isinstance(value, bool | str) else str(value)

@@ -1,0 +1,339 @@
+"""The identifier: buffers the arm's joint states, identifies when a run ends, then watches the residual.
+
+`/excitation/state` (JSON of the trajectory node) says when a run begins and ends. The first run that ends well is
+the excitation: the arm is identified from it, its parameters are published (latched) and the residual is live from
+then on. Every later run, with other coefficients, validates that model and completes the result folder, where the
+runs lie as bags, too. `/identifier/identify` starts over from all that is buffered, as `spacearm identify` would
+from a bag of it: the last third is held out. All of it runs in a process of its own (`identify_worker`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import String
+
+from ..dynamics.model import FRICTION_LAWS, IdentifiedModel
+from ..dynamics.model_file import load_model
+from ..errors import UserError
+from ..identification.identified import Identified
+from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
+from ..session import AUTO
+from .identifier_messages import parameters_message, residual_messages, validation_figures
+from .identify_worker import Done, Failed, Job, Step, Worker
+from .message_buffer import Capture, MessageBuffer
+from .residual_stream import ResidualStream
+from .runtime import LATCHED, STREAM, Level, LiveNode, Status, run
+
+RATE_HZ = 1000.0
+"""Rate for which `buffer_s` is meant: slower joint states are kept for longer."""
+WATCH_S = 0.05
+RESIDUAL_S = 0.2
+"""Residuals are computed in pieces of this length: shorter ones cost more."""
+UNDER_WAY = frozenset({"approach", "running", "returning", "stopping"})
+SHORTEST_S = 2.0
+LONGEST_PENDING = 4
+
+
+@dataclass(frozen=True)
+class RunMark:
+    """A run by its id and the times of arrival between which its data lie."""
+
+    name: str
+    start_ns: int
+    stop_ns: int = 0
+
+
+class Identifier(LiveNode):
+    """Buffers, identifies, publishes parameters and residuals."""
+
+    def __init__(self) -> None:
+        super().__init__("identifier")
+        self._declare()
+        limit = max(1, int(self._buffer_s * RATE_HZ))
+        self._states = MessageBuffer(STATES_TOPIC, limit)
+        self._temperatures = MessageBuffer(TEMPERATURES_TOPIC, limit // 10)
+        self._description: Capture | None = None
+        self._under_way: RunMark | None = None
+        self._pending: deque[RunMark] = deque(maxlen=LONGEST_PENDING)
+        self._worker: Worker | None = None
+        self._job: Job | None = None
+        self._step = Step(0.0, "")
+        self._known: Identified | None = None
+        self._fitted: tuple[Path, ...] = ()
+        self._last = Status(Level.OK, "nothing identified yet", part="identification")
+        self._stream: ResidualStream | None = None
+        self._seen = 0
+        self._parameters = self.create_publisher(DiagnosticArray, "/identifier/parameters", LATCHED)
+        self._residuals = self.create_publisher(JointState, "/identifier/residuals", STREAM)
+        self._subscribe()
+        self.offer("/identifier/identify", self._identify_buffer)
+        self.create_timer(WATCH_S, self._watch)
+        self.create_timer(RESIDUAL_S, self._publish_residuals)
+        if self._model_file:
+            self._use(load_model(self._model_file), None)
+        if self._replay:
+            self._start(self._new_job((self._replay,), self._replay_validate))
+
+    def _declare(self) -> None:
+        text = "Gravity in the base frame, m/s^2, as [0.0, 0.0, -9.81]; nan: the arm's own"
+        self._gravity = _gravity(self.parameter("gravity", [math.nan] * 3, text))
+        self._arm = _path(self.parameter("arm", "", "URDF or arm YAML; empty: of /robot_description"))
+        self._friction = self.parameter("friction", AUTO, "Friction law, as spacearm identify --friction")
+        if self._friction not in (AUTO, *FRICTION_LAWS):
+            raise UserError(
+                f"parameter friction: no law {self._friction!r}: one of {', '.join((AUTO, *FRICTION_LAWS))}"
+            )
+        bandwidth = self.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
+        self._bandwidth = bandwidth or None
+        self._buffer_s = self.parameter(
+            "buffer_s", 300.0, "Joint states kept, s at 1 kHz; the oldest go first", low=5.0, high=7200.0
+        )
+        self._auto = self.parameter("auto_identify", True, "Identify (then validate) when a run has ended")
+        self._directory = Path(self.parameter("result_directory", "identified", "Result folder")).expanduser()
+        self._row_rate = self.parameter(
+            "residual_rate_hz", 50.0, "Rate of /identifier/residuals, Hz", low=0.1, high=1000.0
+        )
+        self._model_file = _path(self.parameter("model", "", "model.yaml to watch the residual of from the start"))
+        self._replay = _path(self.parameter("replay", "", "Bag to identify off line at start, instead of waiting"))
+        validate = _path(self.parameter("replay_validate", "", "Bag to validate the replay on; empty: hold-out"))
+        self._replay_validate = (validate,) if validate else ()
+        self._exit_after = self.parameter("exit_after_replay", False, "End when the replay is done")
+        for file in filter(None, (self._arm, self._replay, validate)):
+            if not file.exists():
+                raise UserError(f"{file}: no such file or folder: correct the parameter arm, replay or replay_validate")
+
+    def _subscribe(self) -> None:
+        # In no executor: a wake-up a message would cost three times what taking them by the fifty does.
+        node = self.unspun_node()
+        self._arriving = node.create_subscription(JointState, STATES_TOPIC, lambda _: None, STREAM, raw=True)
+        self.create_subscription(Temperature, TEMPERATURES_TOPIC, self._on_temperature, STREAM, raw=True)
+        self.create_subscription(String, DESCRIPTION_TOPIC, self._on_description, LATCHED, raw=True)
+        self.create_subscription(String, "/excitation/state", self._on_excitation, LATCHED)
+
+    def _take_states(self) -> None:
+        """Joint states that have arrived, with the time at which each did."""
+        handle = self._arriving.handle
+        with handle:
+            while (taken := handle.take_message(self._arriving.msg_type, True)) is not None:
+                self._states.append(taken[1]["received_timestamp"], taken[0])
+
+    def _on_temperature(self, payload: bytes) -> None:
+        self._temperatures.append(time.time_ns(), payload)
+
+    def _on_description(self, payload: bytes) -> None:
+        self._description = Capture.of_one(DESCRIPTION_TOPIC, time.time_ns(), payload)
+
+    def _on_excitation(self, message: String) -> None:
+        """Mark where a run begins and ends; one that was stopped early is not used."""
+        try:
+            said = json.loads(message.data)
+            state, name, complete = said["state"], str(said["run"]), said["complete"] is True
+        except (ValueError, TypeError, KeyError, AttributeError):
+            self.get_logger().warning(f"/excitation/state is not understood: {message.data[:80]!r}")
+            return
+        known = self._under_way
+        if state in UNDER_WAY:
+            if known is None or known.name != name:
+                self._under_way = RunMark(name, time.time_ns())
+            return
+        self._under_way = None
+        if known is None or state != "done" or known.name != name or not self._auto:
+            return
+        if not complete:
+            self.get_logger().info(f"run {name} was stopped early: not identified")
+            return
+        self._pending.append(RunMark(name, known.start_ns, time.time_ns()))
+
+    def _watch(self) -> None:
+        """Twenty times a second: what has arrived, news of the worker, the next run."""
+        self._take_states()
+        self._hear()
+        if self._worker is None and self._pending:
+            self._start_run(self._pending.popleft())
+
+    def _start_run(self, mark: RunMark) -> None:
+        """Identify from a finished run, or validate on it."""
+        captures = self._captures(mark.start_ns, mark.stop_ns)
+        if self._known is None:
+            bag = self._directory / "excitation.mcap"
+            self._start(self._new_job((bag,), (bag,), captures, bag))
+        else:
+            bag = self._directory / "validation.mcap"
+            self._start(self._new_job(self._fitted, (bag,), captures, bag, self._known))
+
+    def _identify_buffer(self) -> str:
+        """The service."""
+        self._take_states()
+        if self._worker is not None:
+            raise UserError(
+                f"an identification is under way ({self._step.share:.0%}: {self._step.what}): wait for it to end"
+            )
+        first, last = self._states.span_ns()
+        span = (last - first) / 1e9
+        if not len(self._states):
+            raise UserError("no joint states have come: start the driver, or whatever publishes /joint_states")
+        if self._arm is None and self._description is None:
+            raise UserError("no /robot_description has come: publish it, or give the parameter arm")
+        count = len(self._states)
+        if count < SHORTEST_S * 10:
+            raise UserError(f"only {count} joint states are buffered: move the arm first")
+        bag = self._directory / "buffer.mcap"
+        self._pending.clear()
+        self._start(self._new_job((bag,), (), self._captures(first, last), bag))
+        return f"identifying from {count} joint states that came within {span:.1f} s; the result goes to " + str(
+            self._directory
+        )
+
+    def _captures(self, start_ns: int, stop_ns: int) -> tuple[Capture, ...]:
+        captures = [buffer.between(start_ns, stop_ns) for buffer in (self._states, self._temperatures)]
+        if self._description is not None:
+            captures.append(self._description)
+        return tuple(capture for capture in captures if len(capture.times_ns))
+
+    def _new_job(
+        self,
+        fitted: tuple[Path, ...],
+        validated: tuple[Path, ...],
+        captures: tuple[Capture, ...] = (),
+        bag: Path | None = None,
+        known: Identified | None = None,
+    ) -> Job:
+        return Job(
+            fitted=fitted,
+            validated=validated,
+            directory=self._directory,
+            arm=self._arm,
+            gravity=self._gravity,
+            friction=self._friction,
+            cutoff_hz=self._bandwidth,
+            captures=captures,
+            bag=bag,
+            known=known,
+        )
+
+    def _start(self, job: Job) -> None:
+        self._step = Step(0.0, "starting")
+        self._job = replace(job, captures=())
+        self._worker = Worker(job)
+        self.get_logger().info(f"identifying, as {job.command}")
+        self.publish_diagnostics()
+
+    def _hear(self) -> None:
+        """What the worker says."""
+        for event in self._worker.poll() if self._worker is not None else ():
+            if isinstance(event, Step):
+                self._step = event
+                continue
+            job, self._job, self._worker = self._job, None, None
+            assert job is not None
+            if isinstance(event, Done):
+                self._finish(job, event)
+            else:
+                self._last = Status(Level.ERROR, event.reason, {"bags": _names(job)}, "identification")
+                self.get_logger().error(event.reason)
+            self.publish_diagnostics()
+            if self._replay is not None and self._replay in job.fitted and self._exit_after:
+                self.exit_code = event.code if isinstance(event, Failed) else 0
+
+    def _finish(self, job: Job, done: Done) -> None:
+        """Publish a result and go on with its model."""
+        session = done.session
+        if job.known is None:
+            # Runs of a fit with a hold-out are not validated further: the fit has not seen all of its bag.
+            whole = job.validated == job.fitted
+            self._known, self._fitted = (session.identified, job.fitted) if whole else (None, ())
+            self._use(session.identified.model, session.identified)
+        for line in done.findings:
+            self.get_logger().info(line)
+        figures = {"report": session.page, "bags": _names(job), **validation_figures(session.validation)}
+        message = f"identified and validated {session.validation.what}"
+        self._last = Status(Level.OK, message, figures, "identification")
+        self.get_logger().info(f"{message}; report: {session.page}")
+
+    def _use(self, model: IdentifiedModel, identified: Identified | None) -> None:
+        """Publish a model's parameters; from now on the residual is its."""
+        arm = model.model.arm.name
+        self.hardware_id = arm
+        self._parameters.publish(parameters_message(arm, self.get_clock().now().to_msg(), model, identified))
+        self._stream = ResidualStream(model, self._row_rate)
+        self._seen = self._states.stored
+
+    def _publish_residuals(self) -> None:
+        stream = self._stream
+        if stream is None:
+            return
+        payloads = self._states.since(self._seen)
+        self._seen = self._states.stored
+        for message in residual_messages(stream.joints, stream.add(payloads)):
+            self._residuals.publish(message)
+
+    def diagnose(self) -> Sequence[Status]:
+        """The buffer, the last identification, the residual."""
+        statuses = [self._buffer_status(), self._last]
+        if self._stream is not None:
+            figures = self._stream.figures()
+            message = "live" if figures else "waiting for joint states"
+            statuses.append(Status(Level.OK, message, figures, "residual"))
+        return statuses
+
+    def _buffer_status(self) -> Status:
+        buffer = self._states
+        first, last = buffer.span_ns()
+        level, message = Level.OK, "waiting for a run"
+        if self._worker is not None:
+            message = f"identifying, {self._step.share:.0%}: {self._step.what}"
+        elif self._under_way is not None:
+            message = f"run {self._under_way.name} is under way"
+        elif not buffer.stored:
+            message = "no joint states have come yet"
+        if self._under_way is not None and buffer.dropped and first > self._under_way.start_ns:
+            level = Level.WARN
+            message += "; it is longer than the buffer, its beginning is lost: enlarge the parameter buffer_s"
+        values = {
+            "buffered_messages": len(buffer),
+            "buffered_s": (last - first) / 1e9,
+            "buffer_MB": buffer.bytes / 1e6,
+            "received": buffer.stored,
+            "dropped": buffer.dropped,
+            "identifying": self._worker is not None,
+            "progress": self._step.share if self._worker is not None else 0.0,
+            "runs_waiting": len(self._pending),
+        }
+        return Status(level, message, values)
+
+    def close(self) -> None:
+        """End the worker; what it was writing is discarded."""
+        if self._worker is not None:
+            self._worker.stop()
+
+
+def _path(text: str) -> Path | None:
+    return Path(text).expanduser() if text else None
+
+
+def _names(job: Job) -> str:
+    """The bags of a job, each once."""
+    return ", ".join(dict.fromkeys(str(path) for path in (*job.fitted, *job.validated)))
+
+
+def _gravity(values: list[float]) -> tuple[float, float, float] | None:
+    """Three finite numbers, or None for the arm's own."""
+    if all(math.isnan(value) for value in values):
+        return None
+    if len(values) != 3 or not all(math.isfinite(value) for value in values):
+        raise UserError(f"parameter gravity: {values} are not three numbers, such as [0.0, 0.0, -9.81]")
+    return values[0], values[1], values[2]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the node; returns its exit code."""
+    return run(Identifier, arguments)

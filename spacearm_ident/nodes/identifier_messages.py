@@ -1,0 +1,95 @@
+"""What the identifier says about a model, as standard messages and as figures for `/diagnostics`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import JointState
+
+from ..dynamics.model import IdentifiedModel
+from ..identification.identified import Identified, Validation
+from .residual_stream import Row
+
+FROM_FILE = "from a model file"
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A parameter as it is published; the standard error is NaN where there is none."""
+
+    symbol: str
+    joint: str
+    unit: str
+    value: float
+    standard_error: float
+    determination: str
+    note: str = ""
+
+
+def parameters_message(arm: str, stamp: Time, model: IdentifiedModel, known: Identified | None) -> DiagnosticArray:
+    """`/identifier/parameters`: one status a parameter, named as `f_c[joint_1]`; its message says what it rests on.
+
+    Numbers have all their digits: they read back to those of `model.yaml`.
+
+    Args:
+        arm: Name of the arm, the hardware id.
+        stamp: Now.
+        model: Whose values to publish.
+        known: The identification it comes from; None: a model file, which knows no standard errors.
+    """
+    message = DiagnosticArray(status=[_status(arm, entry) for entry in _entries(model, known)])
+    message.header.stamp = stamp
+    return message
+
+
+def _entries(model: IdentifiedModel, known: Identified | None) -> Iterator[_Entry]:
+    if known is not None:
+        for item in known.estimates:
+            error = item.standard_error
+            yield _Entry(item.symbol, item.joint, item.unit, item.value, error, item.determination.value, item.note)
+        return
+    for values, items in ((model.parameters, model.model.parameters), (model.constants, model.model.constants)):
+        for value, item in zip(values.tolist(), items):
+            yield _Entry(item.symbol, item.joint, item.unit, value, float("nan"), FROM_FILE)
+
+
+def _status(arm: str, entry: _Entry) -> DiagnosticStatus:
+    values = {
+        "symbol": entry.symbol,
+        "joint": entry.joint,
+        "value": repr(float(entry.value)),
+        "unit": entry.unit,
+        "standard_error": repr(float(entry.standard_error)),
+        "determination": entry.determination,
+        "note": entry.note,
+    }
+    return DiagnosticStatus(
+        level=DiagnosticStatus.OK,
+        name=f"{entry.symbol}[{entry.joint}]",
+        message=entry.determination,
+        hardware_id=arm,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+def residual_messages(joints: tuple[str, ...], rows: Iterable[Row]) -> Iterator[JointState]:
+    """`/identifier/residuals`: the stamp is the moment the residual belongs to."""
+    for row in rows:
+        message = JointState(name=joints, effort=row.residual)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(row.stamp_ns, 1_000_000_000)
+        yield message
+
+
+def validation_figures(validation: Validation) -> dict[str, object]:
+    """The figures of `validation.json` that a person watches, by joint."""
+    figures: dict[str, object] = {"validated": validation.what, "held_out": validation.held_out}
+    for joint, judged in validation.joints.items():
+        fit = judged.everything
+        figures[f"rmse_Nm[{joint}]"] = fit.rmse
+        figures[f"max_Nm[{joint}]"] = fit.largest
+        figures[f"r[{joint}]"] = fit.correlation
+        figures[f"moving_relative_rms[{joint}]"] = judged.moving.relative_rms
+    return figures

@@ -1,0 +1,143 @@
+"""`recorder`: everything on the graph, into a rosbag2 folder (MCAP) that survives a killed process.
+
+Services: `/recorder/start` and `/recorder/stop` (std_srvs/srv/Trigger); both replies name the folder. What
+goes wrong while recording (disk full) is on `/diagnostics` as ERROR, and in the reply to stop; the node stays
+alive, and can start anew.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from ..errors import UserError
+from ..recording.background import BackgroundWriter
+from .graph_reader import GraphReader
+from .runtime import Level, LiveNode, Status, run
+
+
+class Recorder(LiveNode):
+    """The node."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder")
+        self._directory = Path(
+            self.parameter("directory", ".", "folder the bags are put into; made if missing")
+        ).expanduser()
+        self._prefix = self.parameter("prefix", "run", "first part of a bag's name; date and time follow")
+        self._buffer_bytes = 2**20 * self.parameter(
+            "buffer_mb", 64, "messages that may wait for the disk, MiB; more are dropped and counted", low=1, high=4096
+        )
+        immediately = self.parameter("start_immediately", False, "record from the start, without being asked")
+        if not self._prefix or "/" in self._prefix:
+            raise UserError(f"parameter prefix: {self._prefix!r} is not the beginning of a file name")
+        self._subscriber = self.unspun_node()
+        self._writer: BackgroundWriter | None = None
+        self._reader: GraphReader | None = None
+        self._started = 0.0
+        self._refusal = ""
+        self.offer("/recorder/start", self.start)
+        self.offer("/recorder/stop", self.stop)
+        if immediately:
+            try:
+                self.start()
+            except UserError as error:
+                self.get_logger().error(str(error))
+
+    def start(self) -> str:
+        """Begin a new bag; returns the reply.
+
+        Raises:
+            UserError: One is being written already, or the place cannot be written.
+        """
+        if self._writer is not None and self._writer.failure is None:
+            raise UserError(f"already recording to {self._writer.path}; stop first")
+        self._end()
+        try:
+            writer = BackgroundWriter(self._new_folder(), buffer_bytes=self._buffer_bytes)
+        except UserError as error:
+            self._refusal = str(error)
+            self.publish_diagnostics()
+            raise
+        self._refusal = ""
+        self._writer, self._reader = writer, GraphReader(self._subscriber, writer.put)
+        self._started = time.monotonic()
+        self.publish_diagnostics()
+        return f"recording to {writer.path}"
+
+    def stop(self) -> str:
+        """Finish the bag; returns the reply.
+
+        Raises:
+            UserError: None is being written, or writing it failed.
+        """
+        if self._writer is None or self._reader is None:
+            raise UserError(self._refusal or "not recording; start first")
+        writer, reader, seconds = self._writer, self._reader, time.monotonic() - self._started
+        self._end()
+        self.publish_diagnostics()
+        if failure := writer.failure or reader.failure:
+            raise UserError(f"{writer.path} is incomplete: {failure} ({writer.messages} messages are in it)")
+        lost = sum(count.lost for count in reader.counts.values())
+        figures = f"{writer.messages} messages in {seconds:.1f} s, {lost} lost, {writer.dropped} dropped"
+        return f"wrote {writer.path}: {figures}"
+
+    def close(self) -> None:
+        """Finish the bag."""
+        if self._writer is not None:
+            writer = self._writer
+            self._end()
+            self.get_logger().info(f"wrote {writer.path}: {writer.messages} messages; {writer.failure or 'complete'}")
+
+    def _end(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+        if self._writer is not None:
+            self._writer.close()
+        self._reader = self._writer = None
+
+    def _new_folder(self) -> Path:
+        name = f"{self._prefix}_{datetime.now():%Y_%m_%d-%H_%M_%S}"
+        folder, number = self._directory / name, 2
+        while folder.exists():
+            folder, number = self._directory / f"{name}_{number}", number + 1
+        return folder.absolute()
+
+    def diagnose(self) -> Sequence[Status]:
+        """State, buffer and losses; and each topic's counts."""
+        writer, reader = self._writer, self._reader
+        if writer is None or reader is None:
+            if self._refusal:
+                return (Status(Level.ERROR, self._refusal, {"recording": False}),)
+            return (Status(Level.OK, "not recording", {"recording": False}),)
+        counts = reader.counts.copy()
+        lost = sum(count.lost for count in counts.values())
+        failure = writer.failure or reader.failure
+        values = {
+            "recording": failure is None,
+            "folder": writer.path,
+            "messages": writer.messages,
+            "buffer_fill": writer.fill,
+            "dropped": writer.dropped,
+            "lost": lost,
+        }
+        topics = {
+            name: f"{count.received} received, {count.lost} lost, {count.dropped} dropped"
+            for name, count in sorted(counts.items())
+        }
+        if failure is not None:
+            level, message = Level.ERROR, f"recording ended early: {failure}"
+        elif writer.dropped or lost:
+            level, message = Level.WARN, f"recording; {lost} messages lost on the way, {writer.dropped} dropped here"
+        elif reader.problems:
+            level, message = Level.WARN, "recording; " + "; ".join(reader.problems)
+        else:
+            level, message = Level.OK, "recording"
+        return (Status(level, message, values), Status(Level.OK, f"{len(topics)} topics", topics, part="topics"))
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the node until it is stopped."""
+    return run(Recorder, arguments)

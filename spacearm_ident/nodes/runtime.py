@@ -1,0 +1,298 @@
+"""What every node needs: a life from start to clean end, parameters, services, `/diagnostics`, QoS.
+
+A node is a subclass of `LiveNode` in the module of its name, which ends with
+
+    def main(arguments: Sequence[str]) -> int:
+        return run(Recorder, arguments)
+
+Its `__init__` declares parameters (`parameter`), services (`offer`, `offer_switch`), publishers and
+subscriptions; it overrides `diagnose` (called once a second, and by `publish_diagnostics` at once) and
+`close` (called once, while it can still publish: bring the arm to rest, end threads, close files). Bad input
+is a `UserError`: in `__init__` the process says it in one line and exits with 2; in a service it is the reply.
+Callbacks run in the main thread, one after another; a node that has a deadline keeps its own thread.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, Final, TypeVar
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+
+from ..errors import UserError
+
+STREAM: Final = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Streams at 1 kHz, both ends: a second of messages rides out a stalled subscriber without loss."""
+
+LATCHED: Final = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""The last message, for who comes late too."""
+
+_SPIN_S = 0.1
+_DIAGNOSTICS_S = 1.0
+
+Value = TypeVar("Value", bool, int, float, str, list[str], list[float])
+
+
+class Level(IntEnum):
+    """How well a part of the system is, in the words of diagnostic_msgs."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True)
+class Status:
+    """One line of `/diagnostics`.
+
+    Attributes:
+        level: How well it is.
+        message: One sentence for a person.
+        values: Figures for programs; booleans become `true` and `false`, floats six digits.
+        part: Which part of the node it is about; empty for the node as a whole.
+    """
+
+    level: Level
+    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
+    part: str = ""
+
+
+class Newest:
+    """The newest message of a topic, taken when asked for: between, it costs no more than DDS itself.
+
+    A callback a message is a wake-up a message; and what a callback knows is old where callbacks had to wait.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str) -> None:
+        """Subscribe.
+
+        Args:
+            node: A node in no executor (`LiveNode.unspun_node`).
+            kind: Message type.
+            topic: Topic name.
+        """
+        qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._subscription = node.create_subscription(kind, topic, lambda _: None, qos, raw=True)
+        self._payload: bytes | None = None
+        self._received_ns = 0
+
+    def take(self) -> tuple[bytes | None, float]:
+        """The newest message (CDR; None before the first) and its age in seconds (infinite before the first)."""
+        handle = self._subscription.handle
+        with handle:
+            while (taken := handle.take_message(self._subscription.msg_type, True)) is not None:
+                self._payload, self._received_ns = taken[0], taken[1]["received_timestamp"]
+        age = math.inf if self._payload is None else (time.time_ns() - self._received_ns) * 1e-9
+        return self._payload, age
+
+
+class LiveNode(Node):
+    """A node with parameters, services and diagnostics in the manner of this package.
+
+    Args:
+        name: Node name; its diagnostics are called `name` and `name: part`.
+        hardware_id: What the diagnostics are about, such as the arm's name.
+
+    Attributes:
+        exit_code: Set it and `run` ends with it, after `close`.
+    """
+
+    def __init__(self, name: str, hardware_id: str = "") -> None:
+        super().__init__(name)
+        self.hardware_id = hardware_id
+        self.exit_code: int | None = None
+        self._unspun: list[Node] = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(_DIAGNOSTICS_S, self.publish_diagnostics)
+
+    def unspun_node(self) -> Node:
+        """A hidden node without services, in no executor, whose subscriptions are read by `take_message`.
+
+        Callbacks that ask for the message info fail in these wheels' EventsExecutor; `take_message` tells it.
+        It is destroyed after `close`.
+        """
+        node = rclpy.create_node(
+            f"_{self.get_name()}_{len(self._unspun)}",
+            namespace=self.get_namespace(),
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._unspun.append(node)
+        return node
+
+    def destroy_node(self) -> None:
+        """Destroy it and its `unspun_node`s."""
+        for node in self._unspun:
+            node.destroy_node()
+        super().destroy_node()
+
+    def diagnose(self) -> Sequence[Status]:
+        """The node's present state; override it."""
+        return (Status(Level.OK, "running"),)
+
+    def close(self) -> None:
+        """End cleanly: called once, in the main thread, while the node can still publish; override it."""
+
+    def publish_diagnostics(self) -> None:
+        """Publish what `diagnose` says now; the timer does so every second, call it on a change of state."""
+        message = DiagnosticArray(status=[self._message(status) for status in self.diagnose()])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def _message(self, status: Status) -> DiagnosticStatus:
+        name = self.get_name()
+        return DiagnosticStatus(
+            level=bytes([status.level]),
+            name=f"{name}: {status.part}" if status.part else name,
+            message=status.message,
+            hardware_id=self.hardware_id,
+            values=[KeyValue(key=key, value=_text(value)) for key, value in status.values.items()],
+        )
+
+    def parameter(
+        self,
+        name: str,
+        default: Value,
+        description: str,
+        *,
+        low: float | None = None,
+        high: float | None = None,
+        read_only: bool = True,
+    ) -> Value:
+        """Declare a parameter and return its value, of the type of `default`.
+
+        Args:
+            name: Name of the parameter.
+            default: Default value; not an empty list. A whole number given for a float is taken as one.
+            description: For `ros2 param describe`: what it means, with its unit.
+            low: Smallest value allowed, for numbers.
+            high: Largest value allowed.
+            read_only: Whether it cannot be changed while the node runs.
+
+        Raises:
+            UserError: The value given is of another type or out of range.
+        """
+        descriptor = ParameterDescriptor(description=description, read_only=read_only)
+        kind = type(default)
+        # A float parameter given as `1000` is an integer to ROS, which refuses it; here it means 1000.0.
+        descriptor.dynamic_typing = kind is float and read_only
+        bounds = (-math.inf if low is None else low, math.inf if high is None else high)
+        if kind is int and (low is not None or high is not None):
+            lowest, highest = (max(min(b, 2.0**63 - 1024), -(2.0**63)) for b in bounds)
+            descriptor.integer_range = [IntegerRange(from_value=int(lowest), to_value=int(highest))]
+        elif kind is float and (low is not None or high is not None):
+            descriptor.floating_point_range = [FloatingPointRange(from_value=bounds[0], to_value=bounds[1])]
+        try:
+            value = self.declare_parameter(name, default, descriptor).value
+        except ParameterException as error:
+            raise UserError(f"parameter {name}: {error}; it is: {description}") from error
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if kind is float and not (isinstance(value, float) and bounds[0] <= value <= bounds[1]):
+            raise UserError(f"parameter {name}: {value!r} is not a number from {bounds[0]:g} to {bounds[1]:g}")
+        result: Value = list(value) if isinstance(default, list) else value
+        return result
+
+    def offer(self, name: str, action: Callable[[], str]) -> None:
+        """A `std_srvs/srv/Trigger` service: `action` returns the reply, or raises `UserError` with the refusal."""
+        self.create_service(Trigger, name, lambda _, response: self._answer(response, action))
+
+    def offer_switch(self, name: str, action: Callable[[bool], str]) -> None:
+        """A `std_srvs/srv/SetBool` service; `action` is told the value asked for, otherwise like `offer`."""
+        self.create_service(
+            SetBool, name, lambda request, response: self._answer(response, lambda: action(request.data))
+        )
+
+    def _answer(self, response: Any, action: Callable[[], str]) -> Any:
+        try:
+            response.message, response.success = action(), True
+        except UserError as error:
+            response.message, response.success = str(error), False
+            self.get_logger().warning(str(error))
+        return response
+
+
+def run(make: Callable[[], LiveNode], arguments: Sequence[str]) -> int:
+    """A node's whole life in this process; returns its exit code.
+
+    It ends on SIGINT or SIGTERM (0), when the node sets `exit_code`, or with 2 where the node cannot be made
+    (`UserError`: one line on stderr). However often the signals come, `close` runs once, to its end.
+
+    Args:
+        make: The node's class, or a function that makes one.
+        arguments: Command line without the program, such as `--ros-args --params-file FILE`.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        rclpy.init(args=[sys.argv[0], *arguments], signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy raises bare RuntimeErrors and its own, for the same mistake
+        print(f"the --ros-args cannot be used: {_first_line(error)}", file=sys.stderr)
+        return 2
+    try:
+        node = make()
+        try:
+            _spin(node, stop)
+        finally:
+            node.close()
+            node.destroy_node()
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 2
+    finally:
+        rclpy.try_shutdown()
+    return node.exit_code or 0
+
+
+def _spin(node: LiveNode, stop: threading.Event) -> None:
+    # EventsExecutor costs a third of the others; its spin() is a busy loop, spin_once() is not.
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        while not stop.is_set() and node.exit_code is None:
+            executor.spin_once(timeout_sec=_SPIN_S)
+    finally:
+        executor.remove_node(node)
+        executor.shutdown()
+
+
+def _text(value: object) -> str:
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case float():
+            return f"{value:.6g}"
+    return str(value)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -1,0 +1,73 @@
+"""`simulated_arm`: six CiA 402 drives and the paper's arm behind them, on the CAN buses of the configuration.
+
+Everything happens on the buses, in a thread of its own; the graph only sees `/diagnostics` (1 Hz). For tests,
+any participant of a bus can make a drive fail through its object 0x2F00 (see `simulation.drives_faults`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..canbus.realtime import BESIDE_THE_CYCLE, prepare_thread
+from ..config import config_path
+from ..driver.arm_can import load_arm_can
+from ..simulation.arm_process import ArmProcess, live_arm
+from .runtime import Level, LiveNode, Status, run
+
+
+class SimulatedArm(LiveNode):
+    """The node."""
+
+    def __init__(self) -> None:
+        super().__init__("simulated_arm")
+        file = self.parameter("can_config", "", "CAN YAML of the arm; empty: config/paper_arm_can.yaml")
+        model = self.parameter("model", "", "model file the arm obeys; empty: config/paper_arm_model.yaml")
+        noise = self.parameter("noise", 1.0, "times the usual noise of the current sensors; 0: none", low=0.0)
+        seed = self.parameter("seed", 0, "of the noise", low=0)
+        start = self.parameter(
+            "start_position", [0.0], "joint angles at power-on (rad); a single one is for all joints"
+        )
+        priority = self.parameter("realtime_priority", 60, "SCHED_FIFO priority of the drives; 0: none", low=0, high=99)
+        config = load_arm_can(Path(file) if file else config_path("paper_arm_can.yaml"))
+        self.hardware_id = f"{config.arm.name} (simulated)"
+        arm = live_arm(
+            config,
+            Path(model) if model else config_path("paper_arm_model.yaml"),
+            noise=noise,
+            seed=seed,
+            position=start,
+        )
+        self._process = ArmProcess(config, arm, priority=priority)
+        self._process.start()
+
+    def diagnose(self) -> Sequence[Status]:
+        """Drive states and what the process could not keep up with."""
+        process, network = self._process, self._process.network
+        if process.failure is not None:
+            self.get_logger().fatal(process.failure)
+            self.exit_code = 1
+        values: dict[str, object] = {
+            "physics_steps": network.steps,
+            "physics_steps_skipped": network.skipped,
+            "sync_unanswered": network.unanswered,
+            "frames_unsent": network.unsent,
+        }
+        values |= {f"node_{drive.node_id}": drive.state.label for drive in network.drives}
+        if process.failure is not None:
+            return (Status(Level.ERROR, process.failure, values),)
+        if process.warning is not None:
+            return (Status(Level.WARN, process.warning, values),)
+        return (Status(Level.OK, "running", values),)
+
+    def close(self) -> None:
+        """Switch the drives off."""
+        self._process.close()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the node; returns the exit code."""
+    # All threads, the middleware's too, inherit it: one that is not scheduled while it holds Python's lock
+    # would hold up the bus.
+    prepare_thread(BESIDE_THE_CYCLE)
+    return run(SimulatedArm, arguments)

@@ -1,0 +1,111 @@
+"""The simulated arm as a process has it: drives on their buses, physics behind them, one thread for both."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import yaml
+
+from spacearm_ident.canbus.realtime import prepare_process, prepare_thread
+from spacearm_ident.driver.arm_can import ArmCan
+from spacearm_ident.driver.bus_lock import BusLock
+from spacearm_ident.errors import UserError
+from spacearm_ident.simulation.closed_loop import SensorNoise
+from spacearm_ident.simulation.drives import DriveConfig
+from spacearm_ident.simulation.drives_network import DriveNetwork
+from spacearm_ident.simulation.live_arm import LiveArm
+from spacearm_ident.simulation.parameters import PlantParameters
+
+
+class ArmProcess:
+    """Serves the drives in a thread of its own.
+
+    Attributes:
+        network: The drives; its counters may be read at any time.
+        failure: Why the thread has ended, if not by `close`.
+        warning: What a user should know about real time.
+    """
+
+    def __init__(self, config: ArmCan, arm: LiveArm, *, priority: int = 60) -> None:
+        """Join the buses; the drives boot with `start`.
+
+        Raises:
+            UserError: A bus cannot be opened, or has a simulated arm.
+        """
+        self._locks = [BusLock(address.interface, address.channel, "simulated_arm") for address in config.buses]
+        self._buses: list[can.BusABC] = config.open()
+        configs = [(axis.bus, DriveConfig(axis.node_id, axis.scale)) for axis in config.bus.axes]
+        self.network = DriveNetwork(self._buses, configs, arm, config.bus.period)
+        self.failure: str | None = None
+        self.warning: str | None = None
+        self._priority = priority
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="drives", daemon=True)
+
+    def start(self) -> None:
+        """Switch the drives on."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Cut the power and leave the buses."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(5.0)
+        for bus in self._buses:
+            bus.shutdown()
+        for lock in self._locks:
+            lock.release()
+
+    def _serve(self) -> None:
+        self.warning = prepare_thread(self._priority)
+        prepare_process()
+        try:
+            self.network.run(self._stop.is_set)
+        except Exception as error:
+            self.failure = f"{type(error).__name__} {error}"
+
+
+def live_arm(
+    config: ArmCan, model: Path, *, noise: float = 1.0, seed: int = 0, position: list[float] | None
+) -> LiveArm:
+    """The arm of a model file, under the drives of `config`.
+
+    Args:
+        config: Arm and drives.
+        model: A model file; what the arm obeys.
+        noise: Times the usual noise of the current sensors; 0: none.
+        seed: Of the noise.
+        position: (n,) rad where it starts, or one angle for all joints; zero unless given.
+
+    Raises:
+        UserError: The model cannot be read or does not fit the arm.
+    """
+    try:
+        document = yaml.safe_load(model.read_text(encoding="utf-8"))
+        parameters = PlantParameters.from_model(document, config.arm.urdf)
+    except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
+        raise UserError(f"cannot read the model {model}: {error}") from error
+    n = len(parameters.joints)
+    if position is not None and len(position) not in (1, n):
+        raise UserError(f"the start position has {len(position)} angles: give {n}, or one for all joints")
+    usual = SensorNoise()
+    sensors = SensorNoise(
+        effort_white=noise * usual.effort_white,
+        effort_coloured=noise * usual.effort_coloured,
+        effort_correlation_s=usual.effort_correlation_s,
+    )
+    start = None if position is None else position * (n // len(position))
+    return LiveArm(parameters, config.arm, position=start, noise=sensors, seed=seed)
+
+
+def serve(config: ArmCan, arm: LiveArm, stop: Callable[[], bool]) -> None:
+    """Run a simulated arm in this process without ROS, until `stop()` is true."""
+    process = ArmProcess(config, arm)
+    process.start()
+    while not stop() and process.failure is None:
+        time.sleep(0.05)
+    process.close()

@@ -1,0 +1,165 @@
+"""Helper of the tests: simulated arm and driver as processes, and a probe that streams, listens and injects faults."""
+
+import os
+import struct
+import time
+from pathlib import Path
+
+import can
+import numpy as np
+import yaml
+from live_nodes import Probe, Processes
+
+from spacearm_ident.canbus.local_bus import LocalBus
+from spacearm_ident.nodes.joint_stream import JointStateWriter
+from spacearm_ident.recording.cdr import decode_joint_states
+
+CONFIG = Path(__file__).parent.parent / "config"
+JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
+CHANNELS = ("arm0", "arm1")
+FREEZE, EMERGENCY, CORRUPT = 1, 2, 3
+LEAD_S = 0.6
+"""Set-points are sent so long before they are due: this process may be held up, the tests are not about that."""
+
+
+def generous_config(folder: Path) -> Path:
+    """The arm's CAN YAML, with time limits for a busy machine."""
+    data = yaml.safe_load((CONFIG / "paper_arm_can.yaml").read_text())
+    data["arm"] = str(CONFIG / "paper_arm.yaml")
+    data["cycle"] |= {"heartbeat_timeout_s": 1.5, "stale_feedback_s": 0.5}
+    path = folder / "can.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def smooth(t: float, amplitude: float = 0.06, period: float = 2.0) -> float:
+    """Out and back once a period, at rest (to the second derivative) at both ends."""
+    s = np.sin(np.pi * t / period)
+    return float(amplitude * s**4)
+
+
+class DrivenArm:
+    """Both processes, and the probe."""
+
+    def __init__(self, folder: Path):
+        os.environ["ROS_DOMAIN_ID"] = str(30 + os.getpid() % 20)
+        os.environ["SPACEARM_RUNTIME_DIR"] = str(folder / "run")
+        self.can_config = generous_config(folder)
+        self.processes = Processes(folder)
+        self.probe = Probe()
+        from sensor_msgs.msg import JointState
+
+        from spacearm_ident.nodes.runtime import STREAM
+
+        self._clients = {}
+        self.payloads, self.currents = [], []
+        node = self.probe.node
+        node.create_subscription(JointState, "/joint_states", self.payloads.append, STREAM, raw=True)
+        node.create_subscription(JointState, "/motor_currents", self.currents.append, STREAM, raw=True)
+        self._command = node.create_publisher(JointState, "/joint_command", STREAM)
+        self._writer = JointStateWriter(JOINTS, "position")
+        self.start_arm()
+        self.start_driver()
+
+    def start_arm(self):
+        self.arm = self.processes.node("simulated_arm", f"can_config:={self.can_config}")
+
+    def start_driver(self):
+        self.driver = self.second_driver()
+
+    def second_driver(self):
+        return self.processes.node(
+            "canopen_driver", f"can_config:={self.can_config}", "set_point_delay_s:=0.4", "connect_timeout_s:=60.0"
+        )
+
+    def close(self):
+        self.probe.close()
+        self.processes.end()
+
+    def call(self, name, data=None):
+        """As `Probe.call`, but the client stays: finding a service takes longer than calling it."""
+        from std_srvs.srv import SetBool, Trigger
+
+        kind = Trigger if data is None else SetBool
+        if name not in self._clients:
+            self._clients[name] = self.probe.node.create_client(kind, name)
+        client = self._clients[name]
+        self.probe.wait_for(client.service_is_ready, f"service {name}")
+        future = client.call_async(Trigger.Request() if data is None else SetBool.Request(data=data))
+        self.probe.wait_for(future.done, f"a reply from {name}")
+        return future.result().success, future.result().message
+
+    # What the driver says -----------------------------------------------------------------------------
+
+    @property
+    def values(self):
+        return self.probe.values("canopen_driver")
+
+    @property
+    def fault(self):
+        return self.values.get("fault", "")
+
+    @property
+    def enabled(self):
+        return self.values.get("operation_enabled") == "true"
+
+    def drive_states(self):
+        return {name: self.values.get(name, "") for name in JOINTS}
+
+    def wait_for(self, condition, what):
+        return self.probe.wait_for(condition, f"{what}; the driver says {self.values}")
+
+    def healthy(self):
+        """Out of whatever the last test left, enabled."""
+        self.wait_for(lambda: self.values.get("connection") == "connected", "a connection")
+        if self.fault:
+            done, message = self.call("/driver/recover")
+            assert done, message
+        done, message = self.call("/driver/enable", True)
+        assert done, message
+        self.wait_for(lambda: self.enabled and not self.fault, "enabled")
+
+    # Motion -------------------------------------------------------------------------------------------
+
+    def states(self, payloads=None):
+        """Stamps (ns), positions and efforts so far."""
+        blocks, bad = decode_joint_states(self.payloads if payloads is None else payloads)
+        assert not bad and len(blocks) == 1
+        return blocks[0].stamp_ns, blocks[0].position, blocks[0].effort
+
+    def position(self):
+        count = len(self.payloads)
+        self.wait_for(lambda: len(self.payloads) > count, "joint states")
+        return self.states(self.payloads[-1:])[1][0]
+
+    def at_rest(self):
+        first = self.position()
+        self.probe.spin(0.1)
+        return np.abs(self.position() - first).max() < 1e-4
+
+    def send(self, stamp_ns, position):
+        self._command.publish(self._writer.payload(stamp_ns, np.asarray(position, dtype=float)))
+
+    def stream(self, seconds, motion=smooth, until=lambda: False, also=lambda k, q: q):
+        """Stream `start + motion(t)` for all joints; returns the stamp of the first set-point."""
+        start, first = self.position(), time.time_ns() + 20_000_000
+        k, count = 0, round(1e3 * seconds) + 1
+        while k < count and not until():
+            while k < count and first + k * 1_000_000 < time.time_ns() + LEAD_S * 1e9:
+                self.send(first + k * 1_000_000, also(k, start + motion(1e-3 * k)))
+                k += 1
+            self.probe.spin(0.02)
+        return first
+
+    # Faults -------------------------------------------------------------------------------------------
+
+    def inject(self, joint, sub, value):
+        """Write object 0x2F00 of a joint's drive, as another participant of its bus."""
+        size = 1 if sub == CORRUPT else 2
+        data = struct.pack("<BHBI", 0x23 | (4 - size) << 2, 0x2F00, sub, value)
+        self.send_frame(joint // 3, 0x600 + joint + 1, data)
+
+    def send_frame(self, bus, can_id, data):
+        with LocalBus(CHANNELS[bus]) as other:
+            other.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+            self.probe.spin(0.1)

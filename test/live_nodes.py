@@ -1,0 +1,139 @@
+"""Live nodes for tests: processes that never outlive their test, and a probe on the graph.
+
+Importing it puts this process, and those it starts, on a ROS domain of their own on this machine alone.
+"""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_DOMAIN_ID"] = str(50 + os.getpid() % 20)
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+
+PATIENCE_S = 30.0
+"""Longest wait for anything that is bound to happen, on a busy machine."""
+ROOT = Path(__file__).parent.parent
+
+
+def wait_for(condition, what: str, patience_s: float = PATIENCE_S, step=lambda: time.sleep(0.02)):
+    """What `condition` returns as soon as it is true."""
+    end = time.monotonic() + patience_s
+    while time.monotonic() < end:
+        result = condition()
+        if result:
+            return result
+        step()
+    raise AssertionError(f"not within {patience_s:.0f} s: {what}")
+
+
+class Processes:
+    """Starts processes in process groups of their own; `end` leaves none."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self._all: list[subprocess.Popen] = []
+
+    def node(self, name: str, *ros_arguments: str, **options) -> subprocess.Popen:
+        """A node by the name of its executable; each argument is what follows `-p`, such as `rate_hz:=100`."""
+        parameters = [word for argument in ros_arguments for word in ("-p", argument)]
+        code = f"import sys; from spacearm_ident.nodes.main import start; sys.exit(start({name!r}, sys.argv[1:]))"
+        return self.python("-c", code, *(["--ros-args", *parameters] if parameters else []), **options)
+
+    def python(self, *arguments: str, **options) -> subprocess.Popen:
+        """A Python process; its output goes to `output`."""
+        environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'test'}", "PYTHONUNBUFFERED": "1"}
+        log = (self._folder / f"process_{len(self._all)}.log").open("w")
+        with log:
+            process = subprocess.Popen(
+                [sys.executable, *arguments],
+                env=environment,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                cwd=self._folder,
+                **options,
+            )
+        process.log_path = Path(log.name)
+        self._all.append(process)
+        return process
+
+    def end(self):
+        """Kill every process group."""
+        for process in self._all:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def output(process: subprocess.Popen) -> str:
+    """What a process has said so far, on both streams."""
+    return process.log_path.read_text()
+
+
+def end(process: subprocess.Popen, number: int = signal.SIGINT) -> int:
+    """Send a signal; the exit code."""
+    process.send_signal(number)
+    return process.wait(PATIENCE_S)
+
+
+class Probe:
+    """A node in the test's process: publishes, listens, calls."""
+
+    def __init__(self):
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
+
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node("probe", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self.statuses = {}
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 100)
+
+    def _keep(self, message):
+        for status in message.status:
+            self.statuses[status.name] = status
+
+    def spin(self, seconds: float = 0.02):
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def wait_for(self, condition, what: str, patience_s: float = PATIENCE_S):
+        return wait_for(condition, what, patience_s, self.spin)
+
+    def call(self, name: str, data: bool | None = None) -> tuple[bool, str]:
+        """Call a Trigger service, or a SetBool service with `data`."""
+        from std_srvs.srv import SetBool, Trigger
+
+        client = self.node.create_client(Trigger if data is None else SetBool, name)
+        try:
+            self.wait_for(client.service_is_ready, f"service {name}")
+            future = client.call_async(Trigger.Request() if data is None else SetBool.Request(data=data))
+            self.wait_for(future.done, f"a reply from {name}")
+            return future.result().success, future.result().message
+        finally:
+            self.node.destroy_client(client)
+
+    def values(self, name: str) -> dict[str, str]:
+        """The figures of a part's latest diagnostics; empty before the first."""
+        status = self.statuses.get(name)
+        return {value.key: value.value for value in status.values} if status else {}
+
+    def level(self, name: str) -> int:
+        """The level of a part's latest diagnostics; -1 before the first."""
+        status = self.statuses.get(name)
+        return status.level[0] if status else -1
+
+    def close(self):
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()

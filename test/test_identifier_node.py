@@ -1,0 +1,275 @@
+"""The identifier in its own process on a real graph, fed by another process; its numbers are the command's."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_arm
+
+pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from live_nodes import Probe, Processes, end, output
+from sensor_msgs.msg import JointState
+
+from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.nodes.runtime import LATCHED, STREAM
+from spacearm_ident.recording import read_recording, write_recording
+
+QUICK = ("friction:=coulomb-viscous", "bandwidth_hz:=5.0")
+AS_QUICK = ("--friction", "coulomb-viscous", "--bandwidth", "5.0")
+PATIENCE_S = 120.0
+"""An identification on a busy machine."""
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(70 + os.getpid() % 20))
+    # The command's numbers and the node's are compared to the last digit: the same sums in the same order.
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("bags")
+    made = {
+        "first": small_arm.recording(seed=0),
+        "second": small_arm.recording(seed=1),
+        "third": small_arm.recording(seed=2),
+        "still": small_arm.recording(8.0, still=(0, 1)),
+    }
+    for name, recording in made.items():
+        write_recording(folder / f"{name}.mcap", recording)
+    return {name: folder / f"{name}.mcap" for name in made}
+
+
+class Graph(Probe):
+    """The test's own eyes on the graph, the identifier, and the arm that plays recordings to it."""
+
+    def __init__(self, processes: Processes) -> None:
+        super().__init__()
+        self._processes = processes
+        self._player: subprocess.Popen[str] | None = None
+        self.residuals: list[JointState] = []
+        self.node.create_subscription(JointState, "/identifier/residuals", self.residuals.append, STREAM)
+
+    def wait_for(self, condition, what: str, patience_s: float = PATIENCE_S):
+        return super().wait_for(condition, what, patience_s)
+
+    def identifier(self, *parameters: str) -> subprocess.Popen[str]:
+        """The node, ready to listen."""
+        node = self._processes.node("identifier", *parameters)
+        self.wait_for(lambda: "identifier" in self.statuses or node.poll() is not None, "the node")
+        assert node.poll() is None, output(node)
+        return node
+
+    def tell(self, line: str) -> None:
+        """A command to the player, to its end."""
+        if self._player is None:
+            script = str(Path(__file__).with_name("graph_arm.py"))
+            self._player = self._processes.python(script, stdin=subprocess.PIPE, text=True)
+        assert self._player.stdin is not None
+        done = output(self._player).count("ok\n")
+        self._player.stdin.write(line + "\n")
+        self._player.stdin.flush()
+        self.wait_for(lambda: output(self._player).count("ok\n") > done, line)
+
+    def said(self, part: str, words: str) -> Callable[[], bool]:
+        return lambda: part in self.statuses and words in self.statuses[part].message
+
+    def latched_parameters(self) -> dict[str, dict[str, str]]:
+        """What a late subscriber gets."""
+        got: list[DiagnosticArray] = []
+        subscription = self.node.create_subscription(DiagnosticArray, "/identifier/parameters", got.append, LATCHED)
+        self.wait_for(lambda: got, "the latched parameters")
+        self.node.destroy_subscription(subscription)
+        return {status.name: {pair.key: pair.value for pair in status.values} for status in got[-1].status}
+
+
+@pytest.fixture
+def processes(tmp_path) -> Iterator[Processes]:
+    folder = tmp_path / "processes"
+    folder.mkdir()
+    started = Processes(folder)
+    yield started
+    started.end()
+
+
+@pytest.fixture
+def graph(processes) -> Iterator[Graph]:
+    made = Graph(processes)
+    yield made
+    made.close()
+
+
+def children(pid: int) -> list[int]:
+    """Identification workers of a process (its helper that tracks resources is not one)."""
+    workers = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                workers.append(int(child))
+    return workers
+
+
+def gone(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def identify_by_command(processes: Processes, *words: object) -> None:
+    """`spacearm identify` in a process of its own, as the node's worker is."""
+    done = processes.python("-m", "spacearm_ident.cli.main", "identify", *map(str, words), *AS_QUICK, "--quiet")
+    assert done.wait(PATIENCE_S) == 0, output(done)
+
+
+def terms_of(file: Path) -> object:
+    model = load_model(file)
+    return model.model.structure, model.parameters.tolist(), model.constants.tolist(), model.cutoff_hz
+
+
+def test_two_runs_give_parameters_residuals_and_a_result_folder(bags, processes, graph, tmp_path):
+    out, by_command = tmp_path / "live", tmp_path / "offline"
+    node = graph.identifier(f"result_directory:={out}", *QUICK)
+    graph.tell(f"run 1 {bags['first']}")
+    graph.wait_for(lambda: children(node.pid), "the worker")
+    granted, answer = graph.call("/identifier/identify")
+    assert not granted and "under way" in answer
+    graph.wait_for(graph.said("identifier: identification", "of the fit itself"), "the identification")
+    assert graph.values("identifier: identification")["held_out"] == "false"
+    parameters = graph.latched_parameters()
+    graph.tell(f"run 2 {bags['second']}")
+    graph.wait_for(graph.said("identifier: identification", "on other recordings"), "the validation")
+    figures = graph.values("identifier: identification")
+    graph.residuals.clear()
+    graph.tell(f"play {bags['third']}")
+    graph.wait_for(lambda: len(graph.residuals) > 600, "residuals")
+    live = graph.values("identifier: residual")
+    assert graph.latched_parameters() == parameters
+    assert end(node) == 0 and "Traceback" not in output(node)
+
+    identify_by_command(processes, bags["first"], "--validate", bags["second"], "--out", by_command)
+    offline = load_model(by_command / "model.yaml")
+    for items, values in (
+        (offline.model.parameters, offline.parameters),
+        (offline.model.constants, offline.constants),
+    ):
+        assert {item.name: value for item, value in zip(items, values)} == {
+            item.name: float(parameters[item.name]["value"]) for item in items
+        }
+    assert (out / "parameters.csv").read_bytes() == (by_command / "parameters.csv").read_bytes()
+    assert terms_of(out / "model.yaml") == terms_of(by_command / "model.yaml")
+    assert float(parameters["f_c[shoulder]"]["value"]) == pytest.approx(small_arm.COULOMB[0], rel=0.02)
+    assert 0 < float(parameters["f_c[shoulder]"]["standard_error"]) < 0.1
+    assert parameters["f_c[shoulder]"]["unit"] == "N m"
+    names = {path.name for path in out.iterdir()}
+    assert {"excitation.mcap", "validation.mcap", "report.html", "validation.json", "identified.urdf"} <= names
+    assert not [name for name in names if name.startswith(".")]
+    assert read_recording(out / "excitation.mcap").issues == ()
+
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in graph.residuals])
+    assert np.median(np.diff(stamps)) == pytest.approx(0.02, abs=1e-3)
+    residual = np.array([m.effort for m in graph.residuals])
+    assert tuple(graph.residuals[0].name) == small_arm.JOINTS
+    for joint, column in zip(small_arm.JOINTS, residual.T):
+        assert np.sqrt(np.mean(column**2)) < 2.0 * float(figures[f"rmse_Nm[{joint}]"])
+        assert float(figures[f"r[{joint}]"]) > 0.999
+    assert 0.3 < float(live["delay_s"]) < 0.6
+
+
+def test_replay_is_the_command(bags, processes, tmp_path):
+    replay, by_command = tmp_path / "replay", tmp_path / "offline"
+    parameters = (f"replay:={bags['first']}", f"replay_validate:={bags['second']}", "exit_after_replay:=true")
+    node = processes.node("identifier", *parameters, f"result_directory:={replay}", *QUICK)
+    assert node.wait(PATIENCE_S) == 0, output(node)
+    identify_by_command(processes, bags["first"], "--validate", bags["second"], "--out", by_command)
+    assert terms_of(replay / "model.yaml") == terms_of(by_command / "model.yaml")
+    for name in ("parameters.csv", "base_parameters.csv", "validation.json"):
+        assert (replay / name).read_bytes() == (by_command / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "code", "words"),
+    [
+        (("replay:={still}", "exit_after_replay:=true"), 1, "no joint moves"),
+        (("replay:=nowhere.mcap",), 2, "nowhere.mcap: no such file"),
+        (("model:=nowhere.yaml",), 2, "nowhere.yaml"),
+        (("friction:=sticky",), 2, "sticky"),
+        (("gravity:=[0.0, 1.0]",), 2, "three numbers"),
+        (("buffer_s:=-3.0",), 2, "buffer_s"),
+    ],
+)
+def test_what_cannot_work_says_so_and_ends(bags, processes, tmp_path, parameters, code, words):
+    filled = [text.format(still=bags["still"]) for text in parameters]
+    node = processes.node("identifier", *filled, f"result_directory:={tmp_path / 'result'}")
+    assert node.wait(PATIENCE_S) == code, output(node)
+    assert words in output(node) and "Traceback" not in output(node)
+    assert not (tmp_path / "result").exists()
+
+
+def test_requests_that_cannot_be_met_and_a_service_call_that_can(bags, processes, graph, tmp_path):
+    out, by_command = tmp_path / "live", tmp_path / "offline"
+    node = graph.identifier(f"result_directory:={out}", "buffer_s:=5.0", *QUICK)
+    granted, answer = graph.call("/identifier/identify")
+    assert not granted and "no joint states" in answer
+    for text in ("not json", "[]", '{"run": 3}', '{"state": "done", "run": "unknown", "complete": true}'):
+        graph.tell(f"say {text}")
+    graph.tell(f"run broken-off {bags['first']} stopped")
+    assert not children(node.pid)  # a run that was stopped early, or never begun, is not identified
+    granted, answer = graph.call("/identifier/identify")
+    assert granted and "3200 joint states" in answer
+    graph.wait_for(graph.said("identifier: identification", "held out of the fit"), "the identification")
+    for _ in range(2):
+        graph.tell(f"play {bags['first']}")
+    graph.wait_for(lambda: int(graph.values("identifier")["dropped"]) > 0, "a full buffer")
+    assert int(graph.values("identifier")["buffered_messages"]) <= 5000 + 2048
+    assert end(node) == 0 and "Traceback" not in output(node)
+    identify_by_command(processes, bags["first"], "--out", by_command)
+    assert (out / "parameters.csv").read_bytes() == (by_command / "parameters.csv").read_bytes()
+
+
+def test_a_killed_worker_is_reported_and_the_node_goes_on(bags, graph, tmp_path):
+    node = graph.identifier(f"result_directory:={tmp_path / 'live'}", *QUICK)
+    graph.tell(f"run 1 {bags['first']}")
+    os.kill(graph.wait_for(lambda: children(node.pid), "the worker")[0], signal.SIGKILL)
+    graph.wait_for(graph.said("identifier: identification", "killed by SIGKILL"), "the report")
+    assert graph.level("identifier: identification") == 2
+    graph.tell(f"run 2 {bags['second']}")
+    graph.wait_for(graph.said("identifier: identification", "of the fit itself"), "the next run")
+    assert end(node) == 0
+
+
+@pytest.mark.parametrize("last", [signal.SIGINT, signal.SIGKILL])
+def test_nothing_stays_behind_when_the_node_ends_while_identifying(bags, graph, tmp_path, last):
+    out = tmp_path / "live"
+    node = graph.identifier(f"result_directory:={out}")
+    graph.tell(f"run 1 {bags['first']}")
+    worker = graph.wait_for(lambda: children(node.pid), "the worker")[0]
+    graph.wait_for((out / "excitation.mcap").exists, "the worker at work")
+    assert end(node, last) == (0 if last is signal.SIGINT else -last)
+    graph.wait_for(lambda: gone(worker), "the end of the worker")
+    assert {path.name for path in out.iterdir()} == {"excitation.mcap"}
+    assert "Traceback" not in output(node)
+
+
+def test_a_model_file_gives_residuals_and_parameters_at_once(bags, processes, graph, tmp_path):
+    out = tmp_path / "offline"
+    identify_by_command(processes, bags["first"], "--out", out)
+    graph.identifier(f"model:={out / 'model.yaml'}")
+    parameters = graph.latched_parameters()
+    graph.tell(f"play {bags['second']}")
+    graph.wait_for(lambda: len(graph.residuals) > 600, "residuals")
+    model = load_model(out / "model.yaml")
+    for item, value in zip(model.model.parameters, model.parameters):
+        assert float(parameters[item.name]["value"]) == value
+        assert parameters[item.name]["determination"] == "from a model file"
+    assert np.abs([m.effort for m in graph.residuals]).mean() < 0.2

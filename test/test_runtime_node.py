@@ -1,0 +1,128 @@
+"""The life of a node: parameters, services, diagnostics, signals, exit codes; with real processes."""
+
+import signal
+import sys
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from live_nodes import Probe, Processes, output, wait_for
+
+from spacearm_ident.nodes import main as entry
+
+NODE = """
+import sys, time
+from spacearm_ident.errors import UserError
+from spacearm_ident.nodes.runtime import Level, LiveNode, Status, run
+
+class Sample(LiveNode):
+    def __init__(self):
+        super().__init__("sample", "the arm")
+        self.rate = self.parameter("rate", 3.0, "how often, Hz", low=1.0, high=10.0)
+        self.number = self.parameter("number", 3, "how many", low=0)
+        self.names = self.parameter("names", ["a"], "who")
+        self.offer("/sample/go", lambda: "gone")
+        self.offer("/sample/refuse", self.refuse)
+        self.offer("/sample/leave", self.leave)
+        self.offer_switch("/sample/switch", lambda on: f"now {on}")
+        print("ready", flush=True)
+    def refuse(self):
+        raise UserError("not now; come again")
+    def leave(self):
+        self.exit_code = 7
+        return "bye"
+    def diagnose(self):
+        values = {"rate": self.rate, "number": self.number, "names": self.names, "moving": True}
+        return Status(Level.OK, "well", values), Status(Level.WARN, "warm", part="motor")
+    def close(self):
+        print("closing", flush=True)
+        self.publish_diagnostics()
+        time.sleep(0.5)
+        print("closed", flush=True)
+
+sys.exit(run(Sample, sys.argv[1:]))
+"""
+
+
+@pytest.fixture
+def processes(tmp_path):
+    started = Processes(tmp_path)
+    yield started
+    started.end()
+
+
+@pytest.fixture
+def probe():
+    probe = Probe()
+    yield probe
+    probe.close()
+
+
+def sample(processes, *arguments):
+    return processes.python("-c", NODE, *arguments)
+
+
+def ready(process):
+    return wait_for(lambda: "ready" in output(process), "the node is up")
+
+
+def test_services_and_diagnostics(processes, probe):
+    process = sample(processes, "--ros-args", "-p", "rate:=5", "-p", "number:=4")
+    assert probe.call("/sample/go") == (True, "gone")
+    assert probe.call("/sample/refuse") == (False, "not now; come again")
+    assert probe.call("/sample/switch", True) == (True, "now True")
+    probe.wait_for(lambda: probe.statuses.keys() >= {"sample", "sample: motor"}, "diagnostics")
+    assert probe.values("sample") == {"rate": "5", "number": "4", "names": "['a']", "moving": "true"}
+    assert probe.statuses["sample"].hardware_id == "the arm"
+    assert (probe.level("sample"), probe.level("sample: motor")) == (0, 1)
+    assert probe.call("/sample/leave") == (True, "bye")
+    assert process.wait(20) == 7
+    assert output(process).splitlines()[-1] == "closed"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_however_often_it_is_interrupted_it_closes_once_and_says_nothing(processes, number):
+    process = sample(processes)
+    ready(process)
+    for _ in range(3):
+        process.send_signal(number)
+        time.sleep(0.1)
+    assert process.wait(20) == 0
+    assert output(process).splitlines() == ["ready", "closing", "closed"]
+
+
+@pytest.mark.parametrize(
+    ("argument", "said"),
+    [
+        ("rate:=50.0", "out of range Min: 1.0, Max: 10.0, value: 50.0"),
+        ("rate:=.nan", "parameter rate: "),
+        ("rate:=often", "parameter rate: 'often' is not a number"),
+        ("number:=-3", "out of range"),
+        ("number:=1.5", "parameter number: "),
+        ("names:=3", "parameter names: "),
+        ("nonsense", "the --ros-args cannot be used"),
+    ],
+)
+def test_a_bad_parameter_is_one_line_and_exit_code_2(processes, argument, said):
+    process = sample(processes, "--ros-args", "-p", argument)
+    assert process.wait(20) == 2
+    lines = [line for line in output(process).splitlines() if "[rcl]" not in line]  # rcl has its own say
+    assert len(lines) == 1 and said in lines[0]
+
+
+def test_a_node_without_ros_says_what_to_do(processes):
+    code = (
+        "import sys; sys.modules['rclpy'] = None\nfrom spacearm_ident.nodes.main import recorder; sys.exit(recorder())"
+    )
+    process = processes.python("-c", code)
+    assert process.wait(20) == 2
+    assert len(output(process).splitlines()) == 1
+    assert "recorder: the Python package 'rclpy' is missing; source a ROS 2 Jazzy setup file" in output(process)
+
+
+def test_a_node_that_is_not_there_yet_says_so(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["x"])
+    assert entry.start("not_written", []) == 2
+    assert "not_written: this node is not in this version yet" in capsys.readouterr().err

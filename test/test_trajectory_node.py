@@ -1,0 +1,336 @@
+"""The trajectory node against a live graph: what it streams, when it refuses, how it stops."""
+
+import itertools
+import json
+import math
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+import rclpy
+from live_nodes import Probe, Processes, end, output
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from simulated_arm import CONFIG, paper_limits
+
+from spacearm_ident.excitation.trajectory import Rest, Trajectory, random_feasible
+from spacearm_ident.excitation.trajectory_file import save_trajectory
+from spacearm_ident.nodes.runtime import STREAM
+from spacearm_ident.nodes.set_point_stream import SetPointMessage
+from spacearm_ident.recording import cdr
+
+JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
+LIMITS = paper_limits()
+HOME = np.array([0.1, -0.1, 0.05, 0.2, -0.2, 0.1])
+
+
+class Arm:
+    """Drives that follow every set-point at once, and the driver's word on them, in a thread of their own."""
+
+    def __init__(self, probe: Probe, joints=JOINTS):
+        from diagnostic_msgs.msg import DiagnosticArray
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import String
+
+        self.position, self.velocity = HOME.copy(), np.zeros(6)
+        self.joints, self.enabled, self.silent, self.offset = joints, True, False, 0.0
+        self.commands: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self.states: list[dict] = []
+        node = probe.node
+        self._command_node = rclpy.create_node("arm", context=node.context)
+        self._command = self._command_node.create_subscription(JointState, "/joint_command", print, STREAM, raw=True)
+        self._states = node.create_publisher(JointState, "/joint_states", STREAM)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Depth 1 keeps the last state only: fine for who wants to know it, too little for who counts them.
+        every = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(String, "/excitation/state", self._hear, every)
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._work)
+        self._thread.start()
+
+    def _take(self):
+        with self._command.handle:
+            while (taken := self._command.handle.take_message(self._command.msg_type, True)) is not None:
+                self._follow(taken[0])
+
+    def _follow(self, payload):
+        (block,), _ = cdr.decode_joint_states([payload])
+        assert block.names == JOINTS
+        self.commands.append((int(block.stamp_ns[0]), block.position[0], block.velocity[0]))
+        self.position = block.position[0]
+
+    def _hear(self, message):
+        self.states.append(json.loads(message.data))
+
+    def _work(self):
+        for k in itertools.count():
+            if self._ending.wait(0.01):
+                return
+            self._take()
+            if not self.silent:
+                position, velocity = self.position[None] + self.offset, self.velocity[None]
+                self._states.publish(cdr.encode_joint_states([time.time_ns()], self.joints, position, velocity)[0])
+            if k % 10 == 0:
+                self._say()
+
+    def _say(self):
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+        if self.enabled is not None:
+            value = KeyValue(key="operation_enabled", value=str(self.enabled).lower())
+            self._diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(name="canopen_driver", values=[value])]))
+
+    def stamps(self) -> np.ndarray:
+        return np.array([stamp for stamp, _, _ in self.commands])
+
+    def q(self) -> np.ndarray:
+        return np.array([q for _, q, _ in self.commands])
+
+    def seen(self) -> list[str]:
+        """The states, each as often as it came anew."""
+        names = [state["state"] for state in self.states]
+        return [name for k, name in enumerate(names) if k == 0 or names[k - 1] != name]
+
+    def close(self):
+        self._ending.set()
+        self._thread.join()
+        self._command_node.destroy_node()
+
+
+@pytest.fixture
+def processes(tmp_path):
+    started = Processes(tmp_path)
+    yield started
+    started.end()
+
+
+@pytest.fixture
+def probe():
+    probe = Probe()
+    yield probe
+    probe.close()
+
+
+@pytest.fixture
+def arm(probe):
+    arm = Arm(probe)
+    yield arm
+    arm.close()
+
+
+@pytest.fixture(scope="module")
+def series():
+    return random_feasible(JOINTS, LIMITS, seed=3, fundamental_hz=0.5, periods=3, usage=0.8, start=HOME)
+
+
+@pytest.fixture
+def file(series, tmp_path):
+    path = tmp_path / "excitation.yaml"
+    save_trajectory(Trajectory(JOINTS, (series,)), path)
+    return path
+
+
+def node(processes, file, *arguments):
+    return processes.node(
+        "trajectory",
+        f"trajectory_file:={file}",
+        f"arm:={CONFIG / 'paper_arm.yaml'}",
+        "rate_hz:=500",
+        "feedback_timeout_s:=1",
+        *arguments,
+    )
+
+
+def start(probe, arm):
+    """Start as soon as the node has heard of arm and drives."""
+    probe.wait_for(lambda: probe.values("trajectory").get("drives_enabled") == "true", "the node hears the driver")
+    probe.wait_for(lambda: float(probe.values("trajectory")["feedback_age_s"]) < 0.2, "the node hears the arm")
+    success, reply = probe.call("/excitation/start")
+    assert success, reply
+
+
+def check_smooth(arm):
+    """All set-points keep the limits, as the drives see them: differences over stamps."""
+    q, t = arm.q(), (arm.stamps() - arm.stamps()[0]) * 1e-9
+    assert np.all(q <= LIMITS.upper) and np.all(q >= LIMITS.lower)
+    step = np.diff(t)[:, None]
+    assert np.all(step > 0)
+    velocity = np.diff(q, axis=0) / step
+    assert np.all(np.abs(velocity) <= LIMITS.velocity * 1.001)
+    acceleration = np.diff(velocity, axis=0) / ((step[1:] + step[:-1]) / 2)
+    assert np.all(np.abs(acceleration) <= LIMITS.acceleration * 1.05)
+
+
+def done(arm):
+    return arm.states and arm.states[-1]["state"] == "done"
+
+
+def test_a_run_from_where_the_arm_is_and_back(processes, probe, arm, file, series):
+    node(processes, file)
+    start(probe, arm)
+    success, reply = probe.call("/excitation/start")
+    assert not success and reply.startswith("already ")
+    probe.wait_for(lambda: done(arm), "the run ends")
+    assert arm.seen()[-4:] == ["approach", "running", "returning", "done"]
+    assert [s["period"] for s in arm.states if s["state"] == "running"] == [1, 2, 3]
+    last = arm.states[-1]
+    assert last["complete"] is True and last["reason"] == ""
+    check_smooth(arm)
+    q, stamps = arm.q(), arm.stamps()
+    assert np.allclose(q[0], HOME, atol=1e-9) and np.allclose(q[-1], HOME, atol=1e-9)
+    assert last["t1_ns"] - last["t0_ns"] == pytest.approx(series.duration_s * 1e9, abs=2)
+    # Between the stamps announced, the set-points are the excitation itself, at the joints' own phase.
+    inside = (stamps >= last["t0_ns"]) & (stamps < last["t1_ns"])
+    phase = (stamps[inside] - last["t0_ns"]) * 1e-9
+    assert np.allclose(q[inside], series.evaluate(phase).q, atol=1e-6)
+    velocity = np.array([qd for _, _, qd in arm.commands])
+    assert np.allclose(velocity[inside], series.evaluate(phase).qd, atol=1e-6)
+    probe.spin(2.5)  # the hold, and diagnostics after it
+    stamps = arm.stamps()
+    slots = round(np.ptp(stamps) * 500e-9) + 1
+    assert slots - len(stamps) == int(probe.values("trajectory")["missed"])
+
+
+@pytest.mark.parametrize("moment", ["approach", "running", "returning"])
+def test_stopped_smoothly(processes, probe, arm, file, moment):
+    node(processes, file)
+    start(probe, arm)
+    probe.wait_for(lambda: arm.seen()[-1:] == [moment], moment)
+    probe.spin(0.4)
+    assert probe.call("/excitation/stop")[0]
+    probe.wait_for(lambda: done(arm), "it comes to rest")
+    assert arm.seen()[-2:] == ["stopping", "done"]
+    probe.spin(1.5)  # the hold
+    check_smooth(arm)
+    q, last = arm.q(), arm.states[-1]
+    assert np.array_equal(q[-1], q[-200]), "it holds the last set-point"
+    assert last["reason"] == "stopped by /excitation/stop"
+    assert last["complete"] is (moment == "returning")
+    assert last["t0_ns"] <= last["t1_ns"] <= arm.stamps()[-1]
+    assert (last["t0_ns"] == last["t1_ns"]) is (moment == "approach")
+    assert probe.call("/excitation/stop") == (False, "nothing is running")
+    start(probe, arm)  # from where it stands now
+
+
+def break_feedback(arm):
+    arm.silent = True
+
+
+def break_numbers(arm):
+    arm.offset = np.nan
+
+
+def disable(arm):
+    arm.enabled = False
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        (break_feedback, "feedback on /joint_states ceased"),
+        (break_numbers, "feedback on /joint_states is not a number"),
+        (disable, "the drives are no longer enabled"),
+    ],
+)
+def test_an_unsafe_state_stops_the_run_and_says_why(processes, probe, arm, file, fault, reason):
+    node(processes, file)
+    start(probe, arm)
+    probe.wait_for(lambda: arm.seen()[-1:] == ["running"], "running")
+    fault(arm)
+    probe.wait_for(lambda: done(arm), "it comes to rest")
+    assert arm.states[-1]["reason"].startswith(reason)
+    assert arm.states[-1]["complete"] is False
+    check_smooth(arm)
+    probe.wait_for(lambda: reason in probe.statuses["trajectory"].message, "the reason on /diagnostics")
+
+
+def test_interrupted_it_stops_the_arm_before_itself(processes, probe, arm, file):
+    process = node(processes, file)
+    start(probe, arm)
+    probe.wait_for(lambda: arm.seen()[-1:] == ["running"], "running")
+    process.send_signal(signal.SIGINT)
+    probe.wait_for(lambda: process.poll() is not None, "it ends")
+    assert process.returncode == 0 and "Traceback" not in output(process)
+    probe.spin(0.3)
+    check_smooth(arm)
+    assert np.array_equal(arm.q()[-1], arm.q()[-200])
+    assert arm.states[-1]["reason"] == "the trajectory node was ended"
+
+
+def refusal(probe) -> str:
+    success, reply = probe.call("/excitation/start")
+    assert not success
+    return reply
+
+
+def test_refusals_say_why(processes, probe, arm, file, series, tmp_path):
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    arm.silent, arm.enabled = True, None
+    process = node(processes, file)
+    client = probe.node.create_client(SetParameters, "/trajectory/set_parameters")
+    probe.wait_for(client.service_is_ready, "parameters")
+
+    def use(path):
+        wanted = [Parameter("trajectory_file", value=str(path)).to_parameter_msg()]
+        future = client.call_async(SetParameters.Request(parameters=wanted))
+        probe.wait_for(future.done, "the parameter is set")
+
+    assert "no feedback on /joint_states (there is none)" in refusal(probe)
+    arm.silent = False
+    probe.wait_for(lambda: "no feedback" not in refusal(probe), "feedback")
+    assert "not known to be enabled; call /driver/enable first" in refusal(probe)
+    arm.enabled = False
+    probe.wait_for(lambda: "not known" not in refusal(probe), "the driver is heard")
+    assert refusal(probe) == "the drives are not enabled; call /driver/enable first"
+    arm.enabled = True
+    probe.wait_for(lambda: probe.values("trajectory").get("drives_enabled") == "true", "enabled")
+
+    use("")
+    assert refusal(probe).startswith("no trajectory: set the parameter trajectory_file")
+    use(tmp_path / "none.yaml")
+    assert "none.yaml: cannot be read" in refusal(probe)
+    (tmp_path / "bad.yaml").write_text("schema: else\n")
+    use(tmp_path / "bad.yaml")
+    assert "bad.yaml" in refusal(probe)
+    far = HOME.copy()
+    far[2] = LIMITS.upper[2] + 0.2
+    save_trajectory(Trajectory(JOINTS, (Rest(HOME, 1.0), Rest(HOME, 1.0))), tmp_path / "fine.yaml")
+    save_trajectory(Trajectory(JOINTS, (Rest(far, 1.0),)), tmp_path / "far.yaml")
+    use(tmp_path / "far.yaml")
+    assert "within the limits" in refusal(probe)
+    save_trajectory(Trajectory(JOINTS[:5], (Rest(HOME[:5], 1.0),)), tmp_path / "five.yaml")
+    use(tmp_path / "five.yaml")
+    assert "but /joint_states has joint_1, " in refusal(probe)
+    use(tmp_path / "fine.yaml")
+    # A start asked before the new state has arrived would be granted: give it its way there first.
+    arm.velocity = np.full(6, 0.3)
+    probe.spin(0.5)
+    assert "joint_1 moves at 0.300 rad/s" in refusal(probe)
+    arm.velocity = np.full(6, np.nan)
+    probe.spin(0.5)
+    assert "not a number" in refusal(probe)
+    arm.silent = True
+    probe.spin(1.5)
+    assert "no feedback on /joint_states (the last is " in refusal(probe)
+    assert not arm.commands, "nothing was ever streamed"
+    assert end(process) == 0
+
+
+def test_a_bad_arm_file_is_one_line(processes, tmp_path):
+    process = processes.node("trajectory", f"arm:={tmp_path / 'none.yaml'}")
+    assert process.wait(20) == 2
+    assert len(output(process).splitlines()) == 1 and "none.yaml" in output(process)
+
+
+def test_the_patched_message_is_what_the_encoder_writes():
+    message = SetPointMessage(["a", "long_name", "c"])
+    q, qd = np.array([0.1, -2.0, math.pi]), np.array([1e-9, 3.0, -0.5])
+    for stamp in (0, 1_795_262_547_999_999_999):
+        expected = cdr.encode_joint_states([stamp], ["a", "long_name", "c"], q[None], qd[None])[0]
+        assert message.encode(stamp, q, qd) == expected
