@@ -79,7 +79,10 @@ THREE_LINKS = (
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction, rotor and other parameters of one joint; `d_s` > 0 is integrated step by step."""
+    """Friction, rotor and other parameters of one joint; `d_s` > 0 is integrated step by step.
+
+    `odd`: k_v2 qd |qd| instead of k_v2 qd^2.
+    """
 
     f_c: float = 5.0
     f_b: float | None = None
@@ -91,6 +94,8 @@ class Friction:
     J_m: float = 0.5
     mu: float = 0.0
     offset: float = 0.0
+    k_1: float = 0.0
+    odd: bool = False
 
     @property
     def static(self) -> float:
@@ -169,7 +174,8 @@ def friction_torque(velocity: np.ndarray, rate_hz: float, law: Friction, load: n
     sign = np.sign(velocity)
     if law.d_s > 0:
         level, sign = _lagging(level, velocity, rate_hz, law.d_s), _lagging(sign, velocity, rate_hz, law.d_s)
-    viscous = law.k_v1 * velocity + law.k_v2 * velocity**2 + law.k_v3 * velocity**3
+    quadratic = law.k_v2 * velocity * (np.abs(velocity) if law.odd else velocity)
+    viscous = law.k_v1 * velocity + quadratic + law.k_v3 * velocity**3
     return level + law.mu * np.abs(load) * sign + viscous + law.offset
 
 
@@ -198,8 +204,9 @@ def plant(
     torque = rigid.copy()
     values: dict[str, float] = {}
     for k, (link, law) in enumerate(zip(links, friction)):
-        torque[:, k] += law.J_m * qdd[:, k] + friction_torque(qd[:, k], rate_hz, law, rigid[:, k])
-        for symbol in ("f_c", "v_b", "d_s", "k_v1", "k_v2", "k_v3", "J_m", "mu", "offset"):
+        torque[:, k] += law.J_m * qdd[:, k] + law.k_1 * q[:, k]
+        torque[:, k] += friction_torque(qd[:, k], rate_hz, law, rigid[:, k])
+        for symbol in ("f_c", "v_b", "d_s", "k_v1", "k_v2", "k_v3", "J_m", "mu", "offset", "k_1"):
             values[f"{symbol}[{link.name}]"] = getattr(law, symbol)
         values[f"f_b[{link.name}]"] = law.static
         for symbol, value in zip(INERTIALS, model.inertias[k + 1].toDynamicParameters()):
@@ -248,3 +255,17 @@ def trees(draw):
             )
         )
     return tuple(links)
+
+
+def two_link_run(
+    laws: Sequence[Friction],
+    seconds: float = 20.0,
+    rate_hz: float = 500.0,
+    seed: int = 0,
+    periodic: bool = False,
+    speed: float = 0.6,
+) -> Planted:
+    """The planar arm on a motion that repeats every 5 s, or never."""
+    time = np.arange(0.0, seconds, 1.0 / rate_hz)
+    motion = multisine(time, 2, seed, 0.2, 4, speed) if periodic else incommensurate(time, 2, seed, speed)
+    return plant(TWO_LINKS, laws, motion, rate_hz)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..recording.motion import Motion
 from .arm import FloatArray
+from .background import Background
 from .model import TorqueModel
 
 SAMPLES_A_PARAMETER = 6
@@ -80,12 +81,12 @@ def _random_columns(model: TorqueModel, seed: int) -> FloatArray:
     zero = np.zeros(joints)
     torque = np.zeros_like(position)
     motion = Motion(model.arm.joint_names, 1.0, 0.0, position, velocity, acceleration, torque, zero, zero)
-    load = rng.normal(size=position.shape)
+    background = Background.known(rng.normal(size=position.shape))
     whole = np.zeros((joints, samples, count))
     for term, first, _ in model.numbered():
         # The largest value a constant may have, so that its columns are felt at random speeds too.
         largest = [constant.grid[-1] for constant in term.constants]
-        for row, (indices, columns) in term.columns(motion, largest, load).items():
+        for row, (indices, columns) in term.columns(motion, largest, background).items():
             whole[row][:, first + np.array(indices)] = columns
     return whole.reshape(joints * samples, count)
 

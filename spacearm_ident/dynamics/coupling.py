@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..recording.motion import Motion
-from .arm import Arm, Coupling, FloatArray
+from .arm import Arm, Coupling
+from .background import Background
 from .term import Columns, Parameter, Term
 
 
@@ -42,7 +43,7 @@ class CoupledMotor(Term):
             for coupling in arm.couplings
         )
 
-    def columns(self, motion: Motion, constants: Sequence[float], load: FloatArray | None) -> Columns:
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """The motor's three columns in the row of every joint that drives it."""
         assert self.coupling is not None
         ratio = np.zeros(len(motion.joints))

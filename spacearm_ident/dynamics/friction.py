@@ -22,6 +22,7 @@ import numpy as np
 from ..errors import UserError
 from ..recording.motion import Motion
 from .arm import Arm, FloatArray
+from .background import Background
 from .term import Columns, Constant, Parameter, Term, chosen_joints
 
 STRIBECK_GRID = (0.0, *(float(v) for v in np.geomspace(5e-4, 0.4, 13)))
@@ -97,11 +98,16 @@ class StribeckFriction(Term):
         """Whether the load on the gear adds to this joint's friction."""
         return len(self.parameters) == 3
 
+    @property
+    def depends(self) -> bool:
+        """Friction that grows with the load needs the load."""
+        return self.loaded
+
     def plausible(self, parameters: FloatArray, constants: Sequence[float]) -> bool:
         """Friction falls from its static to its Coulomb level; a rise is a blurred reversal, or viscous."""
         return constants[0] == 0.0 or parameters[1] >= parameters[0]
 
-    def columns(self, motion: Motion, constants: Sequence[float], load: FloatArray | None) -> Columns:
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """Columns of f_c, f_b and mu."""
         row = motion.joints.index(self.parameters[0].joint)
         stribeck_velocity, distance = constants
@@ -114,7 +120,7 @@ class StribeckFriction(Term):
         coulomb, static = bristle_state(target, speed / motion.rate_hz, distance, motion.cyclic).T
         columns = [coulomb - static, static]
         if self.loaded:
-            columns.append(np.zeros_like(coulomb) if load is None else coulomb * np.abs(load[:, row]))
+            columns.append(np.zeros_like(coulomb) if background is None else coulomb * np.abs(background.load[:, row]))
         return {row: (list(range(len(columns))), np.stack(columns, axis=1))}
 
 
@@ -148,7 +154,7 @@ class ViscousFriction(Term):
         )
         return (cls(parameters, options=dict(options)),)
 
-    def columns(self, motion: Motion, constants: Sequence[float], load: FloatArray | None) -> Columns:
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """Powers of each joint's own velocity."""
         rows: dict[int, tuple[list[int], list[FloatArray]]] = {}
         for index, parameter in enumerate(self.parameters):

@@ -12,7 +12,9 @@ import numpy as np
 from ..errors import UserError
 from ..recording.motion import Motion
 from .arm import Arm, FloatArray
+from .background import Background
 from .coupling import CoupledMotor
+from .effects import EFFECTS
 from .friction import StribeckFriction, ViscousFriction
 from .rigid_body import JointSpring, RigidBody, RotorInertia, TorqueOffset
 from .term import Constant, Parameter, Term
@@ -27,6 +29,7 @@ CATALOGUE: dict[str, type[Term]] = {
         ViscousFriction,
         CoupledMotor,
         TorqueOffset,
+        *EFFECTS.values(),
     )
 }
 
@@ -122,17 +125,29 @@ class TorqueModel:
         Returns:
             (N, n) N·m.
         """
-        load = None
-        if self.needs_load and (kinds is None or "stribeck_friction" in kinds):
-            load = self.torque(motion, parameters, constants, ("rigid_body",))
+        background = self.background(motion, parameters, constants)
         total = np.zeros_like(motion.position)
         for term, first, first_constant in self.numbered():
             if kinds is not None and term.kind not in kinds:
                 continue
             values = constants[first_constant : first_constant + len(term.constants)]
-            for row, (indices, columns) in term.columns(motion, values, load).items():
+            for row, (indices, columns) in term.columns(motion, values, background).items():
                 total[:, row] += columns @ parameters[first + np.array(indices)]
         return total
+
+    def background(self, motion: Motion, parameters: FloatArray, constants: FloatArray) -> Background:
+        """What terms may need to know of the others along a motion; computed only where one asks."""
+        count = 10 * len(self.arm.joints)
+        first = next((first for term, first, _ in self.numbered() if isinstance(term, RigidBody)), None)
+        inertials = None if first is None else parameters[first : first + count].reshape(-1, 10)
+        healthy = tuple(kind for kind in self.structure if kind not in EFFECTS)
+        return Background(
+            self.arm,
+            inertials,
+            {item.name: float(value) for item, value in zip(self.parameters, parameters)},
+            lambda: self.torque(motion, parameters, constants, (RigidBody.kind,)),
+            lambda: self.torque(motion, parameters, constants, healthy),
+        )
 
     @cached_property
     def friction_kinds(self) -> tuple[str, ...]:
@@ -140,9 +155,9 @@ class TorqueModel:
         return tuple(dict.fromkeys(term.kind for term in self.terms if term.friction))
 
     @property
-    def needs_load(self) -> bool:
-        """Whether a term needs the rigid body's torque."""
-        return any(isinstance(term, StribeckFriction) and term.loaded for term in self.terms)
+    def depends(self) -> bool:
+        """Whether a term needs to know of the others."""
+        return any(term.depends for term in self.terms)
 
 
 @dataclass(frozen=True)

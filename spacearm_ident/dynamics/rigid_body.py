@@ -10,6 +10,7 @@ import numpy as np
 
 from ..recording.motion import Motion
 from .arm import Arm, FloatArray
+from .background import Background
 from .regressor import INERTIAL_SYMBOLS, rigid_body_blocks
 from .term import Columns, Parameter, Term, chosen_joints
 
@@ -42,7 +43,7 @@ class RigidBody(Term):
                 parameters.append(Parameter(symbol, joint.name, unit, float(prior), scale))
         return (cls(tuple(parameters), arm=arm),)
 
-    def columns(self, motion: Motion, constants: Sequence[float], load: FloatArray | None) -> Columns:
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """The joint-torque regressor."""
         assert self.arm is not None
         blocks = rigid_body_blocks(self.arm, motion.position, motion.velocity, motion.acceleration)
@@ -72,7 +73,7 @@ class PerJoint(Term):
         )
         return (cls(parameters, options=dict(options)),)
 
-    def columns(self, motion: Motion, constants: Sequence[float], load: FloatArray | None) -> Columns:
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """Each joint's own signal in its own row."""
         return {
             (row := motion.joints.index(parameter.joint)): ([k], self.signal(motion, row)[:, None])

@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import UserError
 from ..recording.motion import Motion
 from .arm import Arm, FloatArray
+from .background import Background
 
 Columns = dict[int, tuple[list[int], FloatArray]]
 """Joint row -> (indices into the term's parameters, their columns (N, k), N·m per unit of the parameter)."""
@@ -96,18 +97,23 @@ class Term(ABC):
     def build(cls, arm: Arm, options: Mapping[str, Any]) -> tuple[Term, ...]:
         """The terms of this kind for an arm: one, or one a joint where constants are searched joint by joint."""
 
+    @property
+    def depends(self) -> bool:
+        """Whether its columns need the background, what the rest of the model says of a motion."""
+        return False
+
     def plausible(self, parameters: FloatArray, constants: Sequence[float]) -> bool:
         """Whether this term could have these values (in its own order); a search passes over those it could not."""
         return True
 
     @abstractmethod
-    def columns(self, motion: Motion, constants: Sequence[float], load: FloatArray | None) -> Columns:
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """The columns at full rate.
 
         Args:
             motion: N samples of n joints.
             constants: Values in the order of `self.constants`.
-            load: (N, n) torque of the rigid body as last estimated, N·m; None where not yet known.
+            background: What the rest of the model says of this motion as last estimated; None where not yet known.
         """
 
 

@@ -12,6 +12,8 @@ from ..dynamics.model import TorqueModel
 from ..dynamics.term import Constant, Parameter
 from .identified import Determination, Estimate
 from .prior import Prior
+from .regression import Regression
+from .separable import PRESENCE_GATE, Solution, solve_linear
 
 KNOWN_SHARE = 0.25
 """A standard error below this share of the prior's scale means that the data, not the prior, decided."""
@@ -29,6 +31,7 @@ def judge(
     covariance: FloatArray,
     grids: Sequence[FloatArray],
     at_rest: tuple[str, ...] = (),
+    open_ended: frozenset[str] = frozenset(),
 ) -> tuple[Estimate, ...]:
     """An `Estimate` for every parameter and constant of a model, in its order.
 
@@ -41,11 +44,12 @@ def judge(
         covariance: (p + c, p + c).
         grids: Values that each constant was searched over.
         at_rest: Joints that never moved.
+        open_ended: Names of the constants that `open_ended` found.
     """
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     count = len(parameters)
     constant_estimates = tuple(
-        _constant(constant, float(value), float(error), grid, constant.joint in at_rest)
+        _constant(constant, float(value), float(error), grid, constant.joint in at_rest, constant.name in open_ended)
         for constant, value, error, grid in zip(model.constants, constants, errors[count:], grids)
     )
     unseen_constants = {
@@ -89,7 +93,29 @@ def _at_bound(parameter: Parameter, value: float, scale: float) -> bool:
     return value - parameter.lower <= close or parameter.upper - value <= close
 
 
-def _constant(constant: Constant, value: float, error: float, grid: FloatArray, at_rest: bool) -> Estimate:
+def open_ended(regression: Regression, prior: Prior, solution: Solution) -> frozenset[str]:
+    """Names of the constants that the data do not tell from an end of their range.
+
+    A standard error is a slope, and says little of a constant whose effect fades: of a Stribeck velocity near the
+    slowest speed that is resolved, only the area of its peak is seen, and any smaller one with a higher peak fits as
+    well. So the profile decides: with everything else fitted again, either end must cost `PRESENCE_GATE` squares
+    (profile likelihood; Raue et al. 2009).
+    """
+    found = set()
+    for k, (constant, grid) in enumerate(zip(regression.model.constants, regression.grids)):
+        if solution.constants[k] <= 0.0:
+            continue
+        for end in (grid[grid > 0][0], grid[-1]):
+            trial = solution.constants.copy()
+            trial[k] = end
+            if solve_linear(regression, prior, trial)[1] - solution.cost < PRESENCE_GATE:
+                found.add(constant.name)
+    return frozenset(found)
+
+
+def _constant(
+    constant: Constant, value: float, error: float, grid: FloatArray, at_rest: bool, unbounded: bool
+) -> Estimate:
     """A constant on the edge of its grid, or of which the data hardly notice a change, is not seen."""
 
     def estimate(standard_error: float, determination: Determination, note: str) -> Estimate:
@@ -109,6 +135,8 @@ def _constant(constant: Constant, value: float, error: float, grid: FloatArray, 
     if value <= positive[0] * 1.0001 or value >= positive[-1] / 1.0001:
         edge = "lower" if value <= positive[0] * 1.0001 else "upper"
         return estimate(nan, Determination.BOUND, f"at the {edge} end of its range: the data cannot see it")
+    if unbounded:
+        return estimate(nan, Determination.BOUND, "the data do not tell it from an end of its range")
     if error > KNOWN_LOGARITHM * value or error == 0.0:
         return estimate(error or nan, Determination.PRIOR, "this motion hardly reveals it")
     return estimate(error, Determination.DATA, "")

@@ -20,7 +20,7 @@ from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare, require_joints
 from .consistency import make_consistent
-from .determination import judge
+from .determination import judge, open_ended
 from .identified import Choice, Identified
 from .prior import Prior, make_prior
 from .regression import Regression
@@ -179,7 +179,8 @@ def _conclude(fit: _Fit, provenance: Mapping[str, Any], choices: tuple[Choice, .
         for k, joint in enumerate(model.arm.joint_names)
         if not any(motion.moving[:, k].any() for motion in regression.motions)
     )
-    estimates = judge(model, prior, base, consistent, solution.constants, spread, regression.grids, at_rest)
+    unseen = open_ended(regression, prior, solution)
+    estimates = judge(model, prior, base, consistent, solution.constants, spread, regression.grids, at_rest, unseen)
     identified_model = IdentifiedModel(model, consistent, solution.constants, bandwidth.cutoff_hz, dict(provenance))
     return Identified(
         model=identified_model,

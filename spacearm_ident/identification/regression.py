@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.background import Background
 from ..dynamics.model import TorqueModel
 from ..dynamics.term import Term
 from ..recording.motion import Motion
@@ -72,7 +73,7 @@ class Regression:
         """
         self.model = model
         self.motions = list(motions)
-        self.load: list[FloatArray | None] = [None] * len(self.motions)
+        self.background: list[Background | None] = [None] * len(self.motions)
         self._terms = list(model.numbered())
         self._kept: dict[int, tuple[tuple[float, ...], Shaped]] = {}
         self.rows = [self._rows(joint) for joint in range(len(model.arm.joints))]
@@ -101,7 +102,7 @@ class Regression:
 
     def _fill_fixed(self, known: list[tuple[Term, Shaped]]) -> None:
         for term, first, _ in self._terms:
-            if term.constants:
+            if term.constants or term.depends:
                 continue
             fixed = next((columns for other, columns in known if other == term), None) or self._fixed_columns(term)
             self._fixed.append((term, fixed))
@@ -135,7 +136,9 @@ class Regression:
 
     def _shaped(self, term_number: int, constants: tuple[float, ...]) -> Shaped:
         term, first, _ = self._terms[term_number]
-        per_motion = [term.columns(motion, constants, load) for motion, load in zip(self.motions, self.load)]
+        per_motion = [
+            term.columns(motion, constants, background) for motion, background in zip(self.motions, self.background)
+        ]
         return {
             joint: (
                 [first + index for index in per_motion[0][joint][0]],
@@ -165,11 +168,11 @@ class Regression:
         return grids
 
     def shaped_terms(self) -> list[tuple[int, int, int]]:
-        """(term number, first constant, number of constants) of the terms with constants."""
+        """(term number, first constant, number of constants) of the terms whose columns change with a solution."""
         return [
             (number, first, len(term.constants))
             for number, (term, _, first) in enumerate(self._terms)
-            if term.constants
+            if term.constants or term.depends
         ]
 
     def derivatives(
@@ -184,11 +187,11 @@ class Regression:
             for joint, (indices, columns) in here.items()
         }
 
-    def update_load(self, parameters: FloatArray, constants: FloatArray) -> None:
-        """Take the rigid body's torque under `parameters` as the load on the gears."""
-        if self.model.needs_load:
+    def update_background(self, parameters: FloatArray, constants: FloatArray) -> None:
+        """Take what the model says under `parameters` for what terms need to know of the others."""
+        if self.model.depends:
             self._kept.clear()
-            self.load = [self.model.torque(motion, parameters, constants, ("rigid_body",)) for motion in self.motions]
+            self.background = [self.model.background(motion, parameters, constants) for motion in self.motions]
 
     def compress(
         self, joint: int, extra_indices: Sequence[int], extra: FloatArray, width: int

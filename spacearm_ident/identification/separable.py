@@ -179,8 +179,8 @@ def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray)
     constants = start.copy()
     lower, upper = _bounds(regression)
     regression_parameters, cost = solve_linear(regression, prior, constants)
-    if regression.model.needs_load:
-        regression.update_load(regression_parameters, constants)
+    if regression.model.depends:
+        regression.update_background(regression_parameters, constants)
         regression_parameters, cost = solve_linear(regression, prior, constants)
     damping, status, steps = 1e-3, "iteration limit", 0
     while steps < ITERATIONS:

@@ -135,6 +135,6 @@ def _everything(regression: Regression, solution: Solution) -> tuple[TorqueModel
         rows.set_weight(known.weight)
     by_name = {parameter.name: value for parameter, value in zip(fitted.parameters, solution.parameters)}
     start = np.array([by_name.get(parameter.name, 0.0) for parameter in model.parameters])
-    full.update_load(start, solution.constants)
+    full.update_background(start, solution.constants)
     matrix, vector = system(full, make_prior(model, regression.motions), solution.constants)
     return model, matrix, vector

@@ -4,6 +4,7 @@ For weighted least squares with rows A, weights W and a Gaussian prior P,
     cov = H^-1 (S + P) H^-1,  H = A' W A + P,  S = A' W^(1/2) Omega W^(1/2) A,
 with Omega the autocovariance of the weighted residual, estimated per joint and motion; what of it is more than the
 low-pass makes of white noise is tapered (Newey and West 1987). White residuals of the assumed size give back H^-1.
+To this comes what parameters that are held fixed may hide (`held.py`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from ..dynamics.arm import FloatArray
+from .held import hidden_shifts
 from .prior import Prior
 from .regression import Regression
 from .weights import autocovariance
@@ -47,8 +49,8 @@ def covariance(
     hessian = np.zeros((width, width))
     hessian[: prior.rows.shape[1], : prior.rows.shape[1]] = prior.rows.T @ prior.rows
     score = hessian.copy()
-    for number, block in zip(numbers, weighted):
-        hessian[np.ix_(number, number)] += block.T @ block
+    for unknowns, block in zip(numbers, weighted):
+        hessian[np.ix_(unknowns, unknowns)] += block.T @ block
     inverse = _inverse(hessian)
     for joint, rows in enumerate(regression.rows):
         index = np.ix_(numbers[joint], numbers[joint])
@@ -62,7 +64,8 @@ def covariance(
             residual = residuals[joint][mine] * rows.weight[mine] * trust
             kernel = _kernel(residual, rows.place[mine], motion.white_correlation, correlation[joint][number])
             score[index] += freedom * _score(weighted[joint][mine] / trust[:, None], rows.place[mine], kernel)
-    return np.asarray(inverse @ score @ inverse)
+    shifts = hidden_shifts(regression, inverse, weighted, numbers, residuals)
+    return np.asarray(inverse @ score @ inverse + shifts.T @ shifts)
 
 
 def _inverse(hessian: FloatArray) -> FloatArray:

@@ -123,7 +123,7 @@ class Motion:
         """(M,) time of the regression's rows, seconds from the start of the recording."""
         full = self.start_s + np.arange(len(self.position)) / self.rate_hz
         blocks = len(full) // self.block
-        return full[: blocks * self.block].reshape(blocks, self.block).mean(axis=1)[self._rows]
+        return np.asarray(full[: blocks * self.block].reshape(blocks, self.block).mean(axis=1)[self._rows])
 
     @cached_property
     def torque_rows(self) -> FloatArray:

@@ -181,7 +181,7 @@ def fold(signal: FloatArray, period: Period) -> FloatArray:
             return signal[period.start : stop].reshape(period.count, length, *signal.shape[1:])
     phase = period.start + period.samples * (np.arange(period.count * length) / length)
     spline = make_interp_spline(np.arange(len(signal)), signal, k=3)
-    return spline(np.minimum(phase, len(signal) - 1)).reshape(period.count, length, *signal.shape[1:])
+    return np.asarray(spline(np.minimum(phase, len(signal) - 1)).reshape(period.count, length, *signal.shape[1:]))
 
 
 def project(folded: FloatArray, rate_hz: float, cutoff_hz: float) -> tuple[FloatArray, FloatArray, FloatArray, float]:

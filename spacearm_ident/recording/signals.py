@@ -68,7 +68,7 @@ def require_joints(recording: Recording, joints: Sequence[str]) -> None:
 
 
 def prepare(
-    recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float | None = None
+    recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float | None = None, average: bool = True
 ) -> tuple[list[Motion], Bandwidth]:
     """Make recordings ready for regression, all at one bandwidth.
 
@@ -76,6 +76,7 @@ def prepare(
         recordings: One or more runs of the same arm.
         joints: The arm's joints, in its order.
         cutoff_hz: Low-pass cut-off; chosen from the data where None, wider for the averaged periods than for the rest.
+        average: Whether periods are averaged where there are any.
 
     Returns:
         The motions (periodic stretches averaged, the rest filtered) and the bandwidth with its reason.
@@ -96,7 +97,13 @@ def prepare(
     bandwidth = _bandwidth([stretch for _, stretch in stretches], cutoff_hz)
     asked = cutoff_hz is not None
     motions = [
-        motion for number, stretch in stretches for motion in _motions(stretch, joints, bandwidth, asked, number)
+        motion
+        for number, stretch in stretches
+        for motion in (
+            _motions(stretch, joints, bandwidth, asked, number)
+            if average
+            else _filtered(stretch, joints, bandwidth, number)
+        )
     ]
     if not motions:
         raise UnfitDataError(
@@ -247,7 +254,7 @@ def _averaged(
 
 def _speed_noise(position_noise: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:
     """(n,) six standard deviations of the velocity that white position noise leaves below the cut-off."""
-    return 6 * 2 * np.pi * position_noise * np.sqrt(2 / rate_hz * cutoff_hz**3 / 3) + 1e-9
+    return np.asarray(6 * 2 * np.pi * position_noise * np.sqrt(2 / rate_hz * cutoff_hz**3 / 3) + 1e-9)
 
 
 def _blur(acceleration: FloatArray, cutoff_hz: float) -> FloatArray:

@@ -1,0 +1,54 @@
+"""`Background`: what the rest of a model says of a motion, for the terms that depend on it.
+
+Friction that grows with the load, an elastic gear, a delay act on the torque that the rest of the model causes. They
+take it from the model, never from the measurement, whose noise would be in the columns then (errors in variables).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from .arm import Arm, FloatArray
+
+
+@dataclass(frozen=True)
+class Background:
+    """Torques of a model along one motion, each computed when first asked for.
+
+    Attributes:
+        arm: Whose it is.
+        inertials: (n, 10) inertial parameters of the links in Pinocchio's order.
+        values: Parameters and constants of the model by name, such as `k_v1[joint_1]`.
+        kept: Results of further computations on this motion, by what they are of.
+    """
+
+    arm: Arm | None
+    inertials: FloatArray | None
+    values: Mapping[str, float]
+    _load: Callable[[], FloatArray]
+    _torque: Callable[[], FloatArray]
+    kept: dict[object, Any] = field(default_factory=dict)
+
+    @classmethod
+    def known(cls, load: FloatArray) -> Background:
+        """One of which only the load (N, n) is known, N·m."""
+        return cls(None, None, {}, lambda: load, lambda: load)
+
+    @cached_property
+    def load(self) -> FloatArray:
+        """(N, n) torque of the rigid bodies, the load on the gears, N·m."""
+        return self._load()
+
+    @cached_property
+    def torque(self) -> FloatArray:
+        """(N, n) torque of the whole model without its effects, N·m."""
+        return self._torque()
+
+    def keep(self, what: object, compute: Callable[[], Any]) -> Any:
+        """The result of a computation on this motion, done once."""
+        if what not in self.kept:
+            self.kept[what] = compute()
+        return self.kept[what]

@@ -1,0 +1,57 @@
+"""Effects: physics that a model may have left out, each a term in one place. `EFFECTS` is the catalogue."""
+
+from __future__ import annotations
+
+from .body import BaseTilt, ExternalContact, FloatingBase, LinkMass, Payload
+from .compliance import Backlash, BaseFlexibility, JointElasticity, LinkFlexibility
+from .coupling import RotorCoupling, WristCoupling
+from .drive import CurrentOffset, FilterLag, MotorSaturation, TimeDelay, TorqueConstant
+from .effect import Effect
+from .friction import (
+    AsymmetricFriction,
+    FrictionDrift,
+    GearEfficiency,
+    LoadFriction,
+    PositionFriction,
+    PreslidingHysteresis,
+    Stribeck,
+    TemperatureFriction,
+    VacuumFriction,
+)
+from .position import EncoderEccentricity, HarnessSpring, TorqueRipple
+
+EFFECTS: dict[str, type[Effect]] = {
+    effect.kind: effect
+    for effect in (
+        Payload,
+        LinkMass,
+        FrictionDrift,
+        TemperatureFriction,
+        LoadFriction,
+        GearEfficiency,
+        PreslidingHysteresis,
+        PositionFriction,
+        AsymmetricFriction,
+        Stribeck,
+        VacuumFriction,
+        TorqueRipple,
+        JointElasticity,
+        Backlash,
+        HarnessSpring,
+        RotorCoupling,
+        WristCoupling,
+        BaseTilt,
+        FloatingBase,
+        LinkFlexibility,
+        BaseFlexibility,
+        ExternalContact,
+        TorqueConstant,
+        MotorSaturation,
+        CurrentOffset,
+        EncoderEccentricity,
+        TimeDelay,
+        FilterLag,
+    )
+}
+
+__all__ = ["EFFECTS", "Effect"]

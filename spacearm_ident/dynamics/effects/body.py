@@ -1,0 +1,293 @@
+"""What the arm carries, stands on or touches: payload, tilt, a floating base, a contact."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from ...recording.motion import Motion
+from ..arm import Arm, FloatArray, Joint
+from ..background import Background
+from ..regressor import rigid_body_blocks
+from ..term import Columns, Constant, Parameter
+from .effect import Effect, Options, Shown, each, known_joint, nothing
+from .linearised import COARSE_HZ, _interpolate, rigid_torque
+
+MASS = ("m", "mcx", "mcy", "mcz")
+
+
+@dataclass(frozen=True)
+class _AddedMass(Effect):
+    """A body fixed to a link: mass and first moment, and its inertia in the fuller form."""
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """On the link of one joint."""
+        joint = known_joint(arm, place)
+        units = {"m": "kg", "mcx": "kg m", "mcy": "kg m", "mcz": "kg m"}
+        scales = {"m": 2.0, "mcx": 0.5, "mcy": 0.5, "mcz": 0.5}
+        parameters = [Parameter(f"d{s}", joint, units[s], scale=scales[s]) for s in MASS]
+        if place.get("inertia"):
+            parameters += [Parameter(f"dI{axis}{axis}", joint, "kg m^2", scale=0.2) for axis in "xyz"]
+        return cls(tuple(parameters), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """The regressor's columns of that link."""
+        rows = range(len(motion.joints))
+        if background is None or background.arm is None:
+            return nothing(motion, rows, len(self.parameters))
+        arm, link = background.arm, motion.joints.index(self.place["joint"])
+        blocks = background.keep(
+            "blocks", lambda: rigid_body_blocks(arm, motion.position, motion.velocity, motion.acceleration)
+        )
+        which = [0, 1, 2, 3, 4, 6, 9][: len(self.parameters)]
+        return each({row: blocks[row, link][which].T for row in rows if (row, link) in blocks})
+
+    def shown(self, values: FloatArray) -> Shown:
+        """Mass, and where it is."""
+        mass = float(values[0])
+        known = {"mass": (mass, "kg")}
+        for symbol, moment in zip(("x", "y", "z"), values[1:4]):
+            known[f"moment_{symbol}"] = (float(moment), "kg m")
+        return known
+
+
+@dataclass(frozen=True)
+class Payload(_AddedMass):
+    """Something hangs on the last link."""
+
+    kind: ClassVar[str] = "payload"
+    words: ClassVar[str] = "an unknown payload at the flange"
+    equation: ClassVar[str] = "Y_n [m, m c]"
+    source: ClassVar[str] = "Khalil, Gautier and Lemoine 2007"
+    confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "base_tilt", "link_mass")
+    experiment: ClassVar[str] = "the same motion with the gripper turned by a right angle"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """On the last link; as a point, or with inertia of its own."""
+        yield {"joint": arm.joint_names[-1]}
+        yield {"joint": arm.joint_names[-1], "inertia": True}
+
+
+@dataclass(frozen=True)
+class LinkMass(_AddedMass):
+    """A link is heavier or lighter than it was."""
+
+    kind: ClassVar[str] = "link_mass"
+    words: ClassVar[str] = "the mass of a link changed"
+    equation: ClassVar[str] = "Y_k [m, m c]"
+    source: ClassVar[str] = "paper eq. 4"
+    confused_with: ClassVar[tuple[str, ...]] = ("payload", "torque_constant", "base_tilt", "harness_spring")
+    experiment: ClassVar[str] = "the same motion with the joints beyond folded the other way"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Every link but the last."""
+        for joint in arm.joint_names[:-1]:
+            yield {"joint": joint}
+
+
+@dataclass(frozen=True)
+class BaseTilt(Effect):
+    """Gravity does not come from where the model has it."""
+
+    kind: ClassVar[str] = "base_tilt"
+    words: ClassVar[str] = "the base is tilted"
+    equation: ClassVar[str] = "G(q; tilt x g)"
+    source: ClassVar[str] = "gravity as a prior, paper §2.2.2"
+    confused_with: ClassVar[tuple[str, ...]] = ("payload", "current_offset", "harness_spring")
+    experiment: ClassVar[str] = "a level on the base; or the same motion with joint 1 turned by a right angle"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """One, where there is gravity."""
+        if np.any(arm.gravity):
+            yield {}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """Of the base."""
+        return cls(
+            tuple(Parameter(s, "base", "rad", scale=0.1, lower=-0.4, upper=0.4) for s in ("tilt_x", "tilt_y")),
+            place=place,
+        )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """None: it is the base."""
+        return ()
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Static torque under gravity turned a little about x and y."""
+        rows = range(len(motion.joints))
+        if background is None or background.arm is None or background.inertials is None:
+            return nothing(motion, rows, 2)
+        arm, inertials = background.arm, background.inertials
+
+        def compute() -> FloatArray:
+            # Turning the base by t turns gravity, seen from the base, by -t.
+            fields = [np.cross(arm.gravity, axis) for axis in np.eye(3)[:2]]
+            return np.stack([rigid_torque(arm.with_gravity(g), inertials, motion.position) for g in fields], axis=2)
+
+        columns = background.keep("tilt", compute)
+        return each({row: columns[:, row] for row in rows})
+
+    def shown(self, values: FloatArray) -> Shown:
+        """Both angles and their size."""
+        return {
+            "tilt": (float(np.hypot(*values[:2])), "rad"),
+            "tilt_x": (float(values[0]), "rad"),
+            "tilt_y": (float(values[1]), "rad"),
+        }
+
+
+@dataclass(frozen=True)
+class FloatingBase(Effect):
+    """The base is free and moves as the arm does: momentum stays zero."""
+
+    kind: ClassVar[str] = "floating_base"
+    words: ClassVar[str] = "the base floats and reacts"
+    equation: ClassVar[str] = "-M_mb M_bb^-1 (M_bm qdd + c_b)"
+    source: ClassVar[str] = "Umetani and Yoshida 1989"
+    confused_with: ClassVar[tuple[str, ...]] = ("base_flexibility", "joint_elasticity", "payload")
+    experiment: ClassVar[str] = "record /base_imu; move joint 1 alone, then joint 2 alone"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """One."""
+        yield {}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """Of the base."""
+        share = Parameter("share", "base", "1", prior=1.0, scale=0.0)
+        total = max(sum(joint.inertial[0] for joint in arm.joints), 1.0)
+        mass = tuple(float(total * ratio) for ratio in (2, 3, 5, 8, 13, 22, 36, 60))
+        radius = (0.15, 0.25, 0.4, 0.6, 0.9)
+        return cls(
+            (share,), (Constant("mass", "base", "kg", mass), Constant("radius", "base", "m", radius)), place=place
+        )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """None: it is the base."""
+        return ()
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """What the rows of all joints differ by."""
+        rows = range(len(motion.joints))
+        if background is None or background.arm is None or background.inertials is None:
+            return nothing(motion, rows, 1)
+        arm, inertials = background.arm, background.inertials
+        free = background.keep("free", lambda: _FreeBase(arm, inertials, motion))
+        torque = free.change(*constants)
+        return each({row: torque[:, [row]] for row in rows})
+
+
+class _FreeBase:
+    """The arm on six virtual joints: inertia and momentum on a coarse grid."""
+
+    def __init__(self, arm: Arm, inertials: FloatArray, motion: Motion) -> None:
+        self.motion = motion
+        self.step = max(1, int(motion.rate_hz / COARSE_HZ))
+        some, zero = slice(None, None, self.step), np.zeros(10)
+        axes = np.eye(3)
+        virtual = [Joint(f"base_{k}", k - 1, k >= 3, axes[k % 3], np.eye(3), np.zeros(3), zero) for k in range(6)]
+        moved = [replace(joint, parent=joint.parent + 6) for joint in arm.joints]
+        self.arm = replace(arm, joints=(*virtual, *moved), couplings=(), gravity=np.zeros(3))
+        self.inertials = np.concatenate([np.zeros((6, 10)), inertials])
+        count = 6 + len(arm.joints)
+        self.q = np.zeros((len(motion.position[some]), count))
+        self.qd, self.qdd = np.zeros_like(self.q), np.zeros_like(self.q)
+        self.q[:, 6:], self.qd[:, 6:] = motion.position[some], motion.velocity[some]
+        self.qdd[:, 6:] = motion.acceleration[some]
+        # (N, 6, count) rows of the base in the inertia matrix: symmetric, so columns will do.
+        self.rows = np.stack([self._column(k) for k in range(6)], axis=1)
+        self.fixed = self._torque(self.qd)
+
+    def _column(self, axis: int) -> FloatArray:
+        unit = np.zeros_like(self.q)
+        unit[:, axis] = 1.0
+        return rigid_torque(self.arm, self.inertials, self.q, None, unit)
+
+    def _torque(self, velocity: FloatArray) -> FloatArray:
+        return rigid_torque(self.arm, self.inertials, self.q, velocity, self.qdd)
+
+    def change(self, mass: float, radius: float) -> FloatArray:
+        """(N, n) torque of the free arm less that of the fixed one, N·m."""
+        own = np.diag([mass] * 3 + [mass * radius**2] * 3)
+        inertia = self.rows[:, :, :6] + own
+        momentum = np.einsum("nij,nj->ni", self.rows[:, :, 6:], self.qd[:, 6:])
+        velocity = self.qd.copy()
+        velocity[:, :6] = -np.linalg.solve(inertia, momentum[..., None])[..., 0]
+        torque = self._torque(velocity)
+        base = -np.linalg.solve(inertia, torque[:, :6, None])[..., 0]
+        free = torque[:, 6:] + np.einsum("nij,ni->nj", self.rows[:, :, 6:], base)
+        return _interpolate(free - self.fixed[:, 6:], np.arange(len(self.motion.position)) / self.step)
+
+
+@dataclass(frozen=True)
+class ExternalContact(Effect):
+    """Something pushed the flange for a while."""
+
+    kind: ClassVar[str] = "external_contact"
+    words: ClassVar[str] = "something touched the arm for a while"
+    equation: ClassVar[str] = "J^T F between t_0 and t_1"
+    source: ClassVar[str] = "De Luca and Mattone 2005"
+    confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
+    experiment: ClassVar[str] = "the same motion again: a contact does not come back at the same place by itself"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """On the flange."""
+        yield {}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """On the last link's frame; the window is searched."""
+        parameters = tuple(Parameter(f"force_{axis}", "flange", "N", scale=50.0) for axis in "xyz")
+        start = Constant("start", "flange", "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
+        length = Constant("length", "flange", "s", (0.75, 1.5, 3.0, 5.0))
+        return cls(parameters, (start, length), place=place)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """None: it is the flange."""
+        return ()
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Torque that holds against a force on the flange along each base axis, within the window."""
+        rows = range(len(motion.joints))
+        if background is None or background.arm is None:
+            return nothing(motion, rows, 3)
+        arm, count = background.arm, len(motion.joints)
+
+        def compute() -> FloatArray:
+            # A force F on a point is what gravity -F does to a unit mass there, as torque that must be held.
+            unit = np.zeros((count, 10))
+            unit[-1, 0] = 1.0
+            return np.stack(
+                [rigid_torque(arm.with_gravity(-axis), unit, motion.position) for axis in np.eye(3)], axis=2
+            )
+
+        jacobian = background.keep("flange", compute)
+        time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
+        inside = (time >= constants[0]) & (time < constants[0] + constants[1])
+        return each({row: -jacobian[:, row] * inside[:, None] for row in rows})
+
+    def shown(self, values: FloatArray) -> Shown:
+        """Force and window."""
+        return {
+            "force": (float(np.linalg.norm(values[:3])), "N"),
+            **{f"force_{axis}": (float(f), "N") for axis, f in zip("xyz", values)},
+            "start": (float(values[3]), "s"),
+            "length": (float(values[4]), "s"),
+        }
+
+    def where(self, values: FloatArray) -> str:
+        """Its window."""
+        return f"from {values[3]:.1f} s for {values[4]:.1f} s, {np.linalg.norm(values[:3]):.1f} N at the flange"

@@ -1,0 +1,239 @@
+"""What gives way between motor and link: elastic gears, backlash, flexible links, a soft base.
+
+The motor's encoder says q; the link is at q - d, because the gear (or the link, or the base) has given way by d under
+the torque it carries. d follows from the link side alone, driven by the rigid arm's load along the recording:
+
+    M d'' + c d' + s(d) + G d = load,     s(d) = K d, or K times what exceeds the gap.
+
+Recorded torque then differs from the rigid model's by -(M[:, a] d'' + G[:, a] d) (Spong 1987, linearised about the
+recorded motion).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ...recording.motion import Motion
+from ..arm import Arm, FloatArray
+from ..background import Background
+from ..term import Columns, Constant, Parameter
+from .effect import Effect, Options, each, known_joint, nothing
+from .linearised import COARSE_HZ, Sensitivity, by_position, by_virtual_joint
+
+DAMPING_RATIO = 0.05
+CONTACT_HZ = 30.0
+"""Gear teeth in contact are as stiff as makes the link swing at this frequency: above what is looked at."""
+CONTACT_DAMPING = 0.3
+STIFFNESS_GRID = tuple(float(k) for k in np.geomspace(400.0, 120e3, 20))
+GAP_GRID = tuple(float(b) for b in np.geomspace(5e-4, 0.03, 10))
+
+
+@dataclass(frozen=True)
+class _Compliance(Effect):
+    """Something gives way by d(t)."""
+
+    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
+        """About the axis that gives way."""
+        raise NotImplementedError
+
+    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
+        """(N,) d and d'' for a value of the constant."""
+        raise NotImplementedError
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """What the rows of all joints differ by."""
+        if background is None or background.arm is None:
+            return nothing(motion, range(len(motion.joints)), 1)
+        sensitivity = self.sensitivity(motion, background)
+        give, acceleration = self.give(sensitivity, constants[0])
+        torque = -sensitivity.torque(give, acceleration)
+        return each({row: torque[:, [row]] for row in range(torque.shape[1])})
+
+
+def spring(sensitivity: Sensitivity, stiffness: float) -> tuple[FloatArray, FloatArray]:
+    """D (N,) rad and d'' of a link on a spring, by the average-acceleration method of Newmark 1959 (always stable)."""
+    step = max(1, int(sensitivity.rate_hz / COARSE_HZ))
+    inertia = np.maximum(sensitivity.own_inertia[::step], 1e-6)
+    gravity, load = sensitivity.own_gravity[::step], sensitivity.load[::step]
+    h = step / sensitivity.rate_hz
+    rate = stiffness + gravity
+    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * inertia)
+    divisor = inertia + 0.5 * h * damping + 0.25 * h**2 * rate
+    d, v, a = load[0] / rate[0], 0.0, 0.0
+    give, acceleration = np.empty_like(load), np.empty_like(load)
+    columns = zip(load.tolist(), rate.tolist(), damping.tolist(), divisor.tolist())
+    for k, (force, stiff, damp, divide) in enumerate(columns):
+        guess_d, guess_v = d + h * v + 0.25 * h * h * a, v + 0.5 * h * a
+        a = (force - damp * guess_v - stiff * guess_d) / divide
+        d, v = guess_d + 0.25 * h * h * a, guess_v + 0.5 * h * a
+        give[k], acceleration[k] = d, a
+    return _finer(give, acceleration, step, len(sensitivity.load))
+
+
+def gap(sensitivity: Sensitivity, width: float) -> tuple[FloatArray, FloatArray]:
+    """D (N,) rad and d'' of a link that hangs between two stops `width` apart."""
+    inertia = np.maximum(sensitivity.own_inertia, 1e-6)
+    natural = 2 * np.pi * CONTACT_HZ
+    stiffness, damping = natural**2 * inertia, 2 * CONTACT_DAMPING * natural * inertia
+    h, half = 1 / sensitivity.rate_hz, 0.5 * width
+    first = float(sensitivity.load[0] / stiffness[0])
+    d, v = first + np.copysign(half, first), 0.0
+    give, acceleration = np.empty_like(inertia), np.empty_like(inertia)
+    columns = zip(sensitivity.load.tolist(), inertia.tolist(), stiffness.tolist(), damping.tolist())
+    for k, (force, mass, stiff, damp) in enumerate(columns):
+        beyond = d - half if d > half else d + half if d < -half else 0.0
+        torque = stiff * beyond + damp * v if beyond else 0.0
+        # A tooth pushes, it does not pull.
+        torque = torque if torque * beyond > 0 else 0.0
+        a = (force - torque) / mass
+        v += h * a
+        d += h * v
+        give[k], acceleration[k] = d, a
+    return give, acceleration
+
+
+def _finer(give: FloatArray, acceleration: FloatArray, step: int, samples: int) -> tuple[FloatArray, FloatArray]:
+    """From every `step`-th sample to all."""
+    coarse, fine = np.arange(len(give)) * step, np.arange(samples)
+    return np.interp(fine, coarse, give), np.interp(fine, coarse, acceleration)
+
+
+@dataclass(frozen=True)
+class JointElasticity(_Compliance):
+    """The gear is a spring between motor and link."""
+
+    kind: ClassVar[str] = "joint_elasticity"
+    words: ClassVar[str] = "the gear gives way like a spring"
+    equation: ClassVar[str] = "-(M d'' + G d), M d'' + K d + G d = tau_load"
+    source: ClassVar[str] = "Spong 1987"
+    confused_with: ClassVar[tuple[str, ...]] = ("link_flexibility", "base_flexibility", "backlash", "payload")
+    experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
+        return cls((share,), (Constant("stiffness", joint, "N m/rad", STIFFNESS_GRID),), place=place)
+
+    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
+        """About the joint's own axis."""
+        return by_position(motion, background, motion.joints.index(self.place["joint"]))
+
+    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
+        """Of a spring."""
+        return spring(sensitivity, constant)
+
+
+@dataclass(frozen=True)
+class Backlash(_Compliance):
+    """Play between the teeth of the gear."""
+
+    kind: ClassVar[str] = "backlash"
+    words: ClassVar[str] = "play in the gear"
+    equation: ClassVar[str] = "-(M d'' + G d), d free within the gap"
+    source: ClassVar[str] = "Nordin and Gutman 2002"
+    confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "presliding_hysteresis", "time_delay")
+    experiment: ClassVar[str] = "slow reversals of the load (not only of the speed): gravity from either side"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
+        return cls((share,), (Constant("gap", joint, "rad", GAP_GRID),), place=place)
+
+    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
+        """About the joint's own axis."""
+        return by_position(motion, background, motion.joints.index(self.place["joint"]))
+
+    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
+        """Of a gap: what it adds to the same teeth without one."""
+        wide, wide_acceleration = gap(sensitivity, constant)
+        tight, tight_acceleration = gap(sensitivity, 0.0)
+        return wide - tight, wide_acceleration - tight_acceleration
+
+
+def _across(axis: FloatArray) -> list[tuple[float, ...]]:
+    """Two directions across an axis, along coordinates where possible."""
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(axis, helper)
+    first /= np.linalg.norm(first)
+    second = np.cross(axis, first)
+    return [tuple(float(np.round(x, 9)) for x in direction) for direction in (first, second)]
+
+
+@dataclass(frozen=True)
+class LinkFlexibility(_Compliance):
+    """A link bends: a hinge with a spring across the joint's axis."""
+
+    kind: ClassVar[str] = "link_flexibility"
+    words: ClassVar[str] = "the link bends"
+    equation: ClassVar[str] = "-(M d'' + G d) about an axis across the joint's"
+    source: ClassVar[str] = "lumped first mode; De Luca and Siciliano 1991"
+    confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "base_flexibility", "backlash")
+    experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Each link, about two axes."""
+        for joint in arm.joints:
+            for axis in _across(joint.axis):
+                yield {"joint": joint.name, "axis": list(axis)}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """The link of one joint, about `axis` in its frame."""
+        joint = known_joint(arm, place)
+        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
+        return cls((share,), (Constant("stiffness", joint, "N m/rad", STIFFNESS_GRID),), place=place)
+
+    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
+        """About a hinge across the joint's axis."""
+        link = motion.joints.index(self.place["joint"])
+        return by_virtual_joint(motion, background, link, tuple(self.place["axis"]))
+
+    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
+        """Of a spring."""
+        return spring(sensitivity, constant)
+
+
+@dataclass(frozen=True)
+class BaseFlexibility(_Compliance):
+    """The arm stands on something soft."""
+
+    kind: ClassVar[str] = "base_flexibility"
+    words: ClassVar[str] = "the base rocks"
+    equation: ClassVar[str] = "-(M d'' + G d) about a horizontal axis at the base"
+    source: ClassVar[str] = "lumped first mode of the mounting"
+    confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "link_flexibility", "floating_base", "base_tilt")
+    experiment: ClassVar[str] = "a step of joint 1 with the arm stretched: an accelerometer at the base sees it rock"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """About two axes."""
+        for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]):
+            yield {"axis": axis}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """About `axis` in the base frame."""
+        share = Parameter("share", "base", "1", prior=1.0, scale=0.0)
+        return cls((share,), (Constant("stiffness", "base", "N m/rad", STIFFNESS_GRID),), place=place)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """None: it is the base."""
+        return ()
+
+    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
+        """About a hinge at the base."""
+        return by_virtual_joint(motion, background, -1, tuple(self.place["axis"]))
+
+    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
+        """Of a spring."""
+        return spring(sensitivity, constant)

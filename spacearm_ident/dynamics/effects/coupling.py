@@ -1,0 +1,125 @@
+"""What one joint's motor feels of another joint's motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar
+
+import numpy as np
+
+from ...recording.motion import Motion
+from ..arm import Arm, FloatArray
+from ..background import Background
+from ..term import Columns, Parameter
+from .effect import Effect, Options, each, nothing
+from .linearised import rigid_torque
+
+
+@dataclass(frozen=True)
+class RotorCoupling(Effect):
+    """A rotor turns with its gear ratio about an axis that other joints carry around."""
+
+    kind: ClassVar[str] = "rotor_coupling"
+    words: ClassVar[str] = "the spinning rotor couples joints"
+    equation: ClassVar[str] = "J (z_i . z_j) qdd_j at joint i, and i, j exchanged"
+    source: ClassVar[str] = "Murphy, Wen and Saridis 1991"
+    confused_with: ClassVar[tuple[str, ...]] = ("wrist_coupling", "joint_elasticity", "payload")
+    experiment: ClassVar[str] = "quick moves of the outer joint alone, with the inner joint held"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """The rotor of every joint that another carries."""
+        for number, joint in enumerate(arm.joints):
+            if joint.parent >= 0:
+                yield {"joint": joint.name}
+                yield {"joint": joint.name, "with": arm.joint_names[arm.supports(number)[1]]}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """The rotor of one joint, with all that carry it or one of them."""
+        joint = place["joint"]
+        if joint not in arm.joint_names or place.get("with", joint) not in arm.joint_names:
+            raise ValueError(f"the arm has not both joints {joint!r} and {place.get('with')!r}")
+        return cls((Parameter("J", joint, "kg m^2", scale=0.5),), place=place)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Its rotor's joint, and the other where it is one."""
+        other = self.place.get("with")
+        return (self.place["joint"],) if other is None else (other, self.place["joint"])
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Accelerations of the others, by how far the axes point the same way."""
+        number = motion.joints.index(self.place["joint"])
+        if background is None or background.arm is None:
+            return nothing(motion, range(number + 1), 1)
+        arm = background.arm
+        carriers = arm.supports(number)[1:]
+        if "with" in self.place:
+            carriers = (motion.joints.index(self.place["with"]),)
+        aligned = background.keep(("aligned", number), lambda: _alignment(arm, motion, number))
+        columns = {row: (aligned[:, row] * motion.acceleration[:, number])[:, None] for row in carriers}
+        mine = sum(aligned[:, row] * motion.acceleration[:, row] for row in carriers)
+        return each({**columns, number: np.asarray(mine)[:, None]})
+
+
+def _alignment(arm: Arm, motion: Motion, joint: int) -> FloatArray:
+    """(N, n) cosine between the axis of a joint and every joint's."""
+    # A body with inertia about the joint's axis alone, spun about it: each joint feels its share.
+    axis = arm.joints[joint].axis
+    body = np.zeros((len(arm.joints), 10))
+    x, y, z = axis
+    body[joint, 4:] = x * x, x * y, y * y, x * z, y * z, z * z
+    unit = np.zeros_like(motion.position)
+    unit[:, joint] = 1.0
+    return rigid_torque(arm.with_gravity(np.zeros(3)), body, motion.position, None, unit)
+
+
+@dataclass(frozen=True)
+class WristCoupling(Effect):
+    """A gear train through a neighbour: a motor turns with the sum of two joints' motions, and rubs with it."""
+
+    kind: ClassVar[str] = "wrist_coupling"
+    words: ClassVar[str] = "a joint feels its neighbour's motion through the gears"
+    equation: ClassVar[str] = "[f sgn + k] (q_d,other) at the joint; or the same of the sum of both, at both"
+    source: ClassVar[str] = "Stäubli TX wrist; Gautier and Briot 2014"
+    confused_with: ClassVar[tuple[str, ...]] = ("rotor_coupling", "position_friction", "load_friction")
+    experiment: ClassVar[str] = "each joint of the wrist alone at constant speed, the others still"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Neighbours either way, and a motor between both."""
+        for first, second in pairwise(arm.joint_names):
+            yield {"joint": first, "with": second}
+            yield {"joint": second, "with": first}
+            yield {"joint": second, "with": first, "ratio": 1.0}
+            yield {"joint": second, "with": first, "ratio": -1.0}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint, with another."""
+        if place["joint"] not in arm.joint_names or place["with"] not in arm.joint_names:
+            raise ValueError(f"the arm has not both joints {place['joint']!r} and {place['with']!r}")
+        units = {"J": "kg m^2", "k": "N m s/rad", "f": "N m"}
+        parameters = tuple(Parameter(s, place["joint"], unit, scale=10.0) for s, unit in units.items())
+        return cls(parameters, place=place)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joint that feels it, then the other."""
+        return (self.place["joint"], self.place["with"])
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Acceleration, velocity and direction of the other joint, or of both together."""
+        row, other = (motion.joints.index(self.place[key]) for key in ("joint", "with"))
+        ratio = self.place.get("ratio")
+        mine = 0.0 if ratio is None else float(ratio)
+        speed = motion.velocity[:, other] + mine * motion.velocity[:, row]
+        accelerated = motion.acceleration[:, other] + mine * motion.acceleration[:, row]
+        noise = motion.speed_noise[other]
+        columns = np.stack([accelerated, speed, np.sign(speed) * (np.abs(speed) > noise)], axis=1)
+        if ratio is None:
+            return each({row: columns})
+        return each({other: columns, row: mine * columns})

@@ -1,0 +1,185 @@
+"""What happens between the joint's torque and the number that is recorded for it: motor, current sensor, clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ...recording.motion import Motion
+from ..arm import Arm
+from ..background import Background
+from ..term import Columns, Constant, Parameter
+from .effect import Effect, Options, each, known_joint, nothing, own
+from .friction import WARM_FROM
+
+
+@dataclass(frozen=True)
+class TorqueConstant(Effect):
+    """A torque constant that is not what the drive file says: all of a joint's torque is off by a factor."""
+
+    kind: ClassVar[str] = "torque_constant"
+    words: ClassVar[str] = "the torque constant is off"
+    equation: ClassVar[str] = "e tau (with temperature: e tau (T - T_0))"
+    source: ClassVar[str] = "demagnetisation, calibration; Gautier and Briot 2014"
+    confused_with: ClassVar[tuple[str, ...]] = ("payload", "friction_drift", "load_friction")
+    experiment: ClassVar[str] = "the same motion with a known mass at the flange"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """A factor, or one that follows temperature."""
+        for joint in arm.joint_names:
+            yield {"joint": joint, "of": "level"}
+            yield {"joint": joint, "of": "temperature"}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        if place.get("of", "level") == "temperature":
+            return cls((Parameter("error_per_K", joint, "1/K", scale=0.01, lower=-0.02, upper=0.02),), place=place)
+        return cls((Parameter("error", joint, "1", scale=0.3, lower=-0.6, upper=0.6),), place=place)
+
+    @property
+    def needs_temperature(self) -> bool:
+        """Only where it follows it."""
+        return bool(self.place.get("of") == "temperature")
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """The model's torque."""
+        row = motion.joints.index(self.place["joint"])
+        if background is None or (self.needs_temperature and motion.temperature is None):
+            return nothing(motion, [row], 1)
+        torque = background.torque[:, row]
+        if self.needs_temperature:
+            assert motion.temperature is not None
+            torque = torque * (motion.temperature[:, row] - WARM_FROM)
+        return own(row, torque)
+
+
+@dataclass(frozen=True)
+class MotorSaturation(Effect):
+    """Torque grows less than current where the iron saturates: the recorded torque is too large at high load."""
+
+    kind: ClassVar[str] = "motor_saturation"
+    words: ClassVar[str] = "the motor saturates: more current than torque at high load"
+    equation: ClassVar[str] = "s tau^3"
+    source: ClassVar[str] = "first term of the odd series of a saturating torque-current curve"
+    confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "load_friction", "vacuum_friction")
+    experiment: ClassVar[str] = "high torque at low speed and low torque at high speed"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        return cls((Parameter("s", joint, "1/(N m)^2", scale=1e-3, lower=0.0),), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """The cube of the model's torque."""
+        row = motion.joints.index(self.place["joint"])
+        if background is None:
+            return nothing(motion, [row], 1)
+        return own(row, background.torque[:, row] ** 3)
+
+
+@dataclass(frozen=True)
+class CurrentOffset(Effect):
+    """The current sensor's zero is off."""
+
+    kind: ClassVar[str] = "current_offset"
+    words: ClassVar[str] = "constant offset of the current sensor"
+    equation: ClassVar[str] = "offset"
+    source: ClassVar[str] = "current sensor data sheets"
+    confused_with: ClassVar[tuple[str, ...]] = ("asymmetric_friction", "harness_spring", "base_tilt")
+    experiment: ClassVar[str] = "read the currents with the brakes on: an offset of the sensor stays, friction goes"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        return cls((Parameter("offset", known_joint(arm, place), "N m"),), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """One."""
+        return own(motion.joints.index(self.place["joint"]), np.ones(len(motion.position)))
+
+
+@dataclass(frozen=True)
+class _Late(Effect):
+    """The recorded torque is later than the motion it belongs to."""
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """All joints alike, or one."""
+        yield {"joints": list(arm.joint_names)}
+        yield from ({"joint": joint} for joint in arm.joint_names)
+
+    def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
+        """The torque (N, k) after a lag of so many samples."""
+        raise NotImplementedError
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """What the late torque differs by."""
+        rows = [motion.joints.index(joint) for joint in self.joints]
+        if background is None:
+            return nothing(motion, rows, 1)
+        torque = background.torque[:, rows]
+        change = self.late(torque, constants[0] * motion.rate_hz) - torque
+        return each({row: change[:, [k]] for k, row in enumerate(rows)})
+
+
+@dataclass(frozen=True)
+class TimeDelay(_Late):
+    """The recorded torque is late by a fixed time."""
+
+    kind: ClassVar[str] = "time_delay"
+    words: ClassVar[str] = "the recorded torque is late by a fixed time"
+    equation: ClassVar[str] = "tau(t - d) - tau(t)"
+    source: ClassVar[str] = "fieldbus and filter delays; MuJoCo and PACE identification reports"
+    confused_with: ClassVar[tuple[str, ...]] = ("filter_lag", "joint_elasticity", "presliding_hysteresis")
+    experiment: ClassVar[str] = "a chirp up to the drive's bandwidth: delay turns phase in proportion to frequency"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At some joints alike."""
+        name = place.get("joint", "all")
+        grid = (5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3)
+        share = Parameter("share", name, "1", prior=1.0, scale=0.0)
+        return cls((share,), (Constant("delay", name, "s", grid),), place=place)
+
+    def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
+        """Shifted, interpolated between samples."""
+        whole, part = int(samples), samples - int(samples)
+        padded = np.concatenate([np.repeat(torque[:1], whole + 1, axis=0), torque])
+        shifted = padded[: len(torque) + 1]
+        return np.asarray((1 - part) * shifted[1:] + part * shifted[:-1])
+
+
+@dataclass(frozen=True)
+class FilterLag(_Late):
+    """The recorded torque went through a low-pass of first order."""
+
+    kind: ClassVar[str] = "filter_lag"
+    words: ClassVar[str] = "the recorded torque went through a low-pass"
+    equation: ClassVar[str] = "tau filtered by 1/(1 + T s), minus tau"
+    source: ClassVar[str] = "current filters of drives"
+    confused_with: ClassVar[tuple[str, ...]] = ("time_delay", "joint_elasticity", "presliding_hysteresis")
+    experiment: ClassVar[str] = "a chirp up to the drive's bandwidth: a filter also takes amplitude away"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At some joints alike."""
+        name = place.get("joint", "all")
+        grid = (5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 40e-3)
+        share = Parameter("share", name, "1", prior=1.0, scale=0.0)
+        return cls((share,), (Constant("lag", name, "s", grid),), place=place)
+
+    def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
+        """Filtered."""
+        keep = np.exp(-1.0 / samples)
+        # The mean of an interval is what a sample stands for: half a sample less of delay.
+        start = keep * torque[:1]
+        filtered = lfilter([1.0 - keep], [1.0, -keep], torque, axis=0, zi=start)[0]
+        return np.asarray(filtered)

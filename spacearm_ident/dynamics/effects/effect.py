@@ -1,0 +1,130 @@
+"""`Effect`: physics that a model may have left out, as a term with what there is to know of it.
+
+An effect is one class in this package: its columns join any fit, its name any file, its words any report. What it
+adds to a torque is written here once; the simulated arm conceals the same physics in another writing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...errors import UserError
+from ...recording.motion import Motion
+from ..arm import Arm, FloatArray
+from ..background import Background
+from ..term import Columns, Term
+
+Options = Mapping[str, Any]
+Shown = dict[str, tuple[float, str]]
+"""Name -> (value, unit)."""
+
+
+@dataclass(frozen=True)
+class Effect(Term):
+    """One effect at one place.
+
+    Subclasses set `kind` (its name in the contract), `words`, `equation`, `source`, `confused_with` (kinds), what
+    `experiment` would separate them, and implement `at` (the effect at one place) and `columns`.
+    In a model's structure the options are `{"at": [place, ...]}`, one a term.
+    """
+
+    equation: ClassVar[str]
+    source: ClassVar[str]
+    confused_with: ClassVar[tuple[str, ...]] = ()
+    experiment: ClassVar[str] = ""
+    place: Options = ()  # type: ignore[assignment]
+
+    @classmethod
+    def build(cls, arm: Arm, options: Mapping[str, Any]) -> tuple[Term, ...]:
+        """One term a place."""
+        places = options.get("at", ())
+        if not isinstance(places, Sequence) or not all(isinstance(place, Mapping) for place in places):
+            raise UserError(f"{cls.kind}: its options say where it acts: at: [{{joint: NAME}}, ...]")
+        try:
+            return tuple(cls.at(arm, place) for place in places)
+        except (KeyError, ValueError) as error:
+            raise UserError(f"{cls.kind}: a place of it is wrong or incomplete: {error}") from error
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """The effect at one place.
+
+        Raises:
+            KeyError, ValueError: The place is incomplete, or not one of this arm.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Every place where it could act."""
+        for joint in arm.joint_names:
+            yield {"joint": joint}
+
+    @property
+    def depends(self) -> bool:
+        """Effects act on what the rest of the model says."""
+        return True
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Where it is."""
+        joint = self.place.get("joint")
+        return (joint,) if joint else tuple(self.place.get("joints", ()))
+
+    @property
+    def needs_temperature(self) -> bool:
+        """Whether it cannot be told without recorded temperatures."""
+        return False
+
+    def again(self, arm: Arm) -> Effect | None:
+        """A further one of the same kind at the same place (another harmonic), once this one is known."""
+        return None
+
+    def shown(self, values: FloatArray) -> Shown:
+        """What a person wants to know of its values: parameters, then constants, in its own order."""
+        names = [*self.parameters, *self.constants]
+        return {item.symbol: (float(value), item.unit) for item, value in zip(names, values)}
+
+    def where(self, values: FloatArray) -> str:
+        """Where and when it acts, in words."""
+        return self.words
+
+
+def own(row: int, *columns: FloatArray) -> Columns:
+    """Columns of an effect that acts in one row."""
+    return {row: (list(range(len(columns))), np.stack(columns, axis=1))}
+
+
+def each(columns: Mapping[int, FloatArray]) -> Columns:
+    """Columns (N, k) of the same parameters in several rows."""
+    return {row: (list(range(array.shape[1])), array) for row, array in columns.items()}
+
+
+def direction(motion: Motion, row: int) -> FloatArray:
+    """(N,) sign of a joint's velocity; zero where it is not believed."""
+    velocity = motion.velocity[:, row]
+    return np.where(np.abs(velocity) > motion.speed_noise[row], np.sign(velocity), 0.0)
+
+
+def nothing(motion: Motion, rows: Sequence[int], count: int) -> Columns:
+    """Columns of an effect before anything is known of the rest of the model."""
+    return {row: (list(range(count)), np.zeros((len(motion.position), count))) for row in rows}
+
+
+def known_joint(arm: Arm, place: Options) -> str:
+    """The joint of a place.
+
+    Raises:
+        ValueError: The arm does not have it.
+    """
+    joint = place["joint"]
+    if joint not in arm.joint_names:
+        raise ValueError(f"the arm has no joint {joint!r}")
+    return str(joint)
+
+
+__all__ = ["Background", "Effect", "Options", "Shown", "direction", "each", "known_joint", "nothing", "own"]

@@ -1,0 +1,330 @@
+"""Friction that is not as the model has it: its level, or what it depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ...recording.motion import Motion
+from ..arm import Arm, FloatArray
+from ..background import Background
+from ..friction import bristle_state
+from ..term import Columns, Constant, Parameter
+from .effect import Effect, Options, direction, each, known_joint, nothing, own
+
+WARM_FROM = 20.0
+"""T_0 of the paper's temperature law, °C."""
+
+
+@dataclass(frozen=True)
+class _Friction(Effect):
+    friction: ClassVar[bool] = True
+
+    def row(self, motion: Motion) -> int:
+        """Its joint's row."""
+        return motion.joints.index(self.place["joint"])
+
+
+@dataclass(frozen=True)
+class FrictionDrift(_Friction):
+    """The level of Coulomb or viscous friction is another than it was."""
+
+    kind: ClassVar[str] = "friction_drift"
+    words: ClassVar[str] = "friction level changed"
+    equation: ClassVar[str] = "df_c sgn(qd) + dk_v1 qd"
+    source: ClassVar[str] = "paper eq. 2; wear and lubrication"
+    confused_with: ClassVar[tuple[str, ...]] = ("temperature_friction", "torque_constant", "load_friction")
+    experiment: ClassVar[str] = "the same motion again after a rest, with the joint temperatures recorded"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Coulomb level, viscosity, or both."""
+        for joint in arm.joint_names:
+            for of in (["f_c"], ["k_v1"], ["f_c", "k_v1"]):
+                yield {"joint": joint, "of": of}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint: `of` names the levels that changed."""
+        joint = known_joint(arm, place)
+        units = {"f_c": "N m", "k_v1": "N m s/rad"}
+        parameters = tuple(
+            Parameter(f"d{symbol}", joint, units[symbol], dimension=(0, int(symbol == "k_v1"), 0))
+            for symbol in place.get("of", ["f_c"])
+        )
+        return cls(parameters, place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Direction and velocity."""
+        row = self.row(motion)
+        signals = {"df_c": direction(motion, row), "dk_v1": motion.velocity[:, row]}
+        return own(row, *(signals[parameter.symbol] for parameter in self.parameters))
+
+
+@dataclass(frozen=True)
+class TemperatureFriction(_Friction):
+    """Friction follows the joint's temperature."""
+
+    kind: ClassVar[str] = "temperature_friction"
+    words: ClassVar[str] = "friction follows temperature"
+    equation: ClassVar[str] = "[alpha_c sgn(qd) + alpha_v qd] (T - T_0)"
+    source: ClassVar[str] = "paper §2.2.2"
+    confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "torque_constant")
+    experiment: ClassVar[str] = "constant-velocity runs over a temperature sweep (spacearm excite --for temperature)"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Coulomb level, viscosity, or both."""
+        for joint in arm.joint_names:
+            for of in (["f_c"], ["k_v1"], ["f_c", "k_v1"]):
+                yield {"joint": joint, "of": of}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint: `of` names what follows the temperature."""
+        joint = known_joint(arm, place)
+        known = {
+            "f_c": Parameter("alpha_c", joint, "N m/K", scale=1.0),
+            "k_v1": Parameter("alpha_v", joint, "N m s/(rad K)", scale=1.0),
+        }
+        return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), place=place)
+
+    @property
+    def needs_temperature(self) -> bool:
+        """It is nothing without them."""
+        return True
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Direction and velocity times the excess temperature; nothing where no temperature was recorded."""
+        row = self.row(motion)
+        if motion.temperature is None:
+            return nothing(motion, [row], len(self.parameters))
+        excess = motion.temperature[:, row] - WARM_FROM
+        signals = {"alpha_c": direction(motion, row) * excess, "alpha_v": motion.velocity[:, row] * excess}
+        return own(row, *(signals[parameter.symbol] for parameter in self.parameters))
+
+
+@dataclass(frozen=True)
+class LoadFriction(_Friction):
+    """Friction that grows with the load on the gear."""
+
+    kind: ClassVar[str] = "load_friction"
+    words: ClassVar[str] = "friction grows with the load on the gear"
+    equation: ClassVar[str] = "mu |tau_load| sgn(qd)"
+    source: ClassVar[str] = "Hamon, Gautier and Garrec 2010"
+    confused_with: ClassVar[tuple[str, ...]] = ("gear_efficiency", "torque_constant", "friction_drift")
+    experiment: ClassVar[str] = "raise and lower a known load slowly: load and speed of both signs"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        return cls((Parameter("mu", known_joint(arm, place), "1", scale=0.1, lower=0.0, upper=0.4),), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """|load| times direction."""
+        row = self.row(motion)
+        if background is None:
+            return nothing(motion, [row], 1)
+        return own(row, np.abs(background.load[:, row]) * direction(motion, row))
+
+
+@dataclass(frozen=True)
+class GearEfficiency(_Friction):
+    """A gear that loses a share of what it transmits, another driving than driven."""
+
+    kind: ClassVar[str] = "gear_efficiency"
+    words: ClassVar[str] = "the gear loses a share of the power it transmits"
+    equation: ClassVar[str] = "tau_load (1/eta - 1) driving, tau_load (eta - 1) driven"
+    source: ClassVar[str] = "Chevallereau and Khalil 1987"
+    confused_with: ClassVar[tuple[str, ...]] = ("load_friction", "torque_constant")
+    experiment: ClassVar[str] = "raise and lower a known load slowly: load and speed of both signs"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
+        grid = (0.6, 0.7, 0.76, 0.82, 0.86, 0.9, 0.93, 0.955, 0.975, 0.988)
+        return cls((share,), (Constant("eta", joint, "1", grid),), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """The loss; it always opposes the motion."""
+        row = self.row(motion)
+        if background is None:
+            return nothing(motion, [row], 1)
+        load, moving = background.load[:, row], direction(motion, row)
+        eta = constants[0]
+        loss = np.where(load * moving > 0, 1.0 / eta - 1.0, 1.0 - eta)
+        return own(row, np.abs(load) * moving * loss)
+
+
+@dataclass(frozen=True)
+class PreslidingHysteresis(_Friction):
+    """After a reversal friction builds up over a distance, not at once."""
+
+    kind: ClassVar[str] = "presliding_hysteresis"
+    words: ClassVar[str] = "friction builds up over a distance after each reversal"
+    equation: ClassVar[str] = "f (z - sgn(qd)), dz/ds = (sgn(qd) - z)/d_s"
+    source: ClassVar[str] = "Dahl 1968; Canudas de Wit et al. 1995"
+    confused_with: ClassVar[tuple[str, ...]] = ("backlash", "stribeck", "time_delay", "filter_lag")
+    experiment: ClassVar[str] = "slow reversals at several amplitudes (spacearm excite --for presliding)"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        grid = tuple(float(d) for d in np.geomspace(5e-4, 0.04, 10))
+        return cls((Parameter("f", joint, "N m", lower=0.0),), (Constant("d_s", joint, "rad", grid),), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """What is missing of full friction while the bristles bend."""
+        row = self.row(motion)
+        moving = direction(motion, row)
+        travel = np.abs(motion.velocity[:, row]) / motion.rate_hz
+        state = bristle_state(moving[:, None], travel, constants[0], motion.cyclic)[:, 0]
+        return own(row, state - moving)
+
+
+@dataclass(frozen=True)
+class PositionFriction(_Friction):
+    """Friction that is not the same all around: an eccentric or worn gear, a tight spot."""
+
+    kind: ClassVar[str] = "position_friction"
+    words: ClassVar[str] = "friction depends on the joint's position"
+    equation: ClassVar[str] = "[a sin(n q) + b cos(n q)] sgn(qd)"
+    source: ClassVar[str] = "Simoni et al. 2017"
+    confused_with: ClassVar[tuple[str, ...]] = ("torque_ripple", "harness_spring", "load_friction")
+    experiment: ClassVar[str] = "slow constant speed over the whole range in both directions (--for ripple)"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """One to six cycles a turn."""
+        for joint in arm.joint_names:
+            for cycles in range(1, 7):
+                yield {"joint": joint, "cycles": cycles}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint, with `cycles` a turn."""
+        joint, cycles = known_joint(arm, place), float(place["cycles"])
+        symbols = (f"sin_{cycles:g}", f"cos_{cycles:g}")
+        return cls(tuple(Parameter(symbol, joint, "N m") for symbol in symbols), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Sine and cosine times direction."""
+        row = self.row(motion)
+        angle, moving = float(self.place["cycles"]) * motion.position[:, row], direction(motion, row)
+        return own(row, np.sin(angle) * moving, np.cos(angle) * moving)
+
+    def shown(self, values: FloatArray) -> dict[str, tuple[float, str]]:
+        """Amplitude and phase."""
+        return {
+            "amplitude": (float(np.hypot(*values[:2])), "N m"),
+            "phase": (float(np.arctan2(values[1], values[0])), "rad"),
+        }
+
+    def where(self, values: FloatArray) -> str:
+        """With its number of cycles."""
+        return f"{self.place['cycles']} cycles a joint revolution, times the direction of motion"
+
+
+@dataclass(frozen=True)
+class AsymmetricFriction(_Friction):
+    """More friction in one direction than in the other."""
+
+    kind: ClassVar[str] = "asymmetric_friction"
+    words: ClassVar[str] = "more friction in one direction"
+    equation: ClassVar[str] = "a + b |qd|"
+    source: ClassVar[str] = "Armstrong-Hélouvry, Dupont and Canudas de Wit 1994"
+    confused_with: ClassVar[tuple[str, ...]] = ("current_offset", "harness_spring", "base_tilt")
+    experiment: ClassVar[str] = "read the currents with the brakes on: an offset of the sensor stays, friction goes"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Level alone is an offset as well; level and viscosity."""
+        for joint in arm.joint_names:
+            yield {"joint": joint, "of": ["level", "viscous"]}
+            yield {"joint": joint, "of": ["viscous"]}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        known = {
+            "level": Parameter("a", joint, "N m"),
+            "viscous": Parameter("b", joint, "N m s/rad", dimension=(0, 1, 0)),
+        }
+        return cls(tuple(known[of] for of in place.get("of", ["level"])), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """One, and speed."""
+        row = self.row(motion)
+        speed = np.abs(motion.velocity[:, row])
+        signals = {"a": np.ones_like(speed), "b": speed}
+        return own(row, *(signals[parameter.symbol] for parameter in self.parameters))
+
+
+@dataclass(frozen=True)
+class Stribeck(_Friction):
+    """Friction falls with speed from a level that the model does not have."""
+
+    kind: ClassVar[str] = "stribeck"
+    words: ClassVar[str] = "friction is higher at low speeds"
+    equation: ClassVar[str] = "f exp(-(qd/v)^2) sgn(qd)"
+    source: ClassVar[str] = "paper eq. 2"
+    confused_with: ClassVar[tuple[str, ...]] = ("presliding_hysteresis", "friction_drift", "time_delay")
+    experiment: ClassVar[str] = "constant speeds from a thousandth to a tenth of a radian a second (--for stribeck)"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        grid = tuple(float(v) for v in np.geomspace(0.008, 0.3, 10))
+        return cls(
+            (Parameter("f", joint, "N m", lower=0.0),), (Constant("v_b", joint, "rad/s", grid, True),), place=place
+        )
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """A Gaussian of speed times direction."""
+        row = self.row(motion)
+        share = np.exp(-((motion.velocity[:, row] / constants[0]) ** 2))
+        return own(row, share * direction(motion, row))
+
+
+@dataclass(frozen=True)
+class VacuumFriction(_Friction):
+    """In vacuum the terms of higher order vanish, at every joint at once."""
+
+    kind: ClassVar[str] = "vacuum_friction"
+    words: ClassVar[str] = "the high-order terms of friction are gone"
+    equation: ClassVar[str] = "-share (k_v2 qd^2 + k_v3 qd^3)"
+    source: ClassVar[str] = "paper §2.2.2"
+    confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
+    experiment: ClassVar[str] = "faster motion: the terms grow with the square and the cube of speed"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """All joints together, or one."""
+        yield {"joints": list(arm.joint_names)}
+        yield from ({"joint": joint} for joint in arm.joint_names)
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At some joints."""
+        name = place.get("joint", "all")
+        return cls((Parameter("share", name, "1", scale=1.0, lower=0.4, upper=1.6),), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """What the model's own terms of second and third order say, taken away."""
+        rows = [motion.joints.index(joint) for joint in self.joints]
+        if background is None:
+            return nothing(motion, rows, 1)
+        columns = {}
+        for row in rows:
+            joint, velocity = motion.joints[row], motion.velocity[:, row]
+            k2, k3 = (background.values.get(f"{symbol}[{joint}]", 0.0) for symbol in ("k_v2", "k_v3"))
+            columns[row] = -(k2 * velocity**2 + k3 * velocity**3)[:, None]
+        return each(columns)

@@ -1,0 +1,147 @@
+"""What a small further motion costs in torque: inertia and gravity gradient about a recorded motion.
+
+A compliance, an encoder error, a floating base move the arm a little beside what was recorded. The torque of that
+little motion d(t) about an axis is M[:, a] d'' + G[:, a] d, with the inertia and the gravity gradient of the model
+along the recording. The axis may be a joint's own or one that the arm does not have: a virtual joint is added then.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...recording.motion import Motion
+from ..arm import Arm, FloatArray, Joint
+from ..background import Background
+from ..regressor import rigid_body_blocks
+
+STEP = 1e-4
+"""Half the central difference for the gravity gradient, rad."""
+COARSE_HZ = 250.0
+"""Inertias change slowly: they are computed at this rate and interpolated."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Torque of a small motion about one axis.
+
+    Attributes:
+        rate_hz: Of the arrays below.
+        inertia: (N, n) M[:, a], kg·m².
+        gravity: (N, n) dG/dq_a, N·m/rad.
+        own_inertia: (N,) M[a, a].
+        own_gravity: (N,) dG_a/dq_a.
+        load: (N,) torque about the axis of the recorded motion, N·m.
+    """
+
+    rate_hz: float
+    inertia: FloatArray
+    gravity: FloatArray
+    own_inertia: FloatArray
+    own_gravity: FloatArray
+    load: FloatArray
+
+    def torque(self, motion: FloatArray, acceleration: FloatArray | None = None) -> FloatArray:
+        """(N, n) torque of a small motion (N,) rad."""
+        if acceleration is None:
+            acceleration = np.gradient(np.gradient(motion)) * self.rate_hz**2
+        return np.asarray(self.inertia * acceleration[:, None] + self.gravity * motion[:, None])
+
+
+def by_position(motion: Motion, background: Background, joint: int) -> Sensitivity:
+    """Sensitivity to one of the arm's own joints."""
+    assert background.arm is not None
+    arm = background.arm
+    return background.keep(("position", joint), lambda: _sensitivity(motion, background, arm, joint, {}))  # type: ignore[no-any-return]
+
+
+def by_virtual_joint(motion: Motion, background: Background, link: int, axis: tuple[float, ...]) -> Sensitivity:
+    """Sensitivity to a hinge that the arm does not have: at the root of link `link` (-1: of the base), about `axis`."""
+    assert background.arm is not None
+    arm, places = with_virtual_joint(background.arm, link, np.array(axis, dtype=float))
+    return background.keep(  # type: ignore[no-any-return]
+        ("virtual", link, axis), lambda: _sensitivity(motion, background, arm, link + 1, places)
+    )
+
+
+def with_virtual_joint(arm: Arm, link: int, axis: FloatArray) -> tuple[Arm, dict[int, int]]:
+    """The arm with a hinge between joint `link` and its link, at number `link + 1`.
+
+    Returns:
+        The arm, and the new number of each joint by its old one. The joint `link` keeps its place and carries nothing;
+        the hinge carries what it carried.
+    """
+    places = {k: k if k <= link else k + 1 for k in range(len(arm.joints))}
+    hinge = Joint("hinge", link, True, axis, np.eye(3), np.zeros(3), np.zeros(10))
+    joints: list[Joint] = []
+    for k, joint in enumerate(arm.joints):
+        if k == link + 1:
+            joints.append(hinge)
+        parent = joint.parent
+        parent = link + 1 if parent == link else (-1 if parent < 0 else places[parent])
+        joints.append(replace(joint, parent=parent))
+    if link + 1 == len(arm.joints):
+        joints.append(hinge)
+    return replace(arm, joints=tuple(joints), couplings=()), places
+
+
+def rigid_torque(
+    arm: Arm, inertials: FloatArray, q: FloatArray, qd: FloatArray | None = None, qdd: FloatArray | None = None
+) -> FloatArray:
+    """(N, n) torque of the rigid links with the given inertials (n, 10); speeds and accelerations zero unless given."""
+    still = np.zeros_like(q)
+    torque = np.zeros_like(q)
+    blocks = rigid_body_blocks(arm, q, still if qd is None else qd, still if qdd is None else qdd)
+    for (row, link), block in blocks.items():
+        torque[:, row] += inertials[link] @ block
+    return torque
+
+
+def _sensitivity(motion: Motion, background: Background, arm: Arm, axis: int, places: dict[int, int]) -> Sensitivity:
+    """Computed on a coarse grid, then interpolated."""
+    assert background.arm is not None and background.inertials is not None
+    count = len(arm.joints)
+    real = [places.get(k, k) for k in range(len(background.arm.joints))]
+    inertials = np.zeros((count, 10))
+    inertials[real] = background.inertials
+    if count > len(real) and axis > 0:
+        # What hung on the joint before the hinge hangs on the hinge.
+        inertials[axis] = inertials[axis - 1]
+        inertials[axis - 1] = 0.0
+    step = max(1, int(motion.rate_hz / COARSE_HZ))
+    some = slice(None, None, step)
+    q = np.zeros((len(motion.position[some]), count))
+    qd, qdd = np.zeros_like(q), np.zeros_like(q)
+    q[:, real], qd[:, real], qdd[:, real] = motion.position[some], motion.velocity[some], motion.acceleration[some]
+    unit = np.zeros_like(q)
+    unit[:, axis] = 1.0
+    inertia = rigid_torque(arm.with_gravity(np.zeros(3)), inertials, q, None, unit)
+    gravity = np.zeros_like(q)
+    if np.any(arm.gravity):
+        up, down = q.copy(), q.copy()
+        up[:, axis] += STEP
+        down[:, axis] -= STEP
+        gravity = (rigid_torque(arm, inertials, up) - rigid_torque(arm, inertials, down)) / (2 * STEP)
+    load = rigid_torque(arm, inertials, q, qd, qdd)[:, axis]
+    fine = np.arange(len(motion.position)) / step
+
+    def spread(signal: FloatArray) -> FloatArray:
+        return _interpolate(signal, fine)
+
+    return Sensitivity(
+        motion.rate_hz,
+        spread(inertia[:, real]),
+        spread(gravity[:, real]),
+        spread(inertia[:, axis]),
+        spread(gravity[:, axis]),
+        spread(load),
+    )
+
+
+def _interpolate(signal: FloatArray, at: FloatArray) -> FloatArray:
+    """(N, ...) signal at fractional rows, linear."""
+    low = np.minimum(at.astype(int), len(signal) - 1)
+    high = np.minimum(low + 1, len(signal) - 1)
+    part = (at - low).reshape(-1, *(1,) * (signal.ndim - 1))
+    return np.asarray(signal[low] * (1 - part) + signal[high] * part)

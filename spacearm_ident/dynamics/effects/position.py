@@ -1,0 +1,142 @@
+"""What depends on where a joint stands: torque ripple, the harness, an eccentric encoder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from ...recording.motion import Motion
+from ..arm import Arm, FloatArray
+from ..background import Background
+from ..term import Columns, Constant, Parameter
+from .effect import Effect, Options, Shown, each, known_joint, nothing, own
+from .linearised import by_position
+
+
+@dataclass(frozen=True)
+class TorqueRipple(Effect):
+    """A torque that comes back so many times a turn: cogging, tooth mesh, a wave generator."""
+
+    kind: ClassVar[str] = "torque_ripple"
+    words: ClassVar[str] = "torque ripple over the joint's position"
+    equation: ClassVar[str] = "a sin(N q) + b cos(N q)"
+    source: ClassVar[str] = "cogging and gear mesh; Olsen and Petersen 2001"
+    confused_with: ClassVar[tuple[str, ...]] = ("position_friction", "encoder_eccentricity", "harness_spring")
+    experiment: ClassVar[str] = "slow constant speed over the whole range in both directions (--for ripple)"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        # Fewer cycles are a smooth function of position: harness, gravity.
+        cycles = Constant("cycles", joint, "1/rev", tuple(float(n) for n in range(3, 241)))
+        number = "" if place.get("number", 1) == 1 else f"_{place['number']}"
+        symbols = (f"sin{number}", f"cos{number}")
+        cycles = replace(cycles, symbol=f"cycles{number}")
+        return cls(tuple(Parameter(symbol, joint, "N m") for symbol in symbols), (cycles,), place=place)
+
+    def again(self, arm: Arm) -> Effect:
+        """With another number of cycles."""
+        return TorqueRipple.at(arm, {**self.place, "number": int(self.place.get("number", 1)) + 1})
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Sine and cosine."""
+        row = motion.joints.index(self.place["joint"])
+        angle = constants[0] * motion.position[:, row]
+        return own(row, np.sin(angle), np.cos(angle))
+
+    def shown(self, values: FloatArray) -> Shown:
+        """Amplitude, cycles and phase."""
+        return {
+            "amplitude": (float(np.hypot(*values[:2])), "N m"),
+            "cycles": (float(values[2]), "1/rev"),
+            "phase": (float(np.arctan2(values[1], values[0])), "rad"),
+        }
+
+    def where(self, values: FloatArray) -> str:
+        """With its number of cycles."""
+        return f"{values[2]:.4g} cycles a joint revolution, {np.hypot(*values[:2]):.2g} N m in amplitude"
+
+
+@dataclass(frozen=True)
+class HarnessSpring(Effect):
+    """Cables that pull a joint towards where they are slack."""
+
+    kind: ClassVar[str] = "harness_spring"
+    words: ClassVar[str] = "a spring, as of a cable harness, pulls the joint"
+    equation: ClassVar[str] = "k (q - q_0)"
+    source: ClassVar[str] = "cable harnesses of space manipulators"
+    confused_with: ClassVar[tuple[str, ...]] = ("payload", "base_tilt", "current_offset", "position_friction")
+    experiment: ClassVar[str] = "slow motion over the whole range, with the next joints folded and stretched"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        parameters = (
+            Parameter("stiffness", joint, "N m/rad", dimension=(1, 0, 0), lower=0.0),
+            Parameter("preload", joint, "N m"),
+        )
+        return cls(parameters, place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Position, and one for where it is slack."""
+        row = motion.joints.index(self.place["joint"])
+        return own(row, motion.position[:, row], np.ones(len(motion.position)))
+
+
+@dataclass(frozen=True)
+class EncoderEccentricity(Effect):
+    """An encoder off its centre reads a position that is wrong by a sine of itself."""
+
+    kind: ClassVar[str] = "encoder_eccentricity"
+    words: ClassVar[str] = "the encoder is off its centre: its reading errs once a turn"
+    equation: ClassVar[str] = "q_read = q + a sin(n q) + b cos(n q), through inertia, gravity and viscosity"
+    source: ClassVar[str] = "encoder data sheets"
+    confused_with: ClassVar[tuple[str, ...]] = ("torque_ripple", "position_friction", "harness_spring")
+    experiment: ClassVar[str] = "constant speed over the whole range: eccentricity shows in velocity, ripple in torque"
+
+    @classmethod
+    def variants(cls, arm: Arm):  # type: ignore[no-untyped-def]
+        """Once or twice a turn."""
+        for joint in arm.joint_names:
+            for cycles in (1, 2):
+                yield {"joint": joint, "cycles": cycles}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        bound = 0.02
+        symbols = ("sin", "cos")
+        parameters = tuple(Parameter(symbol, joint, "rad", scale=1e-3, lower=-bound, upper=bound) for symbol in symbols)
+        return cls(parameters, place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Torque of the motion that was read, less that of the motion that was."""
+        row = motion.joints.index(self.place["joint"])
+        if background is None or background.arm is None:
+            return nothing(motion, range(len(motion.joints)), 2)
+        sensitivity = by_position(motion, background, row)
+        order = float(self.place.get("cycles", 1))
+        angle = order * motion.position[:, row]
+        joint = motion.joints[row]
+        rotor, viscous = (background.values.get(f"{symbol}[{joint}]", 0.0) for symbol in ("J_m", "k_v1"))
+        parts = []
+        for error in (np.sin(angle), np.cos(angle)):
+            rate = np.gradient(error) * motion.rate_hz
+            change = sensitivity.torque(error)
+            change[:, row] += rotor * np.gradient(rate) * motion.rate_hz + viscous * rate
+            parts.append(-change)
+        both = np.stack(parts, axis=2)
+        return each({k: both[:, k] for k in range(len(motion.joints))})
+
+    def shown(self, values: FloatArray) -> Shown:
+        """Amplitude and phase."""
+        return {
+            "amplitude": (float(np.hypot(*values[:2])), "rad"),
+            "phase": (float(np.arctan2(values[1], values[0])), "rad"),
+        }

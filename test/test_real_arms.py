@@ -1,0 +1,69 @@
+"""Real arms: what their recordings must yield. Skipped where the recordings are not beside the checkout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spacearm_ident.dynamics.arm import arm_from_urdf
+from spacearm_ident.dynamics.model import structure_of
+from spacearm_ident.identification.identified import Identified, Validation
+from spacearm_ident.identification.identify import Settings, identify
+from spacearm_ident.identification.validation import validate
+from spacearm_ident.recording import Recording, read_recording
+
+REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
+UR10E_WLS_MOVING = (6.6, 3.5, 3.0, 3.9, 5.7, 5.0)
+"""Relative RMS, %, of a plain Coulomb-viscous WLS on the moving rows of the validation run."""
+UR10E_BEST_KNOWN = (9.7, 4.1, 3.2, 5.8, 12.7, 50.0)
+"""The better, over all rows, of that WLS and of the figures the data set's own authors give."""
+TX40_OWN_DATA = (5.8, 7.3, 8.9, 9.6)
+TX40_VISCOUS = (8.05, 5.53, 1.97, 1.11)
+TX40_COULOMB = (7.14, 8.26, 6.34, 2.48)
+"""Published with the TX40's data, from the same data: joints 1 to 4."""
+
+
+def read(*names: str) -> list[Recording]:
+    missing = [name for name in names if not (REAL / name).exists()]
+    if missing:
+        pytest.skip(f"no {missing[0]} in ../shared/recordings/real")
+    return [read_recording(REAL / name) for name in names]
+
+
+def relative_percent(validation: Validation, rows: str) -> np.ndarray:
+    return np.array([100 * getattr(joint, rows).relative_rms for joint in validation.joints.values()])
+
+
+def test_ur10e_predicts_another_run_better_than_what_is_known():
+    *fitted, other = read(*(f"ur10e/commissioning{end}.mcap" for end in ("", "_2", "_validation")))
+    result = identify(fitted, arm_from_urdf(fitted[0].urdf))
+    validation = validate(result.model, [other], "another run", True)
+    assert np.all(relative_percent(validation, "moving") < UR10E_WLS_MOVING)
+    assert np.all(relative_percent(validation, "everything") < UR10E_BEST_KNOWN)
+
+
+@pytest.fixture(scope="module")
+def tx40() -> Recording:
+    return read("tx40/excitation.mcap")[0]
+
+
+def test_tx40_explains_its_own_data(tx40: Recording):
+    result = identify([tx40], arm_from_urdf(tx40.urdf))
+    validation = validate(result.model, [tx40], "its own data", False)
+    assert np.all(relative_percent(validation, "everything")[:4] <= TX40_OWN_DATA)
+
+
+def test_tx40_meets_the_published_friction_within_its_errors(tx40: Recording):
+    arm = arm_from_urdf(tx40.urdf)
+    result: Identified = identify([tx40], arm, Settings(structure=structure_of(arm, "coulomb-viscous")))
+    estimates = {estimate.name: estimate for estimate in result.estimates}
+    for symbol, published in (("k_v1", TX40_VISCOUS), ("f_c", TX40_COULOMB)):
+        for joint, value in zip(arm.joint_names, published):
+            estimate = estimates[f"{symbol}[{joint}]"]
+            assert estimate.identifiable
+            low, high = estimate.interval
+            assert low <= value <= high
+            # An interval that holds everything would say nothing.
+            assert estimate.standard_error < 0.1 * value
