@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from ..report.store import load_result
 from . import common
 from .identify import summary
 
+if TYPE_CHECKING:
+    from ..nodes.chain import Chain
+
 DESCRIPTION = """
 The whole chain on this machine: a simulated six-joint CANopen arm, the driver, the trajectory node, the recorder and
 the identifier, each a process, over real CAN frames and real DDS. One run to identify the arm, one with other
@@ -30,8 +34,8 @@ IDENTIFIED_S = 120.0
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """One run of the demo."""
+class Plan:
+    """One run: its excitation and how often it is repeated."""
 
     name: str
     seed: int
@@ -39,8 +43,8 @@ class _Plan:
     fundamental_hz: float
 
 
-PLANS = (_Plan("excitation", 1, 5, 0.1), _Plan("validation", 2, 3, 0.1))
-FAST_PLANS = (_Plan("excitation", 1, 3, 0.2), _Plan("validation", 2, 2, 0.2))
+PLANS = (Plan("excitation", 1, 5, 0.1), Plan("validation", 2, 3, 0.1))
+FAST_PLANS = (Plan("excitation", 1, 3, 0.2), Plan("validation", 2, 2, 0.2))
 
 
 def add(commands: Any) -> None:
@@ -60,9 +64,11 @@ def run(options: argparse.Namespace) -> int:
         raise UserError(
             "the demo needs ROS 2 (rclpy): source a Jazzy setup file, or install spacearm_ident with its extra 'ros'"
         )
+    # However it is ended, the nodes end first.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     options.out.mkdir(parents=True, exist_ok=True)
     plans = FAST_PLANS if options.fast else PLANS
-    files = [_write_trajectory(plan, options.out) for plan in plans]
+    files = [write_trajectory(plan, options.out) for plan in plans]
     with common.progress(options) as report:
         _live(options.out, plans, files, report)
     result = load_result(options.out)
@@ -70,8 +76,8 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _write_trajectory(plan: _Plan, directory: Path) -> Path:
-    """A random excitation within the arm's limits (until there is an optimised one)."""
+def write_trajectory(plan: Plan, directory: Path) -> Path:
+    """A random excitation within the arm's limits, as a file in `directory`."""
     arm = load_arm(config_path(ARM))
     lower, upper, velocity, acceleration = np.array(
         [(j.lower, j.upper, j.velocity_limit, j.acceleration_limit) for j in arm.joints]
@@ -85,27 +91,14 @@ def _write_trajectory(plan: _Plan, directory: Path) -> Path:
     return path
 
 
-def _live(directory: Path, plans: tuple[_Plan, ...], files: list[Path], report: common.Report) -> None:
-    from ..nodes.chain import STARTED_S, Chain
+def _live(directory: Path, plans: tuple[Plan, ...], files: list[Path], report: common.Report) -> None:
+    from ..nodes.chain import Chain
 
-    parameters = {
-        "trajectory": {"trajectory_file": str(files[0].resolve())},
-        "recorder": {"directory": str((directory / "recordings").resolve())},
-        "identifier": {"result_directory": str(directory.resolve()), "arm": str(config_path(ARM))},
-    }
-    with Chain(directory, parameters) as chain:
+    with Chain(directory, node_parameters(directory)) as chain:
         report(0.0, "starting the nodes")
-        chain.wait(lambda: chain.status("canopen_driver") == "disabled", "the drives", STARTED_S)
-        chain.call("/recorder/start")
-        chain.call("/driver/enable", True)
-        chain.wait(
-            lambda: chain.values("canopen_driver").get("operation_enabled") == "true", "enabled drives", STARTED_S
-        )
+        begin(chain)
         for number, (plan, file) in enumerate(zip(plans, files)):
-            part = common.within(report, number / len(plans), (number + 1) / len(plans))
-            chain.set_parameter("trajectory", "trajectory_file", str(file.resolve()))
-            chain.call("/excitation/start")
-            _follow(chain, plan, part)
+            perform(chain, plan, file, common.within(report, number / len(plans), (number + 1) / len(plans)))
         chain.call("/recorder/stop")
         chain.call("/driver/enable", False)
         codes = chain.close()
@@ -114,14 +107,48 @@ def _live(directory: Path, plans: tuple[_Plan, ...], files: list[Path], report: 
         raise UserError(f"nodes ended with an error: {failed}; see {directory / 'logs'}")
 
 
-def _follow(chain: Any, plan: _Plan, report: common.Report) -> None:
+def node_parameters(directory: Path) -> dict[str, dict[str, object]]:
+    """ROS parameters of the chain's nodes, by node; all that is written goes to `directory`."""
+    return {
+        "recorder": {"directory": str((directory / "recordings").resolve())},
+        "identifier": {"result_directory": str(directory.resolve()), "arm": str(config_path(ARM))},
+    }
+
+
+def begin(chain: Chain) -> None:
+    """Once all nodes are up, record and enable the drives."""
+    from ..nodes.chain import STARTED_S
+    from ..nodes.main import NODES
+
+    def ready() -> bool:
+        return all(map(chain.status, NODES)) and chain.values("canopen_driver").get("connection") == "connected"
+
+    chain.wait(ready, "all nodes and the drives", STARTED_S)
+    # Starting five nodes at once may hold up the driver for longer than the drives forgive.
+    if chain.values("canopen_driver")["fault"]:
+        chain.call("/driver/recover")
+    chain.call("/recorder/start")
+    chain.call("/driver/enable", True)
+    chain.wait(lambda: chain.values("canopen_driver").get("operation_enabled") == "true", "enabled drives", STARTED_S)
+
+
+def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None:
+    """Run an excitation; returns when the arm has been identified from it, or validated on it."""
+    chain.set_parameter("trajectory", "trajectory_file", str(file.resolve()))
+    run_id = chain.call("/excitation/start").partition(":")[0].removeprefix("run ")
+    _follow(chain, plan, run_id, report)
+
+
+def _follow(chain: Chain, plan: Plan, run_id: str, report: common.Report) -> None:
     """Wait until a run is done and identified (or validated)."""
     bag = f"{plan.name}.mcap"
 
     def moving() -> bool:
         state = chain.excitation
+        if state.get("run") != run_id:
+            return False
         if state.get("reason"):
-            raise UserError(f"the {plan.name} run was stopped: {state['reason']}")
+            raise UserError(f"the {plan.name} run was stopped: {state['reason']}{_why(chain)}")
         done = state.get("period", 0) / plan.periods if state.get("state") == "running" else 0.0
         report(0.8 * done, f"{plan.name}: {state.get('state', 'starting')}")
         return state.get("state") == "done"
@@ -135,3 +162,9 @@ def _follow(chain: Any, plan: _Plan, report: common.Report) -> None:
 
     chain.wait(moving, f"the end of the {plan.name} run", 60.0 + plan.periods / plan.fundamental_hz)
     chain.wait(identified, f"the identification from the {plan.name} run", IDENTIFIED_S)
+
+
+def _why(chain: Chain) -> str:
+    """The driver's reason, where it stopped the arm."""
+    fault = chain.values("canopen_driver").get("fault")
+    return f" ({fault})" if fault else ""

@@ -32,4 +32,3 @@ class Later:
 
 
 EXCITE = Later("excite", "optimise an excitation trajectory")
-MISMATCH = Later("mismatch", "locate and explain a mismatch")

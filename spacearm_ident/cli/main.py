@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import UnfitDataError, UserError
-from . import demo, identify, later, node, report, simulate
+from . import demo, identify, later, mismatch, node, report, simulate
 
-COMMANDS = (demo, identify, simulate, report, later.EXCITE, later.MISMATCH, node)
+COMMANDS = (demo, identify, simulate, report, mismatch, later.EXCITE, node)
 
 
 def parser() -> argparse.ArgumentParser:

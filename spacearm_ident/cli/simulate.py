@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,16 @@ from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import load_trajectory
 from ..recording import Recording, write_recording
 from ..simulation.closed_loop import SensorNoise, simulate_run
+from ..simulation.concealed import Concealment, Effect, load_concealed
 from ..simulation.parameters import PlantParameters
 from ..simulation.servo import DriveData
 from . import common
 
 DESCRIPTION = """
 Move a simulated arm along a trajectory, in closed loop and with real sensors' noise, and write the recording as an
-MCAP file (or, where BAG does not end in .mcap, as a rosbag2 folder).
+MCAP file (or, where BAG does not end in .mcap, as a rosbag2 folder). With --conceal the arm also obeys physics that
+its model does not tell of: a YAML file `schema: spacearm_ident/conceal/1`, `effects: [{effect: torque_ripple, joints:
+[joint_3], parameters: {amplitude: 1.1, cycles: 24}}]`.
 """
 
 
@@ -36,6 +40,7 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--arm", type=Path, metavar="FILE", help="arm YAML with gear ratios, torque constants and torque limits"
     )
+    command.add_argument("--conceal", type=Path, metavar="FILE", help="physics to add that the model does not know")
     command.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default 0)")
     command.add_argument("--noise", type=float, default=1.0, metavar="FACTOR", help="times the default noise; 0: none")
     common.add_output_options(command)
@@ -50,8 +55,9 @@ def run(options: argparse.Namespace) -> int:
     arm = model.model.arm if options.arm is None else load_arm(options.arm)
     parameters = PlantParameters.from_model(model_to_dict(model), arm.urdf)
     trajectory = load_trajectory(options.trajectory)
+    effects = [] if options.conceal is None else load_concealed(options.conceal, parameters.joints)
     with common.progress(options) as report:
-        recording = record(parameters, trajectory, arm, options.seed, options.noise, report)
+        recording = record(parameters, trajectory, arm, options.seed, options.noise, report, effects)
         write_recording(options.out, recording)
     if options.json:
         common.print_json({"bag": str(options.out), "samples": len(recording.time), "joints": list(recording.joints)})
@@ -67,8 +73,9 @@ def record(
     seed: int,
     noise: float,
     report: common.Report,
+    effects: Sequence[Effect] = (),
 ) -> Recording:
-    """Simulate one run of an arm under its drives."""
+    """Simulate one run of an arm under its drives, with `effects` concealed in it."""
     if trajectory.joints != parameters.joints:
         raise UserError(
             f"the trajectory moves {', '.join(trajectory.joints)}; the arm has {', '.join(parameters.joints)}"
@@ -96,5 +103,6 @@ def record(
         seed=seed,
         noise=sensors,
         drives=drives,
+        hidden=Concealment(effects) if effects else None,
         progress=lambda share: report(share, "simulating"),
     )

@@ -44,7 +44,8 @@ def obtained(identified: Identified) -> Markup:
     bandwidth, arm = identified.bandwidth, identified.model.model.arm
     known = dict(identified.model.provenance or {})
     sources = [
-        _sources(known.pop(which, None), title) for which, title in ((FITTED, "Fitted on"), (VALIDATED, "Validated on"))
+        source_table(known.pop(which, None), title)
+        for which, title in ((FITTED, "Fitted on"), (VALIDATED, "Validated on"))
     ]
     rows = [
         f"{joint}: {count} (residual {number(float(sigma))} N·m RMS)"
@@ -56,7 +57,7 @@ def obtained(identified: Identified) -> Markup:
         ("rows fitted", " · ".join(rows)),
         ("physical consistency", _consistency(identified.consistency_shift)),
         ("gravity", f"({', '.join(number(float(g), 4) for g in arm.gravity)}) m/s² in the base frame"),
-        *((str(key).replace("_", " "), _fact(value)) for key, value in known.items()),
+        *((str(key).replace("_", " "), fact(value)) for key, value in known.items()),
     ]
     return join(
         element("h2", "How it was obtained"),
@@ -78,13 +79,14 @@ def _consistency(shift: float) -> str:
     return f"imposing it moved no base parameter by more than {number(shift, 2)} of its standard errors"
 
 
-def _fact(value: Any) -> object:
+def fact(value: Any) -> object:
+    """A value of the provenance for a page."""
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {item}" for key, item in value.items())
     return element("code", value)
 
 
-def _sources(sources: Any, title: str) -> Markup | None:
+def source_table(sources: Any, title: str) -> Markup | None:
     """A table of files with sizes and checksums; nothing where the provenance does not say."""
     named = [source for source in sources or () if isinstance(source, Mapping)]
     if not named:

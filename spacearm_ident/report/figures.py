@@ -78,24 +78,29 @@ def joint_signals(traces: Sequence[Trace], joint: int, revolute: bool) -> JointS
     traces = [trace for trace in traces if len(trace.time)]
     if not traces:
         return None
-    space = JOIN_SHARE * sum(float(np.ptp(trace.time)) for trace in traces)
-    times, end = [], None
-    for trace in traces:
-        times.append(trace.time if end is None else trace.time - trace.time[0] + end + space)
-        end = float(times[-1][-1])
     velocity, measured, predicted, moving = (
         np.concatenate([getattr(trace, name)[:, joint] for trace in traces])
         for name in ("velocity", "measured", "predicted", "moving")
     )
     starts = np.cumsum([0, *(len(trace.time) for trace in traces[:-1])])
     return JointSignals(
-        np.concatenate(times),
+        joined([trace.time for trace in traces]),
         *(velocity, measured, predicted),
         moving.astype(bool),
         revolute,
         tuple(int(start) for start in starts),
         tuple(trace.source for trace in traces),
     )
+
+
+def joined(times: Sequence[FloatArray]) -> FloatArray:
+    """Times of recordings, none of them empty, one after the other with a little white space between, s."""
+    space = JOIN_SHARE * sum(float(np.ptp(time)) for time in times)
+    moved, end = [], None
+    for time in times:
+        moved.append(time if end is None else time - time[0] + end + space)
+        end = float(moved[-1][-1])
+    return np.concatenate(moved)
 
 
 def over_time(signals: JointSignals, joint: str) -> Markup:
@@ -143,7 +148,7 @@ def _name_sources(axes: Axes, signals: JointSignals) -> None:
         if source != before:
             place = (float(signals.time[start]), 1.0)
             axes.annotate(
-                _short(source, 40),
+                short(source, 40),
                 place,
                 (3, -2),
                 xycoords=("data", "axes fraction"),
@@ -162,16 +167,17 @@ def over_velocity(signals: dict[str, JointSignals]) -> Markup:
             keep = thinned(len(mine.time))
             for where, colour in ((~mine.moving, CLOUD_STANDING), (mine.moving, CLOUD_MOVING)):
                 chosen = keep[where[keep]]
-                _cloud(axes, mine.velocity[chosen], mine.residual[chosen], colour)
+                cloud(axes, mine.velocity[chosen], mine.residual[chosen], colour)
             axes.axhline(0.0, color=COLOUR["muted"], linewidth=0.6)
             axes.plot(
                 *_trend(mine.velocity[mine.moving], mine.residual[mine.moving]), color=COLOUR["ink"], linewidth=1.1
             )
-            _name(axes, joint, mine.velocity_label, f"residual, {mine.torque_unit}")
+            name_axes(axes, joint, mine.velocity_label, f"residual, {mine.torque_unit}")
         return to_svg(figure, "Residual over velocity, one panel a joint")
 
 
-def _cloud(axes: Axes, x: FloatArray, y: FloatArray, colour: str) -> None:
+def cloud(axes: Axes, x: FloatArray, y: FloatArray, colour: str) -> None:
+    """Points, as a picture within the figure."""
     axes.plot(x, y, ".", markersize=3.2, markeredgewidth=0, color=colour, alpha=0.55, rasterized=True)
 
 
@@ -197,17 +203,18 @@ def friction(model: IdentifiedModel, signals: dict[str, JointSignals], pose: Flo
             rows = np.flatnonzero(mine.moving)
             rows = rows[thinned(len(rows))]
             shown = mine.residual[rows] + np.interp(mine.velocity[rows], velocity, torque)
-            _cloud(axes, mine.velocity[rows], shown, CLOUD_MOVING)
+            cloud(axes, mine.velocity[rows], shown, CLOUD_MOVING)
             for half in (velocity < 0, velocity > 0):
                 axes.plot(velocity[half], torque[half], color=COLOUR["ink"], linewidth=1.1)
             axes.axhline(0.0, color=COLOUR["muted"], linewidth=0.6)
             axes.axvline(0.0, color=COLOUR["muted"], linewidth=0.6)
-            _name(axes, joint, mine.velocity_label, f"friction, {mine.torque_unit}")
+            name_axes(axes, joint, mine.velocity_label, f"friction, {mine.torque_unit}")
         return to_svg(figure, "Friction torque over velocity, one panel a joint")
 
 
-def _name(axes: Axes, title: str, below: str, beside: str) -> None:
-    axes.set_title(_short(title, LONGEST_NAME))
+def name_axes(axes: Axes, title: str, below: str, beside: str) -> None:
+    """Title and labels of a panel, and few ticks."""
+    axes.set_title(short(title, LONGEST_NAME))
     axes.set_xlabel(below, labelpad=1)
     axes.set_ylabel(beside, labelpad=2)
     axes.yaxis.set_major_locator(MaxNLocator(4))
@@ -264,5 +271,6 @@ def _reach(items: Sequence[Estimate]) -> tuple[float, float]:
     return low - space, high + space
 
 
-def _short(name: str, most: int) -> str:
+def short(name: str, most: int) -> str:
+    """At most so many characters of a name."""
     return name if len(name) <= most else name[: most - 1] + "…"

@@ -37,7 +37,7 @@ def write_result(identified: Identified, validation: Validation, directory: Path
         UserError: The folder cannot be written, or the arm's URDF cannot carry the result.
     """
     result = Result(identified, validation, datetime.now(UTC).isoformat(timespec="seconds"))
-    with _replacing(directory) as staging:
+    with replacing(directory) as staging:
         save_result(result, staging)
         (staging / "parameters.csv").write_text(parameters_csv(identified), encoding="utf-8")
         (staging / "base_parameters.csv").write_text(base_parameters_csv(identified), encoding="utf-8")
@@ -55,13 +55,13 @@ def rewrite_report(directory: Path) -> Path:
         UserError: It is not a result folder, or not a whole one.
     """
     result = load_result(directory)
-    with _replacing(directory) as staging:
+    with replacing(directory) as staging:
         (staging / REPORT).write_text(report_html(result), encoding="utf-8")
     return directory / REPORT
 
 
 @contextmanager
-def _replacing(directory: Path) -> Iterator[Path]:
+def replacing(directory: Path) -> Iterator[Path]:
     """A folder to write into, whose files replace those of `directory` once the block has ended well.
 
     It lies inside `directory`, which may be a mount point: files then move without being copied. An error or a

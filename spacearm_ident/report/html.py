@@ -39,6 +39,11 @@ def report_html(result: Result) -> str:
         structure(identified),
         obtained(identified),
     )
+    return page(title, body)
+
+
+def page(title: str, body: Markup) -> str:
+    """A whole document around a body, in the look of every report and unable to load anything."""
     head = join(
         element("meta", charset="utf-8"),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
@@ -46,8 +51,8 @@ def report_html(result: Result) -> str:
         element("title", title),
         element("style", Markup(STYLESHEET)),
     )
-    page = element("html", element("head", head), element("body", element("main", body)), lang="en")
-    return f"<!DOCTYPE html>\n{page}\n"
+    whole = element("html", element("head", head), element("body", element("main", body)), lang="en")
+    return f"<!DOCTYPE html>\n{whole}\n"
 
 
 def _date(written: str) -> str:
@@ -163,21 +168,22 @@ def _signals(result: Result) -> Iterable[Markup]:
         )
         yield element("section", element("h3", breakable(name), small), figures.over_time(mine, name), class_="joint")
     yield element("h2", "Residual over velocity")
-    yield _figure(
+    yield captioned(
         figures.over_velocity(signals),
         "Blue: the joint moves; grey: it stands still. Line: mean over ranges of equally many moving samples. "
         "A line that leaves zero is friction the model does not have.",
     )
     yield element("h2", "Friction")
     pose = np.mean(np.concatenate([trace.position for trace in validation.traces if len(trace.time)]), axis=0)
-    yield _figure(
+    yield captioned(
         figures.friction(model, signals, pose),
         "Line: the model's friction in steady motion, in the mean pose of the recording. Dots: the same plus the "
         "residual, that is the measured torque less everything else in the model, while the joint moves.",
     )
 
 
-def _figure(drawing: Markup, caption: str) -> Markup:
+def captioned(drawing: Markup, caption: str) -> Markup:
+    """A figure with its caption."""
     return element("figure", drawing, element("figcaption", caption))
 
 
@@ -187,7 +193,7 @@ def _parameters(result: Result) -> Markup:
     return join(
         element("h2", "Parameters"),
         determination_key(),
-        _figure(
+        captioned(
             figures.parameters(identified),
             f"Values with their 95 % intervals, where the data give one. {' · '.join(key)}.",
         ),

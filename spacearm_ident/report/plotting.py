@@ -26,7 +26,7 @@ from .markup import Markup
 
 ROLES = (
     *("ink", "muted", "line", "band", "measured", "predicted", "residual"),
-    *("data", "combined", "bound", "prior", "fixed"),
+    *("data", "combined", "bound", "prior", "fixed", "before", "after"),
 )
 COLOUR = {role: f"#0{k:x}0{k:x}0{k:x}" for k, role in enumerate(ROLES, start=1)}
 """Role -> stand-in colour; the page's style sheet defines a variable of each name."""

@@ -7,6 +7,7 @@ STYLESHEET = """
   --measured: #a3adba; --predicted: #1668b8; --residual: #c2410c;
   --data: #1668b8; --combined: #1668b8; --bound: #c2410c; --prior: #7a8594; --fixed: #a3adba;
   --good: #15803d; --fair: #a16207; --poor: #b91c1c; --unknown: #5c6775; --caution: #fdf3e0; --bar: #cfe2f5;
+  --before: #d9762b; --after: #1668b8; --found: #1668b8;
 }
 @media screen and (prefers-color-scheme: dark) {
   :root {
@@ -14,6 +15,7 @@ STYLESHEET = """
     --measured: #6d7889; --predicted: #6cb2f5; --residual: #fb8d52;
     --data: #6cb2f5; --combined: #6cb2f5; --bound: #fb8d52; --prior: #8e99a8; --fixed: #6d7889;
     --good: #4ade80; --fair: #facc15; --poor: #f87171; --unknown: #98a3b2; --caution: #33291a; --bar: #233f5c;
+    --before: #f0a060; --after: #6cb2f5; --found: #6cb2f5;
   }
 }
 * { box-sizing: border-box; }
@@ -30,7 +32,14 @@ p { margin: 6px 0; max-width: 84ch; } p.quiet { max-width: 100ch; }
   border-radius: 4px; }
 .verdict h2 { margin: 0 0 4px; padding: 0; border: 0; font-size: 18px; }
 .verdict.good { border-color: var(--good); } .verdict.fair { border-color: var(--fair); }
-.verdict.poor { border-color: var(--poor); }
+.verdict.poor { border-color: var(--poor); } .verdict.found { border-color: var(--found); }
+.card { margin: 16px 0; padding: 4px 20px 14px; border: 1px solid var(--line); border-radius: 6px; }
+.card h3 { font-size: 16.5px; margin-top: 12px; }
+.card table.narrow { width: auto; }
+.meter { display: inline-block; width: 140px; height: 9px; margin-right: 10px; border-radius: 2px;
+  background: var(--band); vertical-align: middle; }
+.meter > span { display: block; height: 100%; border-radius: 2px; background: var(--after); }
+dd small { color: var(--muted); font-size: 13px; }
 ul.warnings { list-style: none; margin: 12px 0 0; padding: 0; }
 ul.warnings li { margin: 6px 0; padding: 8px 14px; background: var(--caution); border-radius: 4px; }
 ul.warnings li::before { content: "! "; font-weight: 700; color: var(--fair); }
@@ -72,7 +81,7 @@ summary { cursor: pointer; color: var(--predicted); margin: 10px 0 4px; }
   table, .key, figcaption, .quiet { font-size: 9.5px; }
   table.matrix th, table.matrix td { font-size: 8.5px; padding: 1px 4px; }
   th, td { padding: 1px 6px; } code { font-size: 8.5px; } dl { font-size: 10px; }
-  td.share, .verdict, ul.warnings li, .swatch.block { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+  td.share, .meter, .meter > span, .verdict, ul.warnings li, .swatch.block { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
   .wide { overflow: visible; }
   details::details-content { content-visibility: visible; block-size: auto; }
 }

@@ -27,7 +27,7 @@ from spacearm_ident.simulation.thermal import ThermalParameters
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-_SETTLE_S = 0.5
+SETTLE_S = 0.5
 """Held at the start before the recording begins, so that the drives carry gravity at its first sample."""
 _TEMPERATURE_HZ = 5.0
 
@@ -61,6 +61,24 @@ class Commanded(Protocol):
 
     def evaluate(self, t: ArrayLike) -> MotionStates:
         """Motion at the times `t` (T,), s; held still outside [0, `duration_s`]."""
+
+
+class HiddenPhysics(Protocol):
+    """What the arm obeys beyond its parameters, and what its drives and sensors get wrong (see `concealed`)."""
+
+    def plant(
+        self, parameters: PlantParameters, position: FloatArray, thermal: ThermalParameters, law: JointLaw | None
+    ) -> Plant:
+        """The plant at rest at `position` (n,), its clock at -`SETTLE_S`."""
+
+    def encoder(self, position: FloatArray) -> FloatArray:
+        """What the drives take for the position `position` (..., n), rad."""
+
+    def motor(self, torque: FloatArray, plant: Plant) -> FloatArray:
+        """What the motors give (n,) where their drives mean to give, and report, `torque` (n,) N·m."""
+
+    def reported(self, truth: Truth) -> Truth:
+        """Motion and torque as the sensors claim them."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +150,7 @@ def simulate_run(
     law: JointLaw | None = None,
     thermal: ThermalParameters | None = None,
     feedforward: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None,
+    hidden: HiddenPhysics | None = None,
     progress: Progress | None = None,
 ) -> Recording:
     """Follow a trajectory and record it; `measure(simulate_truth(...), ...)`.
@@ -147,6 +166,7 @@ def simulate_run(
         law: Friction and drive train in place of the parameters' own.
         thermal: Thermal data; copper losses follow from `drives` unless given.
         feedforward: Torque (T, n) from commanded q, qd, qdd (T, n), added by the drives.
+        hidden: Physics that the parameters do not tell of.
         progress: Called now and then with the share done, 0 to 1.
 
     Raises:
@@ -162,6 +182,7 @@ def simulate_run(
         law=law,
         thermal=thermal,
         feedforward=feedforward,
+        hidden=hidden,
         progress=progress,
     )
     return measure(truth, SensorNoise() if noise is None else noise, seed)
@@ -177,6 +198,7 @@ def simulate_truth(
     law: JointLaw | None = None,
     thermal: ThermalParameters | None = None,
     feedforward: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None,
+    hidden: HiddenPhysics | None = None,
     progress: Progress | None = None,
 ) -> Truth:
     """Follow a trajectory and return the noise-free truth; arguments as for `simulate_run`."""
@@ -188,7 +210,7 @@ def simulate_truth(
     if ratio % 2 or abs(ratio * rate_hz - tuning.rate_hz) > 1e-6 * tuning.rate_hz:
         raise ValueError("the servo rate must be an even multiple of the recording's rate")
 
-    before, half = round(_SETTLE_S * tuning.rate_hz), ratio // 2
+    before, half = round(SETTLE_S * tuning.rate_hz), ratio // 2
     samples = int(np.floor(trajectory.duration_s * rate_hz + 1e-9)) + 1
     at = before + ratio * np.arange(samples)
     command = trajectory.evaluate((np.arange(at[-1] + half + 1) - before) / tuning.rate_hz)
@@ -197,11 +219,15 @@ def simulate_truth(
         extra = feedforward(command.q, command.qd, command.qdd)
 
     start = command.q[0]
-    plant = Plant(parameters, position=start, law=law, thermal=thermal or ThermalParameters(drives.copper_loss))
+    warmth = thermal or ThermalParameters(drives.copper_loss)
+    if hidden is None:
+        plant = Plant(parameters, position=start, law=law, thermal=warmth)
+    else:
+        plant = hidden.plant(parameters, start, warmth, law)
     servo = Servo(np.diag(plant.inertia()), drives, tuning, start)
     warm_every = max(1, round(rate_hz / _TEMPERATURE_HZ))
-    q, qd, torque, warm = _run(plant, servo, command, extra, at[::warm_every], progress)
-    return Truth(
+    q, qd, torque, warm = _run(plant, servo, command, extra, at[::warm_every], hidden, progress)
+    truth = Truth(
         joints=parameters.joints,
         time=np.arange(samples) / rate_hz,
         q=q[at],
@@ -214,6 +240,7 @@ def simulate_truth(
         urdf=parameters.urdf,
         drives=drives,
     )
+    return truth if hidden is None else hidden.reported(truth)
 
 
 def measure(truth: Truth, noise: SensorNoise, seed: int = 0, start_ns: int = 0) -> Recording:
@@ -254,6 +281,7 @@ def _run(
     command: MotionStates,
     feedforward: FloatArray,
     warm_at: NDArray[np.intp],
+    hidden: HiddenPhysics | None,
     progress: Progress | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Position and velocity at the start of every servo cycle, torque during it; housings at `warm_at`."""
@@ -266,11 +294,13 @@ def _run(
         if progress is not None:
             progress(first / len(q))
         for cycle in range(first, last):
-            q[cycle] = plant.position
+            q[cycle] = seen = plant.position
             qd[cycle] = plant.velocity
-            applied = servo.torque(plant.position, command.q[cycle], command.qd[cycle], feedforward[cycle])
+            if hidden is not None:
+                seen = hidden.encoder(seen)
+            applied = servo.torque(seen, command.q[cycle], command.qd[cycle], feedforward[cycle])
             torque[cycle] = applied
-            plant.step(applied, servo.dt)
+            plant.step(applied if hidden is None else hidden.motor(applied, plant), servo.dt)
     if progress is not None:
         progress(1.0)
     return q, qd, torque, warm

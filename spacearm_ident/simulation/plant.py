@@ -10,13 +10,13 @@ the numbers explode.
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.joint_law import JointLaw, StribeckLaw
+from spacearm_ident.simulation.mechanism import Mechanism, RigidMechanism, rigid_body_model
 from spacearm_ident.simulation.parameters import PlantParameters
 from spacearm_ident.simulation.stick_slip import solve_stick_slip
 from spacearm_ident.simulation.thermal import Thermal, ThermalParameters
@@ -26,37 +26,20 @@ FloatArray = NDArray[np.float64]
 __all__ = ["Plant", "PlantParameters", "rigid_body_model"]
 
 
-def rigid_body_model(parameters: PlantParameters) -> pin.Model:
-    """Pinocchio model with the parameters' inertias, rotor inertias (armature) and gravity.
+class StepObserver(Protocol):
+    """Whatever has a state of its own (bristles, an oil temperature) and must move along with the plant."""
 
-    Raises:
-        UserError: The description cannot be parsed, or its moving joints are not those of the parameters.
-    """
-    try:
-        model = pin.buildModelFromXML(parameters.urdf)
-    except (ValueError, RuntimeError) as error:
-        raise UserError(f"the robot description cannot be parsed ({error}); correct the URDF") from error
-    names = tuple(model.names)[1:]
-    if names != parameters.joints:
-        raise UserError(
-            f"the description's moving joints are {', '.join(names)}, "
-            f"the model's {', '.join(parameters.joints)}; name the same joints in the same order, base to tip"
-        )
-    if model.nq != model.nv:
-        raise UserError("the simulated arm takes revolute and prismatic joints; make continuous ones revolute")
-    for index, values in enumerate(parameters.rigid_body, start=1):
-        model.inertias[index] = pin.Inertia.FromDynamicParameters(values)
-    model.armature = parameters.rotor_inertia.copy()
-    model.gravity.linear = parameters.gravity
-    return model
+    def begin(self, plant: Plant, h: float) -> None:
+        """Called before every internal step of `h` seconds, with the plant as the step finds it."""
 
 
 class Plant:
     """The arm as it moves; `step` it with motor torques.
 
     Attributes:
-        position: (n,) rad. A new array each step, safe to keep.
-        velocity: (n,) rad/s; exactly zero at joints that stick.
+        parameters: What it obeys.
+        thermal: Its thermal state.
+        time: s on the recording's clock; the internal step begins here.
     """
 
     def __init__(
@@ -68,6 +51,9 @@ class Plant:
         law: JointLaw | None = None,
         thermal: ThermalParameters | None = None,
         longest_step_s: float = 2.5e-4,
+        mechanism: Mechanism | None = None,
+        observer: StepObserver | None = None,
+        start_s: float = 0.0,
     ) -> None:
         """Start at `position` (zero unless given) and `velocity` (at rest unless given).
 
@@ -78,36 +64,62 @@ class Plant:
             law: Friction and drive train in place of `StribeckLaw(parameters)`.
             thermal: Thermal data in place of the defaults.
             longest_step_s: Longer steps are divided.
+            mechanism: What carries the joints, in place of rigid links on a fixed base.
+            observer: Told before every internal step.
+            start_s: Where `time` begins.
 
         Raises:
             UserError: Parameters and robot description do not fit.
         """
         n = len(parameters.joints)
         self.parameters = parameters
-        self.position = np.zeros(n) if position is None else np.array(position, dtype=float)
-        self.velocity = np.zeros(n) if velocity is None else np.array(velocity, dtype=float)
-        self._acceleration = np.zeros(n)
+        self.time = start_s
+        self._mechanism = RigidMechanism(parameters) if mechanism is None else mechanism
+        self._drives = self._mechanism.drives
+        m = self._mechanism.size
+        self._configuration = self._mechanism.start(np.zeros(n) if position is None else np.array(position, float))
+        self._speed = np.zeros(m)
+        if velocity is not None:
+            self.velocity = np.array(velocity, dtype=float)
+        self._acceleration = np.zeros(m)
+        self._still = np.zeros(m)
         self._friction_power = np.zeros(n)
-        self._still = np.zeros(n)
         self._law = StribeckLaw(parameters) if law is None else law
-        self._thermal = Thermal(ThermalParameters() if thermal is None else thermal, n)
-        self._model = rigid_body_model(parameters)
-        self._data = self._model.createData()
+        self._observer = observer
+        self.thermal = Thermal(ThermalParameters() if thermal is None else thermal, n)
         self._longest_step_s = longest_step_s
+
+    @property
+    def position(self) -> FloatArray:
+        """(n,) rad of the drives. A new array each step, safe to keep."""
+        return self._mechanism.position(self._configuration)
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(n,) rad/s of the drives; exactly zero at joints that stick."""
+        return self._speed if self._drives is None else self._speed[self._drives]
+
+    @velocity.setter
+    def velocity(self, value: FloatArray) -> None:
+        self._speed = self._spread(value)
 
     @property
     def housing_temperature(self) -> FloatArray:
         """(n,) °C, what a joint's temperature sensor and its lubricant feel."""
-        return self._thermal.housing.copy()
+        return self.thermal.housing.copy()
 
     @property
     def winding_temperature(self) -> FloatArray:
         """(n,) °C, of the motor windings."""
-        return self._thermal.winding.copy()
+        return self.thermal.winding.copy()
 
     def inertia(self) -> FloatArray:
         """Joint-space inertia at the present posture, rotors included, (n, n) kg·m²."""
-        return np.array(pin.crba(self._model, self._data, self.position))
+        return self._mechanism.joint_inertia(self._configuration)
+
+    def load(self) -> FloatArray:
+        """(n,) N·m the gears pass on to the links in the motion of the last step."""
+        return self._mechanism.load(self._configuration, self._speed, self._acceleration)
 
     def step(self, torque: FloatArray, dt: float) -> None:
         """Let `dt` seconds pass with the motors' output-side torque (n,) N·m held."""
@@ -115,10 +127,22 @@ class Plant:
         h = dt / parts
         for _ in range(parts):
             self._step(torque, h)
-        self._thermal.heat(torque, self._friction_power, dt)
+        self.thermal.heat(torque, self._friction_power, dt)
+
+    def _spread(self, values: FloatArray) -> FloatArray:
+        """Values of the drives (n,) as values of all coordinates (m,), zero elsewhere."""
+        if self._drives is None:
+            return values
+        spread = np.zeros(self._mechanism.size)
+        spread[self._drives] = values
+        return spread
 
     def _step(self, torque: FloatArray, h: float) -> None:
-        v, law, warm = self.velocity, self._law, self._thermal.housing
+        if self._observer is not None:
+            self._observer.begin(self, h)
+        mechanism, law, warm, v = self._mechanism, self._law, self.thermal.housing, self._speed
+        mechanism.time = self.time
+        self.time += h
         if not v.any():
             if self._holds(torque):
                 return
@@ -127,32 +151,37 @@ class Plant:
             predicted = v + 0.5 * h * self._acceleration
             # A prediction across zero would put the level on the wrong side of the Stribeck peak.
             predicted = np.where(v * predicted > 0.0, predicted, v)
-        q = self.position + 0.5 * h * v
-        smooth = law.smooth_torque(q, predicted, warm)
-        level = law.dry_level(q, predicted, warm)
-        after = self._slide(q, v, predicted, torque - smooth, level, h)
+        configuration = mechanism.moved(self._configuration, v, 0.5 * h)
+        q = mechanism.position(configuration)
+        turning = predicted if self._drives is None else predicted[self._drives]
+        smooth = law.smooth_torque(q, turning, warm)
+        level = law.dry_level(q, turning, warm)
+        state = (configuration, v, predicted, self._spread(torque - smooth), self._spread(level))
+        after = self._slide(*state, h)
         if after is None:
-            after = self._stick_or_slip(q, v, predicted, torque - smooth, level, h)
+            after = self._stick_or_slip(*state, h)
         self._acceleration = (after - v) / h
-        self.velocity = after
-        self.position = q + 0.5 * h * after
+        self._speed = after
+        self._configuration = mechanism.moved(configuration, after, 0.5 * h)
         # Springs store what they take; over a motion that cancels, and it is small beside friction.
-        self._friction_power = (smooth + level * np.sign(predicted)) * predicted
+        self._friction_power = (smooth + level * np.sign(turning)) * turning
 
     def _holds(self, torque: FloatArray) -> bool:
         """Whether static friction holds the whole arm, which is at rest."""
-        q, still, warm = self.position, self._still, self._thermal.housing
-        load = pin.nonLinearEffects(self._model, self._data, q, still)
-        excess = np.abs(torque - load - self._law.smooth_torque(q, still, warm))
-        if (excess > self._law.dry_level(q, still, warm)).any():
+        still, warm = self._still, self.thermal.housing
+        q = self._mechanism.position(self._configuration)
+        no_speed = still[: len(q)]
+        load = self._mechanism.bias(self._configuration, still)
+        excess = np.abs(self._spread(torque - self._law.smooth_torque(q, no_speed, warm)) - load)
+        if (excess > self._spread(self._law.dry_level(q, no_speed, warm))).any():
             return False
         self._acceleration = still
-        self._friction_power = still
+        self._friction_power = no_speed
         return True
 
     def _slide(
         self,
-        q: FloatArray,
+        configuration: FloatArray,
         v: FloatArray,
         predicted: FloatArray,
         driving: FloatArray,
@@ -160,14 +189,16 @@ class Plant:
         h: float,
     ) -> FloatArray | None:
         """The new velocity if every joint moves and keeps its direction (nearly always), else None."""
-        if not v.all():
+        free = level == 0.0
+        if not (free | (v != 0.0)).all():
             return None
-        after = v + h * pin.aba(self._model, self._data, q, predicted, driving - level * np.sign(v))
-        return after if (after * v > 0.0).all() else None
+        friction = level * np.sign(v)
+        after = v + h * self._mechanism.acceleration(configuration, predicted, driving - friction)
+        return after if (free | (after * v > 0.0)).all() else None
 
     def _stick_or_slip(
         self,
-        q: FloatArray,
+        configuration: FloatArray,
         v: FloatArray,
         predicted: FloatArray,
         driving: FloatArray,
@@ -175,7 +206,7 @@ class Plant:
         h: float,
     ) -> FloatArray:
         """The new velocity with joints sticking, breaking away or turning round."""
-        load = pin.nonLinearEffects(self._model, self._data, q, predicted)
-        inertia = pin.crba(self._model, self._data, q)
+        load = self._mechanism.bias(configuration, predicted)
+        inertia = self._mechanism.inertia(configuration)
         momentum = inertia @ v + h * (driving - load)
         return solve_stick_slip(inertia, momentum, h * level, v)

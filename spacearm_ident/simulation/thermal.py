@@ -27,7 +27,7 @@ class ThermalParameters:
         housing_heat_capacity: C_h, J/K.
         winding_to_housing: R_wh, K/W.
         housing_to_ambient: R_ha, K/W.
-        ambient: Temperature around, and of everything at the start, °C.
+        ambient: Temperature around, and of everything at the start, °C; (n,) or one number.
     """
 
     copper_loss: FloatArray | float = 2e-3
@@ -35,16 +35,25 @@ class ThermalParameters:
     housing_heat_capacity: float = 1500.0
     winding_to_housing: float = 0.8
     housing_to_ambient: float = 0.6
-    ambient: float = 20.0
+    ambient: FloatArray | float = 20.0
 
 
 class Thermal:
-    """Thermal state of n joints: `winding` and `housing`, (n,) °C."""
+    """Thermal state of n joints.
+
+    Attributes:
+        winding: (n,) °C.
+        housing: (n,) °C.
+        capacity: J/K of a housing.
+        heating: (n,) W into the housings from elsewhere (sun, heaters); zero unless set.
+    """
 
     def __init__(self, parameters: ThermalParameters, n: int) -> None:
         self._p = parameters
         self.winding = np.full(n, parameters.ambient)
         self.housing = np.full(n, parameters.ambient)
+        self.capacity = parameters.housing_heat_capacity
+        self.heating = np.zeros(n)
         self._copper_J = np.zeros(n)
         self._friction_J = np.zeros(n)
         self._elapsed_s = 0.0
@@ -62,7 +71,7 @@ class Thermal:
         inward = (self.winding - self.housing) / p.winding_to_housing * dt
         outward = (self.housing - p.ambient) / p.housing_to_ambient * dt
         self.winding += (p.copper_loss * self._copper_J - inward) / p.winding_heat_capacity
-        self.housing += (self._friction_J + inward - outward) / p.housing_heat_capacity
+        self.housing += (self._friction_J + self.heating * dt + inward - outward) / p.housing_heat_capacity
         self._copper_J[:] = 0.0
         self._friction_J[:] = 0.0
         self._elapsed_s = 0.0

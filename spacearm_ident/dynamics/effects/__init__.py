@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .body import BaseTilt, ExternalContact, FloatingBase, LinkMass, Payload
+from .body import BaseTilt, ExternalContact, FloatingBase, Payload
 from .compliance import Backlash, BaseFlexibility, JointElasticity, LinkFlexibility
 from .coupling import RotorCoupling, WristCoupling
 from .drive import CurrentOffset, FilterLag, MotorSaturation, TimeDelay, TorqueConstant
@@ -24,7 +24,6 @@ EFFECTS: dict[str, type[Effect]] = {
     effect.kind: effect
     for effect in (
         Payload,
-        LinkMass,
         FrictionDrift,
         TemperatureFriction,
         LoadFriction,

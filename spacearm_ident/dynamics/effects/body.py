@@ -17,11 +17,26 @@ from .effect import Effect, Options, Shown, each, known_joint, nothing
 from .linearised import COARSE_HZ, _interpolate, rigid_torque
 
 MASS = ("m", "mcx", "mcy", "mcz")
+HEAVIEST_KG, LONGEST_M = 50.0, 2.0
 
 
 @dataclass(frozen=True)
-class _AddedMass(Effect):
-    """A body fixed to a link: mass and first moment, and its inertia in the fuller form."""
+class Payload(Effect):
+    """A body fixed to a link, the last one as a rule: mass and first moment, and inertia in the fuller form."""
+
+    kind: ClassVar[str] = "payload"
+    words: ClassVar[str] = "an unknown payload"
+    equation: ClassVar[str] = "Y_k [m, m c]"
+    source: ClassVar[str] = "Khalil, Gautier and Lemoine 2007"
+    confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "base_tilt", "harness_spring")
+    experiment: ClassVar[str] = "the same motion with the gripper turned by a right angle"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """On the last link, as a point or with inertia of its own; on any other that moves against gravity."""
+        for joint in reversed(arm.joint_names):
+            yield {"joint": joint}
+        yield {"joint": arm.joint_names[-1], "inertia": True}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -33,6 +48,11 @@ class _AddedMass(Effect):
         if place.get("inertia"):
             parameters += [Parameter(f"dI{axis}{axis}", joint, "kg m^2", scale=0.2) for axis in "xyz"]
         return cls(tuple(parameters), place=place)
+
+    def plausible(self, parameters: FloatArray, constants: Sequence[float]) -> bool:
+        """A mass within reach of its link: a centre of mass metres away, or no mass at all, is something else."""
+        mass, moment = abs(float(parameters[0])), float(np.linalg.norm(parameters[1:4]))
+        return bool(mass < HEAVIEST_KG and moment < LONGEST_M * mass)
 
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """The regressor's columns of that link."""
@@ -48,47 +68,14 @@ class _AddedMass(Effect):
 
     def shown(self, values: FloatArray) -> Shown:
         """Mass, and where it is."""
-        mass = float(values[0])
-        known = {"mass": (mass, "kg")}
+        known = {"mass": (float(values[0]), "kg")}
         for symbol, moment in zip(("x", "y", "z"), values[1:4]):
             known[f"moment_{symbol}"] = (float(moment), "kg m")
         return known
 
-
-@dataclass(frozen=True)
-class Payload(_AddedMass):
-    """Something hangs on the last link."""
-
-    kind: ClassVar[str] = "payload"
-    words: ClassVar[str] = "an unknown payload at the flange"
-    equation: ClassVar[str] = "Y_n [m, m c]"
-    source: ClassVar[str] = "Khalil, Gautier and Lemoine 2007"
-    confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "base_tilt", "link_mass")
-    experiment: ClassVar[str] = "the same motion with the gripper turned by a right angle"
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """On the last link; as a point, or with inertia of its own."""
-        yield {"joint": arm.joint_names[-1]}
-        yield {"joint": arm.joint_names[-1], "inertia": True}
-
-
-@dataclass(frozen=True)
-class LinkMass(_AddedMass):
-    """A link is heavier or lighter than it was."""
-
-    kind: ClassVar[str] = "link_mass"
-    words: ClassVar[str] = "the mass of a link changed"
-    equation: ClassVar[str] = "Y_k [m, m c]"
-    source: ClassVar[str] = "paper eq. 4"
-    confused_with: ClassVar[tuple[str, ...]] = ("payload", "torque_constant", "base_tilt", "harness_spring")
-    experiment: ClassVar[str] = "the same motion with the joints beyond folded the other way"
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Every link but the last."""
-        for joint in arm.joint_names[:-1]:
-            yield {"joint": joint}
+    def where(self, values: FloatArray) -> str:
+        """On which link."""
+        return f"{values[0]:.3g} kg on the link of {self.place['joint']}"
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ DAMPING_RATIO = 0.05
 CONTACT_HZ = 30.0
 """Gear teeth in contact are as stiff as makes the link swing at this frequency: above what is looked at."""
 CONTACT_DAMPING = 0.3
+LARGEST_TURN = 0.5
+"""Phase, rad, that a swing between stops may advance in a sample: the integration is stable up to 2."""
 STIFFNESS_GRID = tuple(float(k) for k in np.geomspace(400.0, 120e3, 20))
 GAP_GRID = tuple(float(b) for b in np.geomspace(5e-4, 0.03, 10))
 
@@ -77,7 +79,7 @@ def spring(sensitivity: Sensitivity, stiffness: float) -> tuple[FloatArray, Floa
 def gap(sensitivity: Sensitivity, width: float) -> tuple[FloatArray, FloatArray]:
     """D (N,) rad and d'' of a link that hangs between two stops `width` apart."""
     inertia = np.maximum(sensitivity.own_inertia, 1e-6)
-    natural = 2 * np.pi * CONTACT_HZ
+    natural = min(2 * np.pi * CONTACT_HZ, LARGEST_TURN * sensitivity.rate_hz)
     stiffness, damping = natural**2 * inertia, 2 * CONTACT_DAMPING * natural * inertia
     h, half = 1 / sensitivity.rate_hz, 0.5 * width
     first = float(sensitivity.load[0] / stiffness[0])

@@ -1,0 +1,214 @@
+"""Open the answers of a blind trial and count.
+
+*Strict*: the first finding's name is the concealed effect's. *Twin-aware*: or the first finding lists it among its
+alternatives as one it cannot rule out (`"twin": true`, or a score of at least `TWIN_SCORE` of the finding's
+confidence). A run that crashed or found its data unfit counts as nothing found. The finding's value is compared with
+the truth by the name in the answer's `comparable` where the finding has a parameter of that name, else its first; by
+size, without the sign.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+TWIN_SCORE = 0.1
+FROM_ONE = ("efficiency", "scale")
+"""Parameters that are 1 on a healthy arm: their distance from 1 is compared."""
+NOTHING = "nothing"
+Entry = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One trial: the answer and what the tool said."""
+
+    number: int
+    answer: Entry
+    findings: list[Entry]
+    failed: bool
+    seconds: float
+
+    @property
+    def kind(self) -> str:
+        """`healthy`, `one`, `two` or `absent`."""
+        return str(self.answer["kind"])
+
+    @property
+    def first(self) -> str:
+        """Name of the first finding."""
+        return str(self.findings[0]["effect"]) if self.findings else NOTHING
+
+    @property
+    def truth(self) -> Entry:
+        """The concealed effect, the stronger where there are two."""
+        return max(self.answer["effects"], key=lambda effect: effect["multiple"])
+
+    def names(self, twins: bool) -> list[set[str]]:
+        """What each finding may be called."""
+        return [named(finding) if twins else {str(finding["effect"])} for finding in self.findings]
+
+    def right(self, twins: bool) -> bool:
+        """Whether the first finding is a concealed effect."""
+        true = {effect["effect"] for effect in self.answer["effects"]}
+        return bool(self.findings) and bool(self.names(twins)[0] & true)
+
+    def both(self, twins: bool) -> bool:
+        """Whether every concealed effect is among the findings."""
+        named_ones = set().union(*self.names(twins)) if self.findings else set()
+        return all(effect["effect"] in named_ones for effect in self.answer["effects"])
+
+    def right_joint(self) -> bool:
+        """Whether the first finding points at a concealed effect's joint, or at joints that show it."""
+        said = set(self.findings[0].get("joints", [])) if self.findings else set()
+        for effect in self.answer["effects"]:
+            if effect["local"]:
+                where = set(effect["joints"])
+                if said & where and len(said) <= len(where) + 2:
+                    return True
+            elif said & {joint for joint, multiple in effect["multiples"].items() if multiple >= 1.0}:
+                return True
+        return False
+
+    def amplitude_error(self) -> tuple[str, float] | None:
+        """Compared parameter, and its relative error, where the first finding is right."""
+        effects = {effect["effect"]: effect for effect in self.answer["effects"]}
+        parameters = self.findings[0].get("parameters") if self.findings else None
+        if self.first not in effects or not parameters:
+            return None
+        effect = effects[self.first]
+        key = effect["comparable"] if effect["comparable"] in parameters else next(iter(parameters))
+        true = effect["parameters"].get(key, effect["parameters"][effect["comparable"]])
+        value = parameters[key]["value"] if isinstance(parameters[key], dict) else parameters[key]
+        healthy = 1.0 if effect["comparable"] in FROM_ONE else 0.0
+        size, true_size = abs(float(value) - healthy), abs(float(true) - healthy)
+        return f"{self.first}.{key}", abs(size / true_size - 1.0)
+
+
+def named(finding: Entry) -> set[str]:
+    """Every name the finding leaves open."""
+    least = TWIN_SCORE * float(finding.get("confidence", 1.0))
+    others = finding.get("alternatives", [])
+    open_ones = {str(o["effect"]) for o in others if o.get("twin") or float(o.get("score", 0.0)) >= least}
+    return {str(finding["effect"])} | open_ones
+
+
+def load_trials(out: Path) -> list[Scored]:
+    """All finished trials of a run."""
+    trials = []
+    for path in sorted(out.glob("trials/*/finished.json")):
+        finished = json.loads(path.read_text(encoding="utf-8"))
+        answer = json.loads((out / "sealed" / path.parent.name / "answer.json").read_text(encoding="utf-8"))
+        said = path.parent / "result" / "mismatch.json"
+        document = json.loads(said.read_text(encoding="utf-8")) if said.exists() else {}
+        findings = document.get("findings", []) if document.get("verdict") == "mismatch" else []
+        failed = document.get("verdict") not in ("mismatch", "no_mismatch")
+        trials.append(Scored(int(path.parent.name), answer, findings, failed, float(finished["seconds"])))
+    return trials
+
+
+def share(name: str, hits: Iterable[bool]) -> str:
+    """A line with Wilson's 95 % interval."""
+    values = list(hits)
+    if not values:
+        return f"{name:52} -"
+    interval = binomtest(sum(values), len(values)).proportion_ci(method="wilson")
+    percent = 100 * sum(values) / len(values)
+    return (
+        f"{name:52} {percent:5.1f} %  {sum(values)} of {len(values)}  "
+        f"(95 %: {100 * interval.low:.1f} to {100 * interval.high:.1f})"
+    )
+
+
+def report(trials: list[Scored]) -> str:
+    """The whole score as text."""
+    if not trials:
+        return "no finished trials"
+    by_kind = defaultdict(list)
+    for trial in trials:
+        by_kind[trial.kind].append(trial)
+    singles = by_kind["one"]
+    lines = [f"{len(trials)} trials; crashed or unfit: {sum(t.failed for t in trials)}", ""]
+    lines += [share("false alarm on healthy arms", (bool(t.findings) for t in by_kind["healthy"]))]
+    lines += _singles(singles)
+    for twins, how in ((False, "strict"), (True, "with twins")):
+        lines.append(share(f"two effects: both named, {how}", (t.both(twins) for t in by_kind["two"])))
+        lines.append(share(f"two effects: first one right, {how}", (t.right(twins) for t in by_kind["two"])))
+    lines.append(
+        share("absent effect: unknown or nothing", (t.first in ("unknown", NOTHING) for t in by_kind["absent"]))
+    )
+    lines += _quality(trials)
+    lines += ["", "concealed effect × first finding (one effect)", *_confusion(singles)]
+    lines += ["", "concealed effect × first finding (absent from the catalogue)", *_confusion(by_kind["absent"])]
+    lines += ["", "not right:", *_misses(trials)]
+    return "\n".join(lines)
+
+
+def _singles(singles: list[Scored]) -> list[str]:
+    lines = [share("one effect: detected", (bool(t.findings) for t in singles))]
+    asked = sorted({t.truth["asked_multiple"] for t in singles})
+    for multiple in [None, *asked]:
+        these = [t for t in singles if multiple is None or t.truth["asked_multiple"] == multiple]
+        at = "all" if multiple is None else f"{multiple:g} x noise"
+        lines.append(share(f"  detected, {at}", (bool(t.findings) for t in these)))
+        lines.append(share(f"  right effect first, strict, {at}", (t.right(False) for t in these)))
+        lines.append(share(f"  right effect first, with twins, {at}", (t.right(True) for t in these)))
+    detected = [t for t in singles if t.findings]
+    lines.append(share("  right joint, of those detected", (t.right_joint() for t in detected)))
+    return lines
+
+
+def _quality(trials: list[Scored]) -> list[str]:
+    right = [t for t in trials if t.right(False)]
+    explained = [t.findings[0].get("validation", {}).get("explained_fraction") for t in right]
+    errors = [error for error in (t.amplitude_error() for t in right) if error is not None]
+    lines = [
+        _median("explained fraction on unseen data, right ones", [float(e) for e in explained if e is not None]),
+        _median("relative error of the compared parameter", [error for _, error in errors]),
+        _median("seconds a case", [t.seconds for t in trials]),
+        f"{'longest':52} {max(t.seconds for t in trials):.1f}",
+        "compared:",
+    ]
+    by_key = defaultdict(list)
+    for key, error in errors:
+        by_key[key].append(error)
+    lines += [f"  {key:50} {np.median(e):.3f}  ({len(e)})" for key, e in sorted(by_key.items())]
+    return lines
+
+
+def _median(name: str, values: list[float]) -> str:
+    return f"{name:52} {np.median(values):.3f}  ({len(values)})" if values else f"{name:52} -"
+
+
+def _confusion(trials: list[Scored], first: Callable[[Scored], str] = lambda t: t.first) -> list[str]:
+    table: dict[str, Counter[str]] = defaultdict(Counter)
+    for trial in trials:
+        table[trial.truth["effect"]][first(trial)] += 1
+    return [
+        f"  {true:24} " + ", ".join(f"{said} {count}" for said, count in row.most_common())
+        for true, row in sorted(table.items())
+    ]
+
+
+def _misses(trials: list[Scored]) -> list[str]:
+    lines = []
+    for t in trials:
+        if t.kind == "healthy":
+            good, true = not t.findings and not t.failed, "healthy"
+        else:
+            good = t.first in ("unknown", NOTHING) if t.kind == "absent" else t.both(False) and t.right(False)
+            true = " + ".join(
+                f"{e['effect']}({e['law']}) {','.join(e['joints']) if e['local'] else '-'} x{e['multiple']:.1f}"
+                for e in t.answer["effects"]
+            )
+        if not good:
+            said = ", ".join(f"{f['effect']} {','.join(f.get('joints', []))}" for f in t.findings) or NOTHING
+            lines.append(f"  {t.number:4} {true}: {'FAILED' if t.failed else said}")
+    return lines

@@ -1,0 +1,151 @@
+"""`spacearm mismatch`: say what physics was left out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..dynamics.arm import Arm
+from ..dynamics.effects import EFFECTS
+from ..dynamics.model import IdentifiedModel
+from ..dynamics.model_file import load_model
+from ..errors import UserError
+from ..mismatch.document import to_document
+from ..mismatch.explain import explain
+from ..mismatch.finding import DATA_UNFIT, Explanation, Finding
+from ..recording import Recording
+from ..report.mismatch_folder import write_mismatch
+from . import common
+
+DESCRIPTION = """
+Compare recordings of an arm with what its reference says, and explain the difference: at which joint, which physics,
+how large; with a model that has it, judged on recordings the fit has not seen. The reference is a recording of the
+healthy arm, or a model.yaml; without one, the arm's own fit is the base, and what its structure leaves over is
+explained.
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser."""
+    command = commands.add_parser("mismatch", help="locate and explain a mismatch", description=DESCRIPTION)
+    command.add_argument("bags", nargs="*", type=Path, metavar="BAG", help="recordings to explain")
+    command.add_argument(
+        "--reference",
+        nargs="+",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="BAG|MODEL",
+        help="recordings of the healthy arm, or one model.yaml",
+    )
+    command.add_argument(
+        "--validate",
+        nargs="+",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="BAG",
+        help="recordings to judge on; default: the last third of each BAG is held out",
+    )
+    common.add_arm_options(command)
+    command.add_argument("--out", required=True, type=Path, metavar="DIR", help="where to")
+    command.add_argument(
+        "--without", nargs="+", default=[], metavar="EFFECT", help="effects that are not to be considered"
+    )
+    common.add_output_options(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, explain, write."""
+    for name in options.without:
+        if name not in EFFECTS:
+            raise UserError(f"no effect {name!r}: there are {', '.join(EFFECTS)}")
+    bags, references, judges = sort_bags(options.bags, options.reference, options.validate)
+    with common.progress(options) as report:
+        reading = common.within(report, 0.0, 0.1)
+        reference = _reference(references, reading)
+        field, judged = common.read_bags(bags, reading), common.read_bags(judges, reading)
+        healthy = [] if isinstance(reference, IdentifiedModel) else list(reference)
+        recordings = [*field, *healthy, *judged]
+        arm = _arm(options, reference, recordings)
+        explanation = explain(arm, reference, field, judged, options.without, progress=common.within(report, 0.1, 0.95))
+        page = write_mismatch(explanation, arm, field, judged, healthy, options.out, options.command_line)
+    common.note_findings(options, recordings)
+    if options.json:
+        print(json.dumps(to_document(explanation), indent=2, allow_nan=False))
+    else:
+        print(summary(explanation, page))
+    return 1 if explanation.verdict == DATA_UNFIT else 0
+
+
+def sort_bags(
+    bags: list[Path], reference: list[list[Path]], validate: list[list[Path]]
+) -> tuple[list[Path], list[Path], list[Path]]:
+    """Which file is what: bags to explain, the reference's, those to judge on.
+
+    In `--reference R BAG ...` the option has taken the bags as well: where none is left, the first of its group is
+    the reference and the others are what is to be explained.
+
+    Raises:
+        UserError: There is nothing to explain.
+    """
+    if not bags:
+        for groups in (validate, reference):
+            if groups and len(groups[-1]) > 1:
+                bags, groups[-1] = groups[-1][1:], groups[-1][:1]
+                break
+        else:
+            raise UserError("no bag to explain: name at least one, as in 'spacearm mismatch BAG --reference BAG'")
+    return bags, [path for group in reference for path in group], [path for group in validate for path in group]
+
+
+def _reference(paths: Sequence[Path], progress: common.Report) -> list[Recording] | IdentifiedModel:
+    """Bags, or the one model file."""
+    models = [path for path in paths if path.suffix in (".yaml", ".yml")]
+    if not models:
+        return common.read_bags(paths, progress)
+    if len(paths) > 1:
+        raise UserError("give bags of the healthy arm or one model file as --reference, not both")
+    return load_model(models[0])
+
+
+def _arm(
+    options: argparse.Namespace, reference: list[Recording] | IdentifiedModel, recordings: Sequence[Recording]
+) -> Arm:
+    if isinstance(reference, IdentifiedModel) and options.arm is None and options.gravity is None:
+        return reference.model.arm
+    return common.arm_of(options, recordings)
+
+
+def summary(explanation: Explanation, page: Path) -> str:
+    """The result on a terminal."""
+    lines = [explanation.verdict.replace("_", " ")]
+    lines += [f"  {reason}" for reason in explanation.reasons]
+    for finding in explanation.findings:
+        lines += _finding_lines(finding)
+    if explanation.verdict != DATA_UNFIT:
+        lines.append(f"residual RMS, N m, on {explanation.judged_on}")
+        lines.append(f"{'joint':24}{'noise':>9}{'before':>9}{'after':>9}")
+        columns = (explanation.noise_floor_Nm, explanation.before_Nm, explanation.after_Nm)
+        lines += [f"{j:24}{n:9.3f}{b:9.3f}{a:9.3f}" for j, n, b, a in zip(explanation.joints, *columns)]
+    for left in explanation.unexplained:
+        lines.append(f"unexplained at {', '.join(left.joints)}: {100 * left.fraction:.0f} % of it; {left.where}")
+    if explanation.already_there:
+        lines.append(f"in the reference as well: {'; '.join(explanation.already_there)}")
+    if explanation.next_experiment:
+        lines.append(f"next: {explanation.next_experiment}")
+    return "\n".join([*lines, f"report: {page}"])
+
+
+def _finding_lines(finding: Finding) -> list[str]:
+    lines = [f"{finding.effect} at {', '.join(finding.joints)} (confidence {finding.confidence:.2f}): {finding.where}"]
+    values = [f"{name} {q.value:.4g} [{q.low:.4g}, {q.high:.4g}] {q.unit}" for name, q in finding.parameters.items()]
+    if values:
+        lines.append(f"    {'; '.join(values)}")
+    lines.append(f"    explains {100 * finding.explained:.0f} % of what was above the noise there")
+    lines += [f"    rather than {a.effect} at {', '.join(a.joints)}: {a.why_not}" for a in finding.alternatives]
+    return lines

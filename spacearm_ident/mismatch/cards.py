@@ -1,0 +1,200 @@
+"""A card for every accepted effect: what it is, how large, how sure, and what it does on unseen data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from .competition import Outcome, Scored
+from .evidence import Evidence, Stacked, stacked_effect
+from .finding import Alternative, Finding, Quantity
+from .residuals import Residuals
+from .rivals import UNKNOWN
+
+STEP = 1e-3
+"""Relative step of a constant for its derivative."""
+TEMPER, TEMPER_SHARE = 10.0, 0.01
+"""Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
+difference of one in the exponent is this much, and this share of the score, together."""
+NEAR = 0.25
+"""Explanations with less than this share of the winner's score are not worth a line."""
+MOST = 4
+
+
+class Cards:
+    """Turns an outcome into findings."""
+
+    def __init__(self, evidence: Evidence, residuals: Residuals, outcome: Outcome, floor: FloatArray) -> None:
+        self.evidence = evidence
+        self.residuals = residuals
+        self.outcome = outcome
+        self.floor = floor
+        self.accepted = list(outcome.accepted)
+        counts = [len(candidate.effect.parameters) for candidate in self.accepted]
+        self._starts = np.concatenate([[0], np.cumsum(counts)]).astype(int)
+        self._spread = self._covariance()
+
+    def finding(self, number: int) -> Finding:
+        """The card of one accepted effect."""
+        winner, others = self.outcome.rounds[number].winner, self.outcome.rounds[number].others
+        effect = self.accepted[number].effect
+        values = self._values(number)
+        rivals = _others(winner, others)
+        before, after, explained = self._on_unseen(number)
+        joints = effect.joints or tuple(before)
+        return Finding(
+            effect=effect.kind,
+            joints=joints,
+            where=effect.where(values),
+            equation=effect.equation,
+            source=effect.source,
+            parameters=self._quantities(number, values),
+            confidence=_confidence(winner, rivals),
+            alternatives=tuple(_alternative(winner, other) for other in rivals[:MOST]),
+            gain=winner.gain,
+            unseen_gain=winner.unseen,
+            visibility=self._visibility(number),
+            before_Nm=before,
+            after_Nm=after,
+            explained=explained,
+        )
+
+    def _values(self, number: int) -> FloatArray:
+        """Parameters, then constants of one effect."""
+        own = slice(self._starts[number], self._starts[number + 1])
+        return np.concatenate([self.outcome.refit.values[own], self.accepted[number].constants])
+
+    def _visibility(self, number: int) -> float:
+        gram, columns = self.accepted[number].gram, self.accepted[number].stacked.columns
+        values = self.outcome.refit.values[self._starts[number] : self._starts[number + 1]]
+        whole = float(np.sum((columns @ values) ** 2))
+        return float(values @ gram @ values) / whole if whole > 0 else float("nan")
+
+    def _on_unseen(self, number: int) -> tuple[dict[str, float], dict[str, float], float]:
+        """RMS by joint without and with the effect, and the share of the variance above the noise that it removes."""
+        values = self.outcome.refit.values
+        others = [c for k, c in enumerate(self.accepted) if k != number]
+        kept = np.delete(values, np.arange(self._starts[number], self._starts[number + 1]))
+        whole = self.evidence.base_parameters(self.accepted, values)
+        with_it = self.residuals.of(whole, self.accepted, values)
+        if self.evidence.reference is None:
+            # Nothing pins the base down but the field itself: without the effect it would have fitted otherwise.
+            refit = self.evidence.refit(others)
+            without = self.residuals.of(self.evidence.base_parameters(others, refit.values), others, refit.values)
+        else:
+            without = self.residuals.of(whole, others, kept)
+        names = self.evidence.base.model.arm.joint_names
+        rms_without, rms_with = self.residuals.rms(without), self.residuals.rms(with_it)
+        rows = self._felt_at(number)
+        removed = above = 0.0
+        for row in rows:
+            count = float(np.sum(self.residuals.scene.joint == row))
+            if count:
+                removed += (rms_without[row] ** 2 - rms_with[row] ** 2) * count / self.floor[row] ** 2
+                above += max(rms_without[row] ** 2 - self.floor[row] ** 2, 0.0) * count / self.floor[row] ** 2
+        explained = float(np.clip(removed / above, 0.0, 1.0)) if above > 0 else float("nan")
+        return (
+            {names[row]: float(rms_without[row]) for row in rows},
+            {names[row]: float(rms_with[row]) for row in rows},
+            explained,
+        )
+
+    def _felt_at(self, number: int) -> list[int]:
+        """The rows in which an effect moves torque, the strongest first."""
+        candidate = self.accepted[number]
+        values = self.outcome.refit.values[self._starts[number] : self._starts[number + 1]]
+        torque = candidate.stacked.columns @ values
+        joint = self.evidence.field.joint[candidate.stacked.rows]
+        energy = np.array([np.sum(torque[joint == j] ** 2) for j in range(len(self.floor))])
+        strongest = np.argsort(-energy)
+        return [int(j) for j in strongest if energy[j] > 0.05 * energy.max()]
+
+    def _quantities(self, number: int, values: FloatArray) -> dict[str, Quantity]:
+        """What the effect shows of its values, with intervals from their covariance."""
+        effect, spread = self.accepted[number].effect, self._spread[number]
+        if effect.kind == UNKNOWN:
+            return {}
+        shown = effect.shown(values)
+        quantities = {}
+        for name, (value, unit) in shown.items():
+            slope = np.zeros(len(values))
+            for k in range(len(values)):
+                step = max(abs(values[k]) * STEP, 1e-9)
+                moved = values.copy()
+                moved[k] += step
+                slope[k] = (effect.shown(moved)[name][0] - value) / step
+            half = 1.96 * float(np.sqrt(max(slope @ spread @ slope, 0.0)))
+            quantities[name] = Quantity(value, unit, value - half, value + half)
+        return quantities
+
+    def _covariance(self) -> list[FloatArray]:
+        """By effect, covariance of its parameters and constants, all effects and the base free together."""
+        stacked: list[Stacked] = []
+        free: list[bool] = []
+        for number, candidate in enumerate(self.accepted):
+            values = self._values(number)[: len(candidate.effect.parameters)]
+            held = candidate.held
+            for k in range(len(held)):
+                stacked.append(Stacked(candidate.stacked.rows, candidate.stacked.columns[:, [k]]))
+                free.append(not held[k])
+            for k, constant in enumerate(candidate.constants):
+                step = max(abs(constant) * STEP, 1e-9)
+                moved = [*candidate.constants[:k], constant + step, *candidate.constants[k + 1 :]]
+                there = stacked_effect(self.evidence.field, candidate.effect, moved)
+                change = (there.columns - candidate.stacked.columns) @ values / step
+                stacked.append(Stacked(candidate.stacked.rows, change[:, None]))
+                free.append(True)
+        if not stacked:
+            return []
+        covariance = _inverse(self.evidence.gram(stacked), np.array(free))
+        blocks, first = [], 0
+        for candidate in self.accepted:
+            count = len(candidate.held) + len(candidate.constants)
+            blocks.append(covariance[first : first + count, first : first + count])
+            first += count
+        return blocks
+
+
+def _inverse(gram: FloatArray, free: np.ndarray) -> FloatArray:
+    """Inverse of a Gram matrix, zero where not free."""
+    where = np.flatnonzero(free & (np.diag(gram) > 0))
+    unit = np.sqrt(np.diag(gram)[where])
+    inverse = np.linalg.pinv(gram[np.ix_(where, where)] / np.outer(unit, unit), rcond=1e-8, hermitian=True)
+    whole = np.zeros_like(gram)
+    whole[np.ix_(where, where)] = inverse / np.outer(unit, unit)
+    return whole
+
+
+def _others(winner: Scored, others: Sequence[Scored]) -> list[Scored]:
+    """Plausible competitors worth a line, the best of each kind and place."""
+    seen = {(winner.candidate.effect.kind, winner.candidate.effect.joints)}
+    kept = []
+    for other in others:
+        key = (other.candidate.effect.kind, other.candidate.effect.joints)
+        if other.plausible and other.score > NEAR * winner.score and key not in seen:
+            seen.add(key)
+            kept.append(other)
+    return kept
+
+
+def _confidence(winner: Scored, others: Sequence[Scored]) -> float:
+    """Weight of the winner among the named explanations that were compared."""
+    kind = winner.candidate.effect.kind
+    named = [other for other in others if other.named and other.candidate.effect.kind != kind]
+    unit = TEMPER + TEMPER_SHARE * winner.score
+    weights = [1.0, *(np.exp(min(0.0, (other.score - winner.score) / unit)) for other in named)]
+    return float(np.clip(weights[0] / sum(weights), 0.01, 0.99))
+
+
+def _alternative(winner: Scored, other: Scored) -> Alternative:
+    share = (other.gain + other.unseen) / max(winner.gain + winner.unseen, 1e-9)
+    effect = other.candidate.effect
+    if other.score > winner.score:
+        why = "explains as much, but with a freedom that no physics has"
+    elif share > 0.97:
+        why = "explains as much: these data cannot tell the two apart"
+    else:
+        why = f"explains {100 * share:.0f} % of what the finding does"
+    return Alternative(effect.kind, effect.joints, float(other.score / winner.score), why)

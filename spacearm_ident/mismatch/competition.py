@@ -1,0 +1,323 @@
+"""The competition: which effects explain what the base model leaves over.
+
+Every effect at every place is fitted together with the base (and with what was accepted before); constants are
+searched over their grids, the best refined. An effect's score is its drop in chi-square on the field, plus its drop on
+recordings the fit has not seen, less a penalty for its freedom. The best joins, earlier ones are tried again without,
+and so on until nothing scores above the gate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.effects import EFFECTS
+from ..dynamics.effects.effect import Effect
+from .evidence import Candidate, Evidence, Refit, Unseen
+from .rivals import UNKNOWN, Rival, rivals
+
+GATE = 60.0
+"""Score an effect must have. The largest on healthy arms is what sets it (bench/concealed.py)."""
+REFINED = 14
+"""So many of the best are refined and judged on unseen data."""
+NAMED_SHARE = 0.8
+"""A named effect stands if it explains this share of what the best generic rival does."""
+SHARED = 0.3
+"""An effect that explains this share as much in the reference, row for row, was there before."""
+MINOR_SHARE = 0.003
+"""Beside a large effect at the same joints, less than this share of it is more likely the large one's own law being
+a little different than a second physics: it is left unexplained, not named."""
+SEEN_AGAIN = 0.1
+"""Share of its drop on the fitted rows that an effect must show, row for row, on unseen ones."""
+MOST = 8
+"""Effects in one arm; more is a wrong base model."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A candidate beside those accepted.
+
+    Attributes:
+        candidate: Effect and constants.
+        gain: Drop in chi-square on field and reference.
+        unseen: Drop on the recordings not fitted (0 where there are none).
+        score: Both, less the penalty.
+        plausible: Whether its values are such as this physics has.
+    """
+
+    candidate: Candidate
+    gain: float
+    unseen: float
+    score: float
+    plausible: bool
+
+    @property
+    def named(self) -> bool:
+        """Whether it is an effect of the catalogue."""
+        return self.candidate.effect.kind != UNKNOWN
+
+
+@dataclass(frozen=True)
+class Round:
+    """One accepted effect, and who else was near."""
+
+    winner: Scored
+    others: tuple[Scored, ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the competition ended with.
+
+    Attributes:
+        rounds: Accepted effects, in the order of their acceptance, with their competitors as they were then.
+        accepted: The same effects beside the base as it ended.
+        refit: All of them fitted together.
+        common: Effects that the reference shows as well: what the base model always lacked.
+        left: The best of anything beyond them.
+        left_values: Its parameters and constants.
+    """
+
+    rounds: tuple[Round, ...]
+    accepted: tuple[Candidate, ...]
+    refit: Refit
+    common: tuple[Scored, ...]
+    left: Scored | None
+    left_values: FloatArray
+
+
+class Competition:
+    """Candidates, and what was accepted so far."""
+
+    def __init__(
+        self, evidence: Evidence, unseen: Unseen | None, excluded: Sequence[str] = (), gate: float = GATE
+    ) -> None:
+        self.evidence = evidence
+        self.unseen = unseen
+        self.gate = gate
+        self._healthy: Evidence | None = None
+        self.accepted: list[Candidate] = []
+        self._pool = list(self._candidates(excluded))
+        self._grids: dict[int, list[Candidate]] = {}
+        self.common: list[Scored] = []
+
+    def _candidates(self, excluded: Sequence[str]) -> Iterator[Effect]:
+        arm = self.evidence.base.model.arm
+        warm = all(motion.temperature is not None for motion in self.evidence.field.motions)
+        for kind, effect in EFFECTS.items():
+            if kind in excluded:
+                continue
+            for place in effect.variants(arm):
+                term = effect.at(arm, place)
+                if warm or not term.needs_temperature:
+                    yield term
+        for place in rivals(self.evidence.field.motions):
+            yield Rival.at(arm, place)
+
+    def run(self, progress: Callable[[float, str], None]) -> Outcome:
+        """Until nothing more scores."""
+        rounds: list[Round] = []
+        left = None
+        left_values = np.zeros(0)
+        while len(rounds) + len(self.common) < MOST:
+            progress(len(rounds) / MOST, f"comparing effects, round {len(rounds) + 1}")
+            ranked = self._ranked()
+            winner = choose([scored for scored in ranked if self._stands(scored)], self.gate)
+            if winner is None:
+                left = ranked[0] if ranked else None
+                left_values = self._values_of(left) if left else left_values
+                break
+            if self._was_there_before(winner):
+                self._take_into_base(winner)
+                continue
+            self.accepted.append(winner.candidate)
+            self._renew_pool(winner.candidate.effect)
+            rounds.append(Round(winner, tuple(s for s in ranked if s is not winner)))
+            rounds = self._without_the_idle(rounds)
+        return Outcome(
+            tuple(rounds),
+            tuple(self.accepted),
+            self.evidence.refit(self.accepted),
+            tuple(self.common),
+            left,
+            left_values,
+        )
+
+    def _values_of(self, scored: Scored) -> FloatArray:
+        """Parameters and constants of a candidate beside what is accepted."""
+        count = len(scored.candidate.effect.parameters)
+        values = self.evidence.refit([*self.accepted, scored.candidate]).values[-count:]
+        return np.concatenate([values, scored.candidate.constants])
+
+    def _stands(self, scored: Scored) -> bool:
+        """Whether an effect shows on unseen rows too, and is not a crumb of a larger one at the same joints."""
+        lasting = not any(constant.symbol == "start" for constant in scored.candidate.effect.constants)
+        if self.unseen is not None and lasting:
+            again = scored.unseen / len(self.unseen.scene)
+            if again < SEEN_AGAIN * scored.gain / self.evidence.rows:
+                return False
+        if not self.accepted:
+            return True
+        values = self.evidence.refit(self.accepted).values
+        large = self._energy(self.accepted, values)
+        mine = self._energy([scored.candidate], self._values_of(scored))
+        return float(mine.sum()) > MINOR_SHARE * float(large[mine > 0.05 * mine.max()].sum())
+
+    def _energy(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
+        """(n,) sum of squares by joint of what effects add to the torque."""
+        joint = self.evidence.field.joint
+        torque = np.zeros(len(joint))
+        first = 0
+        for candidate in candidates:
+            count = len(candidate.effect.parameters)
+            torque[candidate.stacked.rows] += candidate.stacked.columns @ values[first : first + count]
+            first += count
+        return np.bincount(joint, weights=torque**2, minlength=len(self.evidence.base.model.arm.joints))
+
+    def _renew_pool(self, effect: Effect) -> None:
+        """What is accepted competes no more; a further one of its kind may."""
+        again = effect.again(self.evidence.base.model.arm)
+        self._pool = [other for other in self._pool if other is not effect] + ([again] if again else [])
+
+    def _was_there_before(self, winner: Scored) -> bool:
+        """Whether the reference shows the same, so that it is no change but what the base model always lacked."""
+        reference = self.evidence.reference
+        if reference is None:
+            return False
+        if self._healthy is None:
+            self._healthy = Evidence(self.evidence.base, reference, None, self.evidence.common)
+        effect = winner.candidate.effect
+        alone = self._healthy.candidate(effect, winner.candidate.constants)
+        gain = self._healthy.refit([alone]).gain - penalty(effect, len(reference))
+        return gain / len(reference) > SHARED * winner.gain / self.evidence.rows and gain > 0.5 * self.gate
+
+    def _take_into_base(self, winner: Scored) -> None:
+        """Refit everything with an effect that reference and field share."""
+        self.common.append(winner)
+        old = self.evidence
+        shared = [*old.common, (winner.candidate.effect, winner.candidate.constants)]
+        self.evidence = Evidence(old.base, old.field, old.reference, shared)
+        if self.unseen is not None:
+            self.unseen = Unseen(self.evidence, self.unseen.scene)
+        self._healthy = None
+        renew = self._renewed
+        self.accepted = [renew(candidate) for candidate in self.accepted]
+        self._grids = {key: [renew(c) for c in grid] for key, grid in self._grids.items()}
+
+    def _renewed(self, candidate: Candidate) -> Candidate:
+        return self.evidence.candidate(candidate.effect, candidate.constants, candidate.stacked)
+
+    def _ranked(self) -> list[Scored]:
+        """The best of every effect at every place, best first."""
+        beside = self.evidence.refit(self.accepted)
+        unseen_before = self._unseen_squares(self.accepted, beside.values)
+        rough = []
+        for effect in self._pool:
+            best = max((self._gain(c, beside), k) for k, c in enumerate(self._grid(effect)))
+            candidate = self._grid(effect)[best[1]]
+            rough.append((best[0] - penalty(effect, self.evidence.rows), len(rough), candidate))
+        rough.sort(key=lambda item: -item[0])
+        scored = []
+        for _, _, candidate in rough[:REFINED]:
+            refined = self._refined(candidate, beside)
+            scored.append(self._scored(refined, beside, unseen_before))
+        return sorted(scored, key=lambda s: -s.score)
+
+    def _grid(self, effect: Effect) -> list[Candidate]:
+        """An effect at every point of its constants' grids; computed once."""
+        key = id(effect)
+        if key not in self._grids:
+            motions = self.evidence.field.motions
+            grids = []
+            for constant in effect.constants:
+                values = np.array(constant.grid)
+                if constant.unit == "s" and constant.symbol == "start":
+                    begin = min(motion.start_s for motion in motions)
+                    end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in motions)
+                    values = values[(values >= begin) & (values < end)]
+                grids.append(values)
+            self._grids[key] = [self.evidence.candidate(effect, point) for point in product(*grids)]
+        return self._grids[key]
+
+    def _gain(self, candidate: Candidate, beside: Refit) -> float:
+        together = self.evidence.refit([*self.accepted, candidate])
+        values = together.values[len(beside.values) :]
+        if not _plausible(candidate, values):
+            return -np.inf
+        return together.gain - beside.gain
+
+    def _refined(self, candidate: Candidate, beside: Refit) -> Candidate:
+        """Constants between the points of their grids, one after the other."""
+        effect, constants = candidate.effect, list(candidate.constants)
+        for k, constant in enumerate(effect.constants):
+            grid = np.array(constant.grid)
+            near = int(np.argmin(np.abs(grid - constants[k])))
+            low, high = grid[max(near - 1, 0)], grid[min(near + 1, len(grid) - 1)]
+
+            def loss(value: float, k: int = k) -> float:
+                trial = self.evidence.candidate(effect, [*constants[:k], value, *constants[k + 1 :]])
+                return -self._gain(trial, beside)
+
+            found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"maxiter": 10})
+            if -found.fun > self._gain(candidate, beside):
+                constants[k] = float(found.x)
+                candidate = self.evidence.candidate(effect, constants)
+        return candidate
+
+    def _scored(self, candidate: Candidate, beside: Refit, unseen_before: float) -> Scored:
+        together = self.evidence.refit([*self.accepted, candidate])
+        gain = together.gain - beside.gain
+        unseen = unseen_before - self._unseen_squares([*self.accepted, candidate], together.values)
+        values = together.values[len(beside.values) :]
+        score = gain + unseen - penalty(candidate.effect, self.evidence.rows)
+        return Scored(candidate, gain, unseen, score, _plausible(candidate, values))
+
+    def _unseen_squares(self, candidates: Sequence[Candidate], values: FloatArray) -> float:
+        if self.unseen is None:
+            return 0.0
+        return float(np.sum(self.unseen.residual(candidates, values) ** 2))
+
+    def _without_the_idle(self, rounds: list[Round]) -> list[Round]:
+        """Drop what later effects have made idle."""
+        whole = self.evidence.refit(self.accepted).gain
+        for k in range(len(rounds) - 1):
+            others = [c for number, c in enumerate(self.accepted) if number != k]
+            lost = whole - self.evidence.refit(others).gain
+            if lost - penalty(self.accepted[k].effect, self.evidence.rows) < 0.5 * self.gate:
+                self.accepted = others
+                return self._without_the_idle([r for number, r in enumerate(rounds) if number != k])
+        return rounds
+
+
+def choose(ranked: Sequence[Scored], gate: float) -> Scored | None:
+    """The winner: the best named effect, unless a generic rival explains clearly more; None below the gate."""
+    above = [s for s in ranked if s.score > gate and s.plausible]
+    named = [s for s in above if s.named]
+    generic = [s for s in above if not s.named]
+    if not named:
+        return generic[0] if generic else None
+    if generic and generic[0].score > named[0].score:
+        explained = named[0].gain + named[0].unseen
+        if explained < NAMED_SHARE * (generic[0].gain + generic[0].unseen):
+            return generic[0]
+    return named[0]
+
+
+def penalty(effect: Effect, rows: int) -> float:
+    """What freedom costs, in chi-square: ln N a parameter (BIC), and as much a constant and its grid."""
+    free = sum(parameter.scale != 0.0 for parameter in effect.parameters)
+    searched = sum(np.log(rows) + 2 * np.log(len(constant.grid)) for constant in effect.constants)
+    return float(free * np.log(rows) + searched)
+
+
+def _plausible(candidate: Candidate, values: FloatArray) -> bool:
+    """Whether values lie within their physical bounds."""
+    for parameter, value in zip(candidate.effect.parameters, values):
+        if not parameter.lower <= value <= parameter.upper or not np.isfinite(value):
+            return False
+    return candidate.effect.plausible(values, candidate.constants)

@@ -1,0 +1,297 @@
+"""`Evidence`: what the base model leaves over in the field, and what an effect would explain of it.
+
+The base model is fitted to reference and field together; effects act in the field alone. So what the reference pins
+down an effect need not fear, and what it leaves open an effect must share (joint refit). With Q an orthonormal basis
+of the base model's columns over all rows, an effect's columns C enter as C - Q Q^T C, and its gain is the drop in
+chi-square. Nothing of that needs a row again: Gram matrices of a few columns do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.effects.effect import Effect, direction
+from ..dynamics.friction import bristle_state
+from ..dynamics.model import IdentifiedModel
+from ..dynamics.term import Columns
+from ..identification.prior import make_prior
+from ..recording.motion import Motion
+from .scene import Scene
+
+SHARP_DISTANCE = 2e-4
+SHARP_SPEEDS = (2e-3, 8e-3, 0.025, 0.08)
+"""How friction runs through a reversal is a nuisance, not a discovery: a short presliding distance, rad, and bells of
+speed, rad/s, that make up any even curve there. What they are is the same in reference and field."""
+NUISANCE = 1 + len(SHARP_SPEEDS)
+"""Columns a joint."""
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """An effect's whitened columns in a scene; zero outside some joints' rows.
+
+    Attributes:
+        rows: Where in the stack.
+        columns: (r, k).
+    """
+
+    rows: slice
+    columns: FloatArray
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect with values of its constants, in the field.
+
+    Attributes:
+        effect: The term.
+        constants: Their values.
+        stacked: Its columns.
+        inside: (b, k) their coordinates in the base's orthonormal basis.
+        gram: (k, k) inner products of what the base cannot take over.
+        slope: (k,) inner products with the residual.
+    """
+
+    effect: Effect
+    constants: tuple[float, ...]
+    stacked: Stacked
+    inside: FloatArray
+    gram: FloatArray
+    slope: FloatArray
+
+    @property
+    def held(self) -> np.ndarray:
+        """(k,) whether a parameter is held at its prior."""
+        return np.array([parameter.scale == 0.0 for parameter in self.effect.parameters])
+
+
+@dataclass(frozen=True)
+class Refit:
+    """Some effects fitted together with the base.
+
+    Attributes:
+        values: (k,) parameters of all candidates, one after the other.
+        gain: Drop in chi-square on reference and field.
+        covariance: (k, k) of the values; zero where held.
+        visibility: (k,) share of each column's energy that the base cannot take over.
+    """
+
+    values: FloatArray
+    gain: float
+    covariance: FloatArray
+    visibility: FloatArray
+
+
+class Evidence:
+    """Base model, field and (if any) reference, ready for candidates.
+
+    Attributes:
+        field: Field rows.
+        reference: Reference rows, if any.
+        common: Effects that reference and field share, part of the base.
+        residual: (F,) what the base leaves over in the field.
+        rows: Number of field rows.
+    """
+
+    def __init__(
+        self,
+        base: IdentifiedModel,
+        field: Scene,
+        reference: Scene | None,
+        common: Sequence[tuple[Effect, tuple[float, ...]]] = (),
+    ) -> None:
+        self.base = base
+        self.field = field
+        self.reference = reference
+        self.common = tuple(common)
+        self.rows = len(field)
+        scenes = [field] if reference is None else [field, reference]
+        columns = [base_columns(base, scene, self.common) for scene in scenes]
+        prior = make_prior(base.model, [motion for scene in scenes for motion in scene.motions])
+        width, known = columns[0].shape[1], prior.rows.shape[1]
+        # What is beside the model (nuisance, common effects) may be as large as it likes; this only breaks ties.
+        belief = np.zeros((len(prior.rows) + width - known, width))
+        belief[: len(prior.rows), :known] = prior.rows
+        belief[len(prior.rows) :, known:] = 1e-3 * np.eye(width - known)
+        torque = np.concatenate([*(scene.torque() for scene in scenes), prior.target, np.zeros(width - known)])
+        stacked = np.concatenate([*columns, belief])
+        self._used = np.flatnonzero(np.any(stacked != 0, axis=0))
+        self._width = width
+        self._triangle = np.linalg.qr(stacked[:, self._used], mode="r")
+        basis = solve_triangular(self._triangle, stacked[:, self._used].T, trans="T").T
+        self._basis = basis[: self.rows]
+        self._inside = basis.T @ torque
+        self.residual = torque[: self.rows] - self._basis @ self._inside
+
+    def candidate(self, effect: Effect, constants: Sequence[float], stacked: Stacked | None = None) -> Candidate:
+        """An effect in the field; its columns may be known from elsewhere."""
+        stacked = stacked or stacked_effect(self.field, effect, constants)
+        columns, rows = stacked.columns, stacked.rows
+        inside = self._basis[rows].T @ columns
+        gram = columns.T @ columns - inside.T @ inside
+        slope = columns.T @ self.residual[rows]
+        return Candidate(effect, tuple(float(c) for c in constants), stacked, inside, gram, slope)
+
+    def gram(self, stacked: Sequence[Stacked]) -> FloatArray:
+        """Inner products of some columns less what the base can take over of them."""
+        columns = np.concatenate([self._whole(one) for one in stacked], axis=1)
+        inside = self._basis.T @ columns
+        return np.asarray(columns.T @ columns - inside.T @ inside)
+
+    def _whole(self, stacked: Stacked) -> FloatArray:
+        whole = np.zeros((self.rows, stacked.columns.shape[1]))
+        whole[stacked.rows] = stacked.columns
+        return whole
+
+    @property
+    def nuisance(self) -> int:
+        """Columns that follow the base model's own parameters."""
+        return NUISANCE * len(self.base.model.arm.joints)
+
+    @property
+    def base_triangle(self) -> FloatArray:
+        """(b, p) square root of the information on the base model's own parameters, nuisance free beside them."""
+        count = len(self.base.model.parameters)
+        own = self._used[self._used < count]
+        # Nuisance columns come last: with them first in the factorisation, what is below is the own ones' share.
+        order = np.concatenate([np.flatnonzero(self._used >= count), np.flatnonzero(self._used < count)])
+        triangle = np.linalg.qr(self._triangle[:, order], mode="r")
+        beside = len(self._used) - len(own)
+        whole = np.zeros((len(own), count))
+        whole[:, own] = triangle[beside:, beside:]
+        return whole
+
+    def refit(self, candidates: Sequence[Candidate]) -> Refit:
+        """Fit candidates together with the base; parameters that are held stay at their priors."""
+        if not candidates:
+            empty = np.zeros(0)
+            return Refit(empty, 0.0, np.zeros((0, 0)), empty)
+        gram = np.block([[_inner(one, other) for other in candidates] for one in candidates])
+        slope = np.concatenate([c.slope for c in candidates])
+        held = np.concatenate([c.held for c in candidates])
+        prior = np.array([p.prior for c in candidates for p in c.effect.parameters])
+        values = np.where(held, prior, 0.0)
+        free = np.flatnonzero(~held)
+        covariance = np.zeros_like(gram)
+        if len(free):
+            unit = np.sqrt(np.maximum(np.diag(gram)[free], 1e-300))
+            scaled = gram[np.ix_(free, free)] / np.outer(unit, unit)
+            inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
+            values[free] = inverse @ ((slope - gram @ values)[free] / unit) / unit
+            covariance[np.ix_(free, free)] = inverse / np.outer(unit, unit)
+        gain = float(2 * slope @ values - values @ gram @ values)
+        energy = np.concatenate([np.sum(c.stacked.columns**2, axis=0) for c in candidates])
+        return Refit(values, gain, covariance, np.diag(gram) / np.maximum(energy, 1e-300))
+
+    def base_parameters(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
+        """Parameters of the base (nuisance and common effects last) when these effects stand beside it."""
+        inside = self._inside.copy()
+        if candidates:
+            inside -= np.concatenate([c.inside for c in candidates], axis=1) @ values
+        whole = np.zeros(self._width)
+        whole[self._used] = solve_triangular(self._triangle, inside)
+        return whole
+
+
+def _inner(one: Candidate, other: Candidate) -> FloatArray:
+    """(k, l) inner products of what the base cannot take over."""
+    if one is other:
+        return one.gram
+    first, last = (f(one.stacked.rows, other.stacked.rows) for f in (_latest_start, _earliest_stop))
+    inner = -one.inside.T @ other.inside
+    if last > first:
+        mine, theirs = one.stacked, other.stacked
+        inner += (
+            mine.columns[first - mine.rows.start : last - mine.rows.start].T
+            @ theirs.columns[first - theirs.rows.start : last - theirs.rows.start]
+        )
+    return np.asarray(inner)
+
+
+def _latest_start(one: slice, other: slice) -> int:
+    return max(one.start, other.start)
+
+
+def _earliest_stop(one: slice, other: slice) -> int:
+    return min(one.stop, other.stop)
+
+
+class Unseen:
+    """A recording that took no part in the fit, and what effects change there."""
+
+    def __init__(self, evidence: Evidence, scene: Scene) -> None:
+        self.evidence = evidence
+        self.scene = scene
+        self.columns = base_columns(evidence.base, scene, evidence.common)
+        self.torque = scene.torque()
+        self._kept: dict[tuple[int, tuple[float, ...]], tuple[Effect, Stacked]] = {}
+
+    def residual(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
+        """(V,) whitened residual with these effects in the model."""
+        residual = self.torque - self.columns @ self.evidence.base_parameters(candidates, values)
+        first = 0
+        for candidate in candidates:
+            count = len(candidate.effect.parameters)
+            stacked = self._effect(candidate)
+            residual[stacked.rows] -= stacked.columns @ values[first : first + count]
+            first += count
+        return np.asarray(residual)
+
+    def _effect(self, candidate: Candidate) -> Stacked:
+        key = id(candidate.effect), candidate.constants
+        if key not in self._kept:
+            self._kept[key] = candidate.effect, stacked_effect(self.scene, candidate.effect, candidate.constants)
+        return self._kept[key][1]
+
+
+def stacked_effect(scene: Scene, effect: Effect, constants: Sequence[float]) -> Stacked:
+    """Whitened columns of an effect."""
+    columns = [
+        effect.columns(motion, constants, background) for motion, background in zip(scene.motions, scene.backgrounds)
+    ]
+    joints = sorted(columns[0])
+    rows = scene.rows_of(joints[0], joints[-1])
+    stacked = np.zeros((rows.stop - rows.start, len(effect.parameters)))
+    for m, (motion, by_joint) in enumerate(zip(scene.motions, columns)):
+        for joint, (indices, values) in by_joint.items():
+            slot = scene.slot(joint, m)
+            stacked[slot.start - rows.start : slot.stop - rows.start, indices] = scene.whiten(
+                joint, m, motion.reduce(values)
+            )
+    return Stacked(rows, stacked)
+
+
+def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Effect, tuple[float, ...]]]) -> FloatArray:
+    """(R, p + NUISANCE n + c) whitened columns of the base model, of its reversals, and of effects it includes."""
+    blocks = []
+    for term, _, first in base.model.numbered():
+        constants = base.constants[first : first + len(term.constants)]
+        columns = [term.columns(motion, constants, b) for motion, b in zip(scene.motions, scene.backgrounds)]
+        block = scene.stack(columns, len(term.parameters))
+        block[:, [parameter.scale == 0.0 for parameter in term.parameters]] = 0.0
+        blocks.append(block)
+    nuisance = [_sharpness(motion) for motion in scene.motions]
+    blocks.append(scene.stack(nuisance, NUISANCE * len(base.model.arm.joints)))
+    for effect, values in common:
+        stacked = stacked_effect(scene, effect, values)
+        block = np.zeros((len(scene), len(effect.parameters)))
+        block[stacked.rows] = stacked.columns
+        blocks.append(block)
+    return np.concatenate(blocks, axis=1)
+
+
+def _sharpness(motion: Motion) -> Columns:
+    """Columns that only the rows near a reversal feel."""
+    columns: Columns = {}
+    for row in range(len(motion.joints)):
+        velocity, sign = motion.velocity[:, row], direction(motion, row)
+        travel = np.abs(velocity) / motion.rate_hz
+        state = bristle_state(sign[:, None], travel, SHARP_DISTANCE, motion.cyclic)[:, 0]
+        bells = [sign * np.exp(-((velocity / speed) ** 2)) for speed in SHARP_SPEEDS]
+        columns[row] = list(range(NUISANCE * row, NUISANCE * (row + 1))), np.stack([state - sign, *bells], axis=1)
+    return columns

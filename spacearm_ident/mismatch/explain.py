@@ -1,0 +1,165 @@
+"""Explain a mismatch: recordings in, verdict, findings and the extended model out.
+
+The stages: can the data carry the question (`integrity`); base model, noise and whitened rows (`preparation`); which
+effects explain what is left (`competition`); and a card for each, judged on a recording that no fit has seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.model import IdentifiedModel
+from ..errors import UnfitDataError
+from ..recording.recording import Recording
+from .cards import Cards
+from .competition import GATE, Competition, Outcome, Scored
+from .evidence import Evidence
+from .extend import extended_model
+from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, unfit
+from .integrity import faults
+from .preparation import Prepared, prepare_evidence
+from .residuals import Residuals
+from .rivals import UNKNOWN
+
+Progress = Callable[[float, str], None]
+HOLD_OUT = 0.35
+LEFT_OVER = 2.0
+"""A joint whose residual variance is so many times the noise's has something unexplained."""
+CLOSE = 0.7
+"""Another explanation with this share of the score cannot be told apart."""
+
+
+def explain(
+    arm: Arm,
+    reference: Sequence[Recording] | IdentifiedModel,
+    field: Sequence[Recording],
+    validation: Sequence[Recording],
+    excluded: Sequence[str] = (),
+    gate: float = GATE,
+    progress: Progress | None = None,
+) -> Explanation:
+    """Say what physics a recording shows that the reference does not.
+
+    Args:
+        arm: What is known before.
+        reference: Recordings of the healthy arm, or its identified model; empty: the field's own fit is the base.
+        field: Recordings to explain.
+        validation: Recordings to judge on, which no fit sees; empty: the last third of each field recording.
+        excluded: Effects that are not to be considered (for blind trials of what is not in the catalogue).
+        gate: Score below which nothing is found.
+        progress: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UserError: A recording lacks a joint of the arm.
+    """
+    report = progress or (lambda share, what: None)
+    names = arm.joint_names
+    healthy = [] if isinstance(reference, IdentifiedModel) else list(reference)
+    broken = faults([*healthy, *field, *validation], names)
+    if broken:
+        return unfit(names, tuple(broken))
+    fitted, judged, judged_on = list(field), list(validation), "recordings the fit has not seen"
+    if not judged:
+        fitted, judged = _held_out(fitted)
+        judged_on = "the last third of the field recordings, held out of the fit"
+    report(0.0, "fitting the base model")
+    try:
+        prepared = prepare_evidence(arm, reference, fitted, judged)
+    except UnfitDataError as error:
+        return unfit(names, (str(error),))
+    competition = Competition(prepared.evidence, prepared.unseen, excluded, gate)
+    outcome = competition.run(lambda share, what: report(0.15 + 0.75 * share, what))
+    report(0.92, "writing down what was found")
+    answer = _answer(prepared, competition, outcome)
+    report(1.0, "done")
+    return replace(answer, judged_on=judged_on)
+
+
+def _held_out(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    first, last = [], []
+    for recording in recordings:
+        cut = recording.time[-1] - HOLD_OUT * (recording.time[-1] - recording.time[0])
+        first.append(recording.between(-np.inf, cut))
+        last.append(recording.between(cut, np.inf))
+    return first, last
+
+
+def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> Explanation:
+    evidence, unseen = competition.evidence, competition.unseen
+    assert unseen is not None
+    joints = evidence.base.model.arm.joint_names
+    accepted = outcome.accepted
+    residuals = Residuals(evidence, unseen.scene)
+    alone, floor = _healthy(evidence, prepared.noise_floor_Nm)
+    before = residuals.of(alone, [], np.zeros(0))
+    after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
+    cards = Cards(evidence, residuals, outcome, floor)
+    findings = tuple(sorted((cards.finding(k) for k in range(len(accepted))), key=lambda f: -f.gain - f.unseen_gain))
+    rms_before, rms_after = residuals.rms(before), residuals.rms(after)
+    return Explanation(
+        verdict=MISMATCH if findings else NO_MISMATCH,
+        joints=joints,
+        noise_floor_Nm=floor,
+        before_Nm=rms_before,
+        after_Nm=rms_after,
+        findings=findings,
+        unexplained=_unexplained(joints, rms_after, floor, outcome),
+        next_experiment=_next(findings),
+        already_there=tuple(_words(scored) for scored in outcome.common),
+        model=extended_model(evidence, accepted, outcome.refit.values) if findings else None,
+        traces=residuals.traces(before, after),
+    )
+
+
+def _healthy(evidence: Evidence, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The base's parameters from the reference alone, and what it leaves there by joint, N·m.
+
+    Without a reference: from the field, and the noise as it was estimated there.
+    """
+    if evidence.reference is None:
+        return evidence.base_parameters([], np.zeros(0)), noise
+    alone = Evidence(evidence.base, evidence.reference, None, evidence.common)
+    parameters = alone.base_parameters([], np.zeros(0))
+    residuals = Residuals(alone, evidence.reference)
+    left = residuals.rms(residuals.of(parameters, [], np.zeros(0)))
+    return parameters, np.where(np.isfinite(left), left, noise)
+
+
+def _words(scored: Scored) -> str:
+    effect = scored.candidate.effect
+    return f"{effect.words} ({effect.kind}) at {', '.join(effect.joints) or 'the base'}"
+
+
+def _unexplained(
+    joints: Sequence[str], after: FloatArray, floor: FloatArray, outcome: Outcome
+) -> tuple[Unexplained, ...]:
+    """Joints whose residual is above the noise with everything that was found."""
+    left = outcome.left.candidate.effect if outcome.left is not None else None
+    found = []
+    for joint, rms, noise in zip(joints, after, floor):
+        if np.isfinite(rms) and rms**2 > LEFT_OVER * noise**2:
+            where = "nothing that was tried explains it"
+            if left is not None and left.kind == UNKNOWN and joint in left.joints:
+                where = f"weakly: {left.where(outcome.left_values)}"
+            found.append(Unexplained((joint,), where, float(1.0 - noise**2 / rms**2)))
+    return tuple(found)
+
+
+def _next(findings: Sequence[Finding]) -> str | None:
+    """The experiment that would tell what these data cannot, for the largest finding that leaves a doubt."""
+    from ..dynamics.effects import EFFECTS
+
+    for finding in findings:
+        if finding.effect == UNKNOWN:
+            return (
+                f"move {finding.joints[0]} alone, slowly over its range in both directions, then at constant speeds: "
+                "what it depends on will show"
+            )
+        close = [a for a in finding.alternatives if a.score > CLOSE and a.effect not in (UNKNOWN, finding.effect)]
+        if close:
+            return f"{EFFECTS[finding.effect].experiment}: tells {finding.effect} from {close[0].effect}"
+    return None

@@ -1,0 +1,138 @@
+"""What an analysis of a mismatch found. Plain results, no computation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.model import IdentifiedModel
+
+MISMATCH, NO_MISMATCH, DATA_UNFIT = "mismatch", "no_mismatch", "data_unfit"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A value with its 95 % interval."""
+
+    value: float
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another explanation, and why it is not the first.
+
+    Attributes:
+        effect: Its name.
+        joints: Where.
+        score: Its score as a share of the finding's.
+        why_not: In words.
+    """
+
+    effect: str
+    joints: tuple[str, ...]
+    score: float
+    why_not: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect.
+
+    Attributes:
+        effect: Name, or `unknown`.
+        joints: Where it acts (all that it moves torque at, where it has no joint of its own).
+        where: In words.
+        equation, source: What it is.
+        parameters: Values.
+        confidence: Of the name, 0..1, against the other explanations that were compared.
+        alternatives: Other explanations, best first.
+        gain, unseen_gain: Drop in chi-square on the fitted and on the unseen data.
+        visibility: Share of its energy that the base model cannot take over.
+        before_Nm, after_Nm: By joint, RMS of the residual without and with it, on what the fit has not seen.
+        explained: Share of the residual's variance above the noise floor that it removes there; NaN where untestable.
+    """
+
+    effect: str
+    joints: tuple[str, ...]
+    where: str
+    equation: str
+    source: str
+    parameters: dict[str, Quantity]
+    confidence: float
+    alternatives: tuple[Alternative, ...]
+    gain: float
+    unseen_gain: float
+    visibility: float
+    before_Nm: dict[str, float]
+    after_Nm: dict[str, float]
+    explained: float
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What is left of a joint's residual."""
+
+    joints: tuple[str, ...]
+    where: str
+    fraction: float
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Signals of one motion for figures, rows of the bandwidth looked at, columns in the order of the arm.
+
+    Attributes:
+        time: (M,) s.
+        position, velocity: (M, n).
+        before, after: (M, n) residual of the base model alone, and with every finding, N·m; NaN where no row counts.
+    """
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    before: FloatArray
+    after: FloatArray
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The whole answer.
+
+    Attributes:
+        verdict: `mismatch`, `no_mismatch` or `data_unfit`.
+        joints: Names of the arm's joints.
+        noise_floor_Nm, before_Nm, after_Nm: (n,) standard deviation of noise, and RMS residual before and after.
+        findings: Largest first.
+        unexplained: What is left.
+        next_experiment: What would separate what these data cannot.
+        already_there: Effects that the reference shows as well, in words.
+        reasons: Why data are unfit, or what else a reader should know.
+        model: Base model with the effects; None where nothing was found.
+        traces: For figures.
+        judged_on: In words, what the residuals are on.
+    """
+
+    verdict: str
+    joints: tuple[str, ...]
+    noise_floor_Nm: FloatArray
+    before_Nm: FloatArray
+    after_Nm: FloatArray
+    findings: tuple[Finding, ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
+    next_experiment: str | None = None
+    already_there: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
+    model: IdentifiedModel | None = None
+    traces: tuple[Trace, ...] = ()
+    judged_on: str = ""
+
+
+def unfit(joints: tuple[str, ...], reasons: tuple[str, ...]) -> Explanation:
+    """The answer where the data cannot carry the question."""
+    nothing = np.full(len(joints), np.nan)
+    return Explanation(DATA_UNFIT, joints, nothing, nothing, nothing, reasons=reasons)

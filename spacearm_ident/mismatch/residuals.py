@@ -1,0 +1,62 @@
+"""Residuals in newton metres, on the rows of a scene, for figures of merit and for pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from .evidence import Candidate, Evidence, base_columns, stacked_effect
+from .finding import Trace
+from .scene import Scene, Whitener
+
+
+class Residuals:
+    """A scene without whitening.
+
+    Attributes:
+        scene: Its rows, in N·m.
+    """
+
+    def __init__(self, evidence: Evidence, scene: Scene) -> None:
+        count = len(evidence.base.model.arm.joints)
+        self.scene = Scene(evidence.base, scene.motions, [Whitener(np.zeros(0), 1.0)] * count)
+        self._columns = base_columns(evidence.base, self.scene, evidence.common)
+        self._torque = self.scene.torque()
+
+    def of(self, base: FloatArray, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
+        """(V,) measured minus predicted, N·m."""
+        residual = self._torque - self._columns @ base
+        first = 0
+        for candidate in candidates:
+            count = len(candidate.effect.parameters)
+            stacked = stacked_effect(self.scene, candidate.effect, candidate.constants)
+            residual[stacked.rows] -= stacked.columns @ values[first : first + count]
+            first += count
+        return np.asarray(residual)
+
+    def rms(self, residual: FloatArray) -> FloatArray:
+        """(n,) RMS by joint; NaN where a joint has no rows."""
+        joints = len(self.scene.whiteners)
+        return np.array(
+            [
+                np.sqrt(np.mean(residual[self.scene.joint == j] ** 2)) if (self.scene.joint == j).any() else np.nan
+                for j in range(joints)
+            ]
+        )
+
+    def traces(self, before: FloatArray, after: FloatArray) -> tuple[Trace, ...]:
+        """Signals of each motion."""
+        made = []
+        for m, motion in enumerate(self.scene.motions):
+            shape = motion.torque_rows.shape
+            parts = []
+            for residual in (before, after):
+                whole = np.full(shape, np.nan)
+                for j in range(shape[1]):
+                    slot = self.scene.slot(j, m)
+                    whole[self.scene.place[slot], j] = residual[slot]
+                parts.append(whole)
+            made.append(Trace(motion.time, motion.reduce(motion.position), motion.velocity_rows, *parts))
+        return tuple(made)

@@ -1,0 +1,121 @@
+"""Generic rivals: dependences without a physics of their own, that named effects must beat.
+
+Smooth functions of position, of position times direction, of velocity, of another joint's motion; periodic or drifting
+in time. Where one of them explains what no named effect does, the honest name is `unknown`, with that dependence said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.background import Background
+from ..dynamics.effects.effect import Effect, Options, direction, known_joint, own
+from ..dynamics.term import Columns, Constant, Parameter
+from ..recording.motion import Motion
+
+UNKNOWN = "unknown"
+DEGREE = 3
+
+
+@dataclass(frozen=True)
+class Rival(Effect):
+    """A dependence without a name; `place` says of what, and between which bounds."""
+
+    kind: ClassVar[str] = UNKNOWN
+    words: ClassVar[str] = "a dependence that no known effect has"
+    equation: ClassVar[str] = "a smooth function"
+    source: ClassVar[str] = "regression splines"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        if place["of"] == "time_periodic":
+            grid = tuple(float(f) for f in np.geomspace(0.2, 18.0, 220))
+            parameters = tuple(Parameter(symbol, joint, "N m") for symbol in ("sin", "cos"))
+            return cls(parameters, (Constant("frequency", joint, "Hz", grid),), place=place)
+        if place["of"] == "time_window":
+            start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
+            length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 5.0))
+            return cls((Parameter("torque", joint, "N m"),), (start, length), place=place)
+        count = 3 if place["of"] == "time_drift" else int(place["count"])
+        return cls(tuple(Parameter(f"b{k}", joint, "N m") for k in range(count)), place=place)
+
+    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+        """Splines, sines or powers of what it depends on."""
+        row = motion.joints.index(self.place["joint"])
+        of = self.place["of"]
+        time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
+        if of == "time_periodic":
+            angle = 2 * np.pi * constants[0] * time
+            return own(row, np.sin(angle), np.cos(angle))
+        if of == "time_window":
+            return own(row, ((time >= constants[0]) & (time < constants[0] + constants[1])).astype(float))
+        if of == "time_drift":
+            moving, late = direction(motion, row), time / float(self.place["length"])
+            return own(row, late, late * moving, late**2 * moving)
+        other = motion.joints.index(self.place.get("with", self.place["joint"]))
+        signal = {
+            "position": motion.position[:, other],
+            "friction_position": motion.position[:, other],
+            "velocity": motion.velocity[:, other],
+            "acceleration": motion.acceleration[:, other],
+        }[of]
+        basis = _splines(signal, float(self.place["low"]), float(self.place["high"]), len(self.parameters))
+        if of == "friction_position":
+            basis = basis * direction(motion, row)[:, None]
+        if of == "velocity":
+            # Friction turns with the direction, and a spline through zero could not jump there.
+            basis[:, 0] = direction(motion, other)
+        return {row: (list(range(basis.shape[1])), basis)}
+
+    def where(self, values: FloatArray) -> str:
+        """What it depends on."""
+        of, other = self.place["of"], self.place.get("with")
+        if of == "time_periodic":
+            return f"comes back {values[2]:.3g} times a second, whatever the motion"
+        if of == "time_window":
+            return f"between {values[1]:.1f} and {values[1] + values[2]:.1f} s"
+        whose = f"the {'position' if 'position' in of else of} of {other}" if other else f"its own {of}"
+        return {
+            "time_drift": "drifts in time",
+            "friction_position": "follows position times direction of motion",
+        }.get(of, f"follows {whose}")
+
+
+def rivals(motions: Sequence[Motion]) -> Iterator[Options]:
+    """Every generic dependence that these motions could show."""
+    joints = motions[0].joints
+    position = np.concatenate([motion.position for motion in motions])
+    velocity = np.concatenate([motion.velocity for motion in motions])
+    length = max(len(motion.position) / motion.rate_hz for motion in motions)
+    for row, joint in enumerate(joints):
+        bounds = {"low": float(position[:, row].min()), "high": float(position[:, row].max())}
+        speed = float(np.abs(velocity[:, row]).max())
+        yield {"joint": joint, "of": "position", "count": 9, **bounds}
+        yield {"joint": joint, "of": "friction_position", "count": 9, **bounds}
+        yield {"joint": joint, "of": "velocity", "count": 8, "low": -speed, "high": speed}
+        yield {"joint": joint, "of": "time_periodic"}
+        yield {"joint": joint, "of": "time_window"}
+        yield {"joint": joint, "of": "time_drift", "length": length}
+        for other, name in enumerate(joints):
+            if other == row:
+                continue
+            low, high = float(position[:, other].min()), float(position[:, other].max())
+            fastest = float(np.abs(velocity[:, other]).max())
+            yield {"joint": joint, "with": name, "of": "position", "count": 6, "low": low, "high": high}
+            yield {"joint": joint, "with": name, "of": "velocity", "count": 6, "low": -fastest, "high": fastest}
+
+
+def _splines(signal: FloatArray, low: float, high: float, count: int) -> FloatArray:
+    """(N, count) cubic B-splines over [low, high]; beyond it the outermost values."""
+    inner = np.linspace(low, high, count - DEGREE + 1)
+    knots = np.concatenate([[low] * DEGREE, inner, [high] * DEGREE])
+    inside = np.clip(signal, low, high - 1e-12 * max(high - low, 1e-9))
+    return np.asarray(BSpline.design_matrix(inside, knots, DEGREE).toarray())

@@ -1,0 +1,237 @@
+"""`Scene`: recordings as whitened rows under a base model.
+
+Every joint's rows of every motion go through that joint's whitening filter, torque and columns alike, and are stacked
+joint by joint into one vector. After that all noise is white with variance one, and a sum of squares is a chi-square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.background import Background
+from ..dynamics.effects.effect import direction
+from ..dynamics.model import IdentifiedModel
+from ..dynamics.term import Columns
+from ..recording.motion import Motion
+
+COARSE_HZ = 250.0
+"""Effects are computed at about this rate: far above the bandwidth, and several times faster than at 1 kHz."""
+
+
+def coarse(motion: Motion, cutoff_hz: float, rate_hz: float = COARSE_HZ) -> Motion:
+    """The motion with neighbouring samples averaged, at no less than `rate_hz`, and reduced at another cut-off."""
+    step = max(1, int(motion.rate_hz / rate_hz))
+    whole = len(motion.position) // step
+
+    def mean(signal: FloatArray) -> FloatArray:
+        return np.asarray(signal[: whole * step].reshape(whole, step, -1).mean(axis=1))
+
+    rate = motion.rate_hz / step
+    return replace(
+        motion,
+        rate_hz=rate,
+        start_s=motion.start_s + 0.5 * (step - 1) / motion.rate_hz,
+        position=mean(motion.position),
+        velocity=mean(motion.velocity),
+        acceleration=mean(motion.acceleration),
+        torque=mean(motion.torque),
+        temperature=None if motion.temperature is None else mean(motion.temperature),
+        block=1,
+        cutoff_hz=cutoff_hz,
+        stride=max(1, int(rate / (4 * cutoff_hz))),
+    )
+
+
+SLOW = (0.003, 0.006, 0.012, 0.025, 0.05)
+"""rad/s. Below, what a joint does between stick and slip is not all in the recorded position: rows count for less,
+as the reference shows."""
+ONE_WAY = 0.98
+"""A row counts if this share of what went into it moves one way. Half a millisecond's error in when a joint turns
+round moves all of its friction by so much: no row with a reversal in it is known as well as the others are."""
+
+
+def one_way(motion: Motion) -> np.ndarray:
+    """(M, n) rows that are free of standstill and reversal."""
+    signs = np.stack([direction(motion, row) for row in range(len(motion.joints))], axis=1)
+    return motion.moving & (np.abs(motion.reduce(signs)) > ONE_WAY)
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """An autoregressive model of one joint's noise: e_t = sum a_k e_(t-k) + sigma w_t.
+
+    Attributes:
+        coefficients: (p,) a.
+        sigma_Nm: Standard deviation of what drives it, N·m.
+        loud: (s,) how many times larger the variance is at the slow speeds of `SLOW`, at least 1 each.
+    """
+
+    coefficients: FloatArray
+    sigma_Nm: float
+    loud: tuple[float, ...] = ()
+
+    @property
+    def order(self) -> int:
+        """P."""
+        return len(self.coefficients)
+
+    def apply(self, rows: FloatArray) -> FloatArray:
+        """(M - p, k) whitened rows of (M, k)."""
+        order = self.order
+        white = rows[order:].copy()
+        for lag, coefficient in enumerate(self.coefficients, start=1):
+            white -= coefficient * rows[order - lag : len(rows) - lag]
+        return np.asarray(white / self.sigma_Nm)
+
+    def weight(self, speed: FloatArray) -> FloatArray:
+        """(M,) what rows at these speeds count for."""
+        if not self.loud:
+            return np.ones_like(speed)
+        number = np.searchsorted(SLOW, np.abs(speed))
+        return 1.0 / np.sqrt(np.array([*self.loud, 1.0])[number])
+
+    def keep(self, moving: np.ndarray) -> np.ndarray:
+        """(M - p,) whether a whitened row and all it is made of are from rows that move."""
+        order = self.order
+        kept = moving[order:].copy()
+        for lag in range(1, order + 1):
+            kept &= moving[order - lag : len(moving) - lag]
+        return np.asarray(kept)
+
+
+class Scene:
+    """Motions under a base model, whitened.
+
+    Attributes:
+        motions: What was recorded.
+        backgrounds: What the base model says of each.
+        joint: (R,) joint of each stacked row.
+        owner: (R,) motion of each stacked row.
+        place: (R,) row within its motion.
+        sound: By motion, (M, n) rows that count.
+    """
+
+    def __init__(self, base: IdentifiedModel, motions: Sequence[Motion], whiteners: Sequence[Whitener]) -> None:
+        self.motions = list(motions)
+        self.whiteners = list(whiteners)
+        model = base.model
+        self.backgrounds: list[Background] = [
+            model.background(motion, base.parameters, base.constants) for motion in self.motions
+        ]
+        self.sound = [one_way(motion) for motion in self.motions]
+        self._keep = [[whitener.keep(sound[:, j]) for sound in self.sound] for j, whitener in enumerate(whiteners)]
+        joint, owner, place = [], [], []
+        for j, whitener in enumerate(whiteners):
+            for m, keep in enumerate(self._keep[j]):
+                where = np.flatnonzero(keep) + whitener.order
+                joint.append(np.full(len(where), j))
+                owner.append(np.full(len(where), m))
+                place.append(where)
+        self.joint, self.owner, self.place = (np.concatenate(parts) for parts in (joint, owner, place))
+        speeds = [
+            [whitener.weight(motion.velocity_rows[:, j])[whitener.order :] for motion in self.motions]
+            for j, whitener in enumerate(whiteners)
+        ]
+        self._weight = [[w[k] for w, k in zip(s, keep)] for s, keep in zip(speeds, self._keep)]
+        self._starts = np.concatenate([[0], np.cumsum([len(part) for part in joint])])
+
+    def __len__(self) -> int:
+        return len(self.joint)
+
+    def slot(self, joint: int, motion: int) -> slice:
+        """Where the rows of one joint in one motion are in the stack."""
+        number = joint * len(self.motions) + motion
+        return slice(int(self._starts[number]), int(self._starts[number + 1]))
+
+    def rows_of(self, first: int, last: int) -> slice:
+        """Where the rows of the joints `first` to `last` are in the stack."""
+        count = len(self.motions)
+        return slice(int(self._starts[first * count]), int(self._starts[(last + 1) * count]))
+
+    def whiten(self, joint: int, motion: int, rows: FloatArray) -> FloatArray:
+        """(r, k) stacked rows of reduced rows (M, k)."""
+        white = self.whiteners[joint].apply(rows)[self._keep[joint][motion]]
+        return np.asarray(white * self._weight[joint][motion][:, None])
+
+    def torque(self) -> FloatArray:
+        """(R,) measured torque."""
+        stacked = np.empty(len(self))
+        for j in range(len(self.whiteners)):
+            for m, motion in enumerate(self.motions):
+                stacked[self.slot(j, m)] = self.whiten(j, m, motion.torque_rows[:, [j]])[:, 0]
+        return stacked
+
+    def stack(self, columns: Sequence[Columns], count: int) -> FloatArray:
+        """(R, count) stacked rows of full-rate columns, given motion by motion."""
+        stacked = np.zeros((len(self), count))
+        for m, (motion, rows) in enumerate(zip(self.motions, columns)):
+            for j, (indices, values) in rows.items():
+                if values.any():
+                    block = stacked[self.slot(j, m)]
+                    block[:, indices] += self.whiten(j, m, motion.reduce(values))
+        return stacked
+
+    def unwhitened(self, columns: Sequence[Columns], parameters: FloatArray) -> list[FloatArray]:
+        """By motion, (M, n) reduced torque of full-rate columns with their parameters."""
+        torques = []
+        for motion, rows in zip(self.motions, columns):
+            torque = np.zeros_like(motion.torque_rows)
+            for j, (indices, values) in rows.items():
+                torque[:, j] += motion.reduce(values @ parameters[indices])
+            torques.append(torque)
+        return torques
+
+
+def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], order: int, floor: float) -> Whitener:
+    """The autoregressive model of a residual, by least squares over uninterrupted rows.
+
+    Args:
+        residuals: (M,) one joint's reduced residual, motion by motion, N·m.
+        moving: (M,) rows that count.
+        order: Lags; fewer where there are too few rows.
+        floor: Smallest sigma, N·m.
+    """
+    while order > 0:
+        past, now = [], []
+        for residual, kept in zip(residuals, moving):
+            whole = Whitener(np.zeros(order), 1.0).keep(kept)
+            lags = np.stack([residual[order - k : len(residual) - k] for k in range(1, order + 1)], axis=1)
+            past.append(lags[whole])
+            now.append(residual[order:][whole])
+        columns, target = np.concatenate(past), np.concatenate(now)
+        if len(target) > 8 * order:
+            # Outliers (a contact, a lost sample) are not to define the noise.
+            sound = np.abs(target) < 6 * 1.4826 * np.median(np.abs(target)) + floor
+            coefficients = np.linalg.lstsq(columns[sound], target[sound], rcond=None)[0]
+            error = target[sound] - columns[sound] @ coefficients
+            return Whitener(coefficients, max(float(np.sqrt(np.mean(error**2))), floor))
+        order //= 2
+    usable = np.concatenate([residual[kept] for residual, kept in zip(residuals, moving)])
+    spread = float(np.sqrt(np.mean(usable**2))) if len(usable) else floor
+    return Whitener(np.zeros(0), max(spread, floor))
+
+
+def loudness(scene: Scene, residual: FloatArray, joint: int) -> tuple[float, ...]:
+    """How many times larger than elsewhere the mean square of a joint's whitened residual (R,) is, by slow speeds.
+
+    Non-increasing with speed, 1 at least.
+    """
+    mine = scene.joint == joint
+    parts = [
+        np.abs(motion.velocity_rows[scene.place[scene.slot(joint, m)], joint]) for m, motion in enumerate(scene.motions)
+    ]
+    number = np.searchsorted(SLOW, np.concatenate(parts))
+    squares = residual[mine] ** 2
+    usual = float(np.mean(squares[number == len(SLOW)])) if (number == len(SLOW)).any() else 1.0
+    loud = [1.0] * len(SLOW)
+    for k in reversed(range(len(SLOW))):
+        here = squares[number == k]
+        beyond = loud[k + 1] if k + 1 < len(SLOW) else 1.0
+        # A belief of one row as loud as the next faster ones keeps a single row from deciding.
+        mean = (float(here.sum()) / max(usual, 1e-12) + beyond) / (len(here) + 1)
+        loud[k] = max(beyond, mean)
+    return tuple(loud)

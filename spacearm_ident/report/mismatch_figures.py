@@ -1,0 +1,304 @@
+"""The figures of a mismatch: where the residual is, and what it depends on before and after.
+
+A finding is drawn over whatever shows it best: of the dependences its physics can have, the one along which the mean
+of the residual varied most and no longer does. Where none stands out, over time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, NullLocator
+
+from ..dynamics.arm import Arm, FloatArray
+from ..mismatch.finding import Explanation, Finding, Trace
+from .figures import cloud, joined, name_axes, short
+from .markup import Markup, number
+from .plotting import CLOUD_MOVING, COLOUR, decimated, grid, stacked, thinned, to_svg
+
+MOST_JOINTS = 3
+"""So many joints of a finding are drawn, those where it takes most away."""
+CLEAR = 0.15
+"""Share of a residual's variance that a dependence must explain to be the one shown."""
+PREFERRED = 0.1
+"""Another joint's motion is shown instead of the joint's own only where it explains so much more."""
+FEWEST_IN_BIN, MOST_BINS = 8, 60
+NOISE_BAND = 2.0
+"""Half width of the band of noise, in its standard deviations."""
+OVERVIEW_TOP = 3.0
+"""The overview reaches at least so many times the noise floor, so that what is nothing looks like nothing."""
+MOST_LABELS, LONGEST_LABEL = 3, 24
+LINE_POINTS = 900
+
+POSITION, VELOCITY, ACCELERATION, TIME = "position", "velocity", "acceleration", "time"
+EVERYTHING = (
+    *((POSITION, False), (VELOCITY, False), (ACCELERATION, False)),
+    *((POSITION, True), (VELOCITY, True), (TIME, True)),
+)
+_POSE, _SPEED = ((POSITION, False),), ((VELOCITY, False),)
+_LOAD = ((POSITION, True), (POSITION, False))
+SHOWN_OVER: dict[str, tuple[tuple[str, bool], ...]] = {
+    **dict.fromkeys(("torque_ripple", "harness_spring", "base_tilt", "payload", "link_mass"), _POSE),
+    **dict.fromkeys(("encoder_eccentricity", "motor_saturation", "torque_constant"), _POSE),
+    **dict.fromkeys(("friction_drift", "stribeck", "asymmetric_friction", "vacuum_friction", "wrist_coupling"), _SPEED),
+    **dict.fromkeys(("load_friction", "gear_efficiency"), _LOAD),
+    **dict.fromkeys(("presliding_hysteresis", "current_offset"), _SPEED),
+    "position_friction": ((POSITION, True),),
+    "temperature_friction": ((TIME, True),),
+    "rotor_coupling": ((ACCELERATION, False),),
+    **dict.fromkeys(("external_contact", "time_delay", "filter_lag"), ()),
+}
+"""Effect -> (signal, whether the residual is taken in the direction of motion); everything for any other effect."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Every trace, one after the other on one time axis.
+
+    Attributes:
+        time: (M,) s; the residuals of the first row of a further trace are NaN.
+        position, velocity, acceleration: (M, n).
+        before, after: (M, n) residual, N·m; NaN where no row counts.
+        starts: Row at which each trace begins.
+    """
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    before: FloatArray
+    after: FloatArray
+    starts: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class View:
+    """What one joint's residual is drawn over.
+
+    Attributes:
+        signal: `position`, `velocity`, `acceleration` or `time`.
+        driver: Joint whose signal it is.
+        along: Whether the residual counts in the direction of motion, as friction does.
+        cycles: Where given, positions are folded into one of so many cycles a revolution.
+    """
+
+    signal: str
+    driver: int
+    along: bool = False
+    cycles: float | None = None
+
+
+def signals(traces: Sequence[Trace]) -> Signals | None:
+    """All traces joined, or None where there is nothing to draw."""
+    traces = [trace for trace in traces if len(trace.time) > 1]
+    if not any(np.isfinite(trace.before).any() for trace in traces):
+        return None
+
+    def stack(name: str) -> FloatArray:
+        return np.concatenate([getattr(trace, name) for trace in traces])
+
+    before, after = stack("before"), stack("after")
+    lengths = [len(trace.time) for trace in traces]
+    starts = np.cumsum([0, *lengths[:-1]])
+    # A line must not run on from one recording to the next.
+    before[starts[1:]] = after[starts[1:]] = np.nan
+    acceleration = [np.gradient(trace.velocity, trace.time, axis=0) for trace in traces]
+    return Signals(
+        joined([trace.time for trace in traces]),
+        *(stack("position"), stack("velocity"), np.concatenate(acceleration), before, after),
+        tuple(int(start) for start in starts),
+    )
+
+
+def overview(explanation: Explanation) -> Markup:
+    """Bars that grow out of each joint's noise floor: the residual before and after, in multiples of the floor."""
+    names, floor = explanation.joints, explanation.noise_floor_Nm
+    labels = [_labels(explanation.findings, joint) for joint in names]
+    lines = max(map(len, labels), default=0)
+    with grid(1, 1, 2.75 + 0.16 * lines, left_in=0.62, below_in=0.3 + 0.16 * lines) as (figure, (axes,)):
+        axes.set_yscale("log")
+        highest, lowest = OVERVIEW_TOP, 1 / 1.4
+        for shift, role, values in ((-0.2, "before", explanation.before_Nm), (0.2, "after", explanation.after_Nm)):
+            for place, (value, noise) in enumerate(zip(values, floor)):
+                if not (np.isfinite(value) and value > 0 and np.isfinite(noise) and noise > 0):
+                    continue
+                ratio = float(value / noise)
+                highest, lowest = max(highest, 1.5 * ratio), min(lowest, ratio / 1.4)
+                axes.bar(place + shift, ratio - 1.0, 0.36, bottom=1.0, color=COLOUR[role], linewidth=0)
+                axes.annotate(
+                    number(float(value), 2), (place + shift, max(ratio, 1.0)), (0, 2), textcoords="offset points",
+                    ha="center", va="bottom", fontsize=7.5,
+                )  # fmt: skip
+        axes.axhline(1.0, color=COLOUR["ink"], linewidth=1.0)
+        axes.set_ylim(lowest, highest)
+        axes.set_xlim(-0.6, len(names) - 0.4)
+        axes.set_xticks(range(len(names)), ["\n".join((short(n, 16), *own)) for n, own in zip(names, labels)])
+        axes.tick_params(axis="x", length=0, labelcolor=COLOUR["ink"])
+        axes.grid(visible=False, axis="x")
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.set_yticks([v for e in range(-2, 7) for v in (10.0**e, 2 * 10.0**e, 5 * 10.0**e) if lowest < v < highest])
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}×"))
+        axes.set_ylabel("residual over noise floor")
+        return to_svg(figure, "Residual before and after in multiples of each joint's noise floor")
+
+
+def _labels(findings: Sequence[Finding], joint: str) -> list[str]:
+    """What was found at a joint, for below its name."""
+    kinds = list(dict.fromkeys(finding.effect.replace("_", " ") for finding in findings if joint in finding.joints))
+    if len(kinds) > MOST_LABELS:
+        kinds = [*kinds[: MOST_LABELS - 1], f"and {len(kinds) - MOST_LABELS + 1} more"]
+    return [short(kind, LONGEST_LABEL) for kind in kinds]
+
+
+def dependence(finding: Finding, arm: Arm, of: Signals, floor: FloatArray) -> tuple[Markup, str] | None:
+    """Residual before and after over what the finding depends on, and a caption; None where nothing can be drawn."""
+    rows = [k for k in _strongest(finding, arm.joint_names) if np.isfinite(of.before[:, k]).any()]
+    if not rows:
+        return None
+    views = [view_of(finding, row, of) for row in rows]
+    with grid(2 * len(rows), 2, 2.15, left_in=0.58) as (figure, panels):
+        for pair, row, view in zip(zip(panels[::2], panels[1::2]), rows, views):
+            limit = _limit(of, row, floor[row])
+            for axes, when in zip(pair, ("before", "after")):
+                _panel(axes, of, row, view, when)
+                _noise(axes, floor[row])
+                axes.axhline(0.0, color=COLOUR["muted"], linewidth=0.6)
+                unit = "N·m" if arm.joints[row].revolute else "N"
+                beside = f"residual along the motion, {unit}" if view.along else f"residual, {unit}"
+                name_axes(axes, f"{short(arm.joint_names[row], 22)}: {when}", _below(view, arm), beside)
+                axes.set_ylim(-limit, limit)
+        described = f"Residual before and after, {finding.effect} at {', '.join(arm.joint_names[row] for row in rows)}"
+        return to_svg(figure, described), _caption(views)
+
+
+def _strongest(finding: Finding, names: Sequence[str]) -> list[int]:
+    taken = {
+        joint: finding.before_Nm[joint] ** 2 - finding.after_Nm[joint] ** 2
+        for joint in finding.before_Nm
+        if joint in names and joint in finding.after_Nm and np.isfinite(finding.before_Nm[joint])
+    }
+    ordered = sorted(taken, key=lambda joint: -taken[joint])
+    chosen = (ordered or [joint for joint in finding.joints if joint in names])[:MOST_JOINTS]
+    return [list(names).index(joint) for joint in chosen]
+
+
+def view_of(finding: Finding, row: int, of: Signals) -> View:
+    """What to draw a finding over at one joint."""
+    cycles = finding.parameters.get("cycles")
+    if finding.effect == "torque_ripple" and cycles is not None and np.isfinite(cycles.value) and cycles.value > 0:
+        return View(POSITION, row, cycles=cycles.value)
+    best, most = View(TIME, row), CLEAR
+    choices = SHOWN_OVER.get(finding.effect, EVERYTHING)
+    for driver in (row, *(k for k in range(of.before.shape[1]) if k != row)):
+        margin = 0.0 if driver == row or best.signal == TIME else PREFERRED
+        for signal, along in choices:
+            if signal == TIME and driver != row:
+                continue
+            view = View(signal, driver, along)
+            share = _shown_by(view, row, of)
+            if share > most + margin:
+                best, most = view, share
+    return best
+
+
+def _shown_by(view: View, row: int, of: Signals) -> float:
+    """Share of the residual's variance that its mean over a dependence has before and no longer after."""
+    x, before, after = _x(view, of), _y(view, row, of, "before"), _y(view, row, of, "after")
+    where = np.isfinite(before) & np.isfinite(after)
+    if where.sum() < 4 * FEWEST_IN_BIN:
+        return 0.0
+    groups = _groups(x[where])
+    weights = np.array([len(group) for group in groups]) / where.sum()
+    means = [np.array([y[where][group].mean() for group in groups]) for y in (before, after)]
+    return float((weights @ means[0] ** 2 - weights @ means[1] ** 2) / max(np.mean(before[where] ** 2), 1e-30))
+
+
+def _x(view: View, of: Signals) -> FloatArray:
+    if view.signal == TIME:
+        return of.time
+    x = np.asarray(getattr(of, view.signal)[:, view.driver])
+    return x if view.cycles is None else np.mod(x * view.cycles / (2 * np.pi), 1.0)
+
+
+def _y(view: View, row: int, of: Signals, when: str) -> FloatArray:
+    y = np.asarray(getattr(of, when)[:, row])
+    return y * np.sign(of.velocity[:, row]) if view.along else y
+
+
+def _groups(x: FloatArray) -> list[np.ndarray]:
+    """Indices of equally filled ranges."""
+    return np.array_split(np.argsort(x, kind="stable"), max(1, min(MOST_BINS, len(x) // FEWEST_IN_BIN)))
+
+
+def _panel(axes: Axes, of: Signals, row: int, view: View, when: str) -> None:
+    x, y = _x(view, of), _y(view, row, of, when)
+    if view.signal == TIME and not view.along:
+        _line(axes, x, y, when)
+        return
+    where = np.flatnonzero(np.isfinite(y) & np.isfinite(x))
+    chosen = where[thinned(len(where))]
+    cloud(axes, x[chosen], y[chosen], CLOUD_MOVING)
+    if len(where) >= FEWEST_IN_BIN:
+        groups = _groups(x[where])
+        means = np.array([(x[where][group].mean(), y[where][group].mean()) for group in groups])
+        axes.plot(*means.T, color=COLOUR[when], linewidth=1.5)
+
+
+def _limit(of: Signals, row: int, noise: float) -> float:
+    """Half the height of the panels of one joint: all but the rarest points, before and after, and the noise."""
+    sizes = np.abs(np.concatenate([of.before[:, row], of.after[:, row]]))
+    sizes = sizes[np.isfinite(sizes)]
+    return 1.1 * max(float(np.quantile(sizes, 0.998)), NOISE_BAND * noise if np.isfinite(noise) else 0.0) or 1.0
+
+
+def _below(view: View, arm: Arm) -> str:
+    if view.signal == TIME:
+        return "time, s"
+    if view.cycles is not None:
+        return f"position within one of {number(view.cycles, 4)} cycles a revolution"
+    joint = arm.joints[view.driver]
+    unit = {POSITION: "", VELOCITY: "/s", ACCELERATION: "/s²"}[view.signal]
+    return f"{view.signal} of {short(joint.name, 22)}, {'rad' if joint.revolute else 'm'}{unit}"
+
+
+def _caption(views: Sequence[View]) -> str:
+    parts = ["Left without anything added to the base model, right with every finding, on one scale"]
+    if any(view.signal != TIME or view.along for view in views):
+        parts.append("line: mean over ranges of equally many samples, which a right model leaves along zero")
+    if any(view.along for view in views):
+        parts.append("along the motion: positive holds the joint back, as friction does")
+    return "; ".join([*parts, "band: noise, two standard deviations either way"]) + "."
+
+
+def over_time(names: Sequence[str], of: Signals, floor: FloatArray) -> Markup:
+    """Residual of every joint over time, before and after."""
+    with stacked([0.82] * len(names)) as (figure, panels):
+        for row, (axes, name) in enumerate(zip(panels, names)):
+            for when in ("before", "after"):
+                _line(axes, of.time, getattr(of, when)[:, row], when)
+            _noise(axes, floor[row])
+            for start in of.starts[1:]:
+                axes.axvline(float(of.time[start]), color=COLOUR["muted"], linewidth=0.6, linestyle=":")
+            axes.set_ylabel(short(name, 14))
+            axes.margins(x=0.005)
+        panels[-1].set_xlabel("time, s" if len(of.starts) == 1 else "time, s (recordings joined)")
+        return to_svg(figure, "Residual of every joint over time, before and after")
+
+
+def _line(axes: Axes, x: FloatArray, y: FloatArray, when: str) -> None:
+    """A line that keeps its extremes and its gaps."""
+    there = np.isfinite(y)
+    kept = decimated(np.where(there, y, 0.0), most=LINE_POINTS)
+    edges = np.flatnonzero(np.diff(there.astype(int)))
+    kept = np.unique(np.concatenate([kept, edges, edges + 1]))
+    axes.plot(x[kept], y[kept], color=COLOUR[when], linewidth=0.8)
+
+
+def _noise(axes: Axes, floor: float) -> None:
+    """A band as high as the noise."""
+    if np.isfinite(floor):
+        half = NOISE_BAND * float(floor)
+        axes.axhspan(-half, half, facecolor=COLOUR["band"], linewidth=0, zorder=0)

@@ -1,0 +1,48 @@
+"""Write the result folder of `spacearm mismatch`: mismatch.json, extended_model.yaml, report.html."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ..dynamics.arm import Arm
+from ..dynamics.model_file import save_model
+from ..errors import UserError
+from ..mismatch.document import EXTENDED_MODEL, to_document
+from ..mismatch.finding import Explanation
+from ..recording.recording import Recording
+from .folder import REPORT, replacing
+from .mismatch_html import mismatch_html
+from .provenance import FITTED, provenance
+
+DOCUMENT = "mismatch.json"
+
+
+def write_mismatch(
+    explanation: Explanation,
+    arm: Arm,
+    field: Sequence[Recording],
+    judged: Sequence[Recording],
+    reference: Sequence[Recording],
+    directory: Path,
+    command: str | None = None,
+) -> Path:
+    """Write everything, or nothing; returns the page.
+
+    Raises:
+        UserError: The folder cannot be written.
+    """
+    sources = {**provenance(field, judged, command), "reference": provenance(reference, ())[FITTED]}
+    page = mismatch_html(explanation, arm, sources)
+    try:
+        with replacing(directory) as part:
+            document = {**to_document(explanation), "provenance": sources}
+            (part / DOCUMENT).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            if explanation.model is not None:
+                save_model(replace(explanation.model, provenance=sources), part / EXTENDED_MODEL)
+            (part / REPORT).write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {directory}: {error}") from error
+    return directory / REPORT

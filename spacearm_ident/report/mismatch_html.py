@@ -1,0 +1,325 @@
+"""The page of a mismatch: verdict first, then each finding with its evidence, what is left, and what to do next."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..dynamics.arm import Arm
+from ..dynamics.effects import EFFECTS
+from ..mismatch.document import EXTENDED_MODEL
+from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Alternative, Explanation, Finding, Quantity
+from . import mismatch_figures as figures
+from .details import fact, source_table
+from .html import captioned, page
+from .markup import MINUS, NOTHING, Markup, breakable, element, join, listed, number, percent, unit_text
+from .provenance import FITTED, VALIDATED
+
+UNKNOWN = "unknown"
+SURE = ((0.95, "almost certainly"), (0.8, "probably"), (0.5, "perhaps"), (0.0, "possibly"))
+"""Confidence from which a name is said so."""
+LITTLE = 0.3
+"""A finding that removes less than this share on unseen data is a hint."""
+REFERENCE = "reference"
+SOURCES = ((FITTED, "Explained"), (REFERENCE, "Reference"), (VALIDATED, "Judged on"))
+
+
+def mismatch_html(explanation: Explanation, arm: Arm, sources: Mapping[str, Any]) -> str:
+    """The whole page."""
+    title = f"Mismatch of {arm.name}"
+    drawn = figures.signals(explanation.traces)
+    judged = f" · judged on {explanation.judged_on}" if explanation.judged_on else ""
+    body = join(
+        element("h1", title),
+        element("p", f"{len(explanation.joints)} joints{judged}", class_="quiet"),
+        _verdict(explanation),
+        None if explanation.verdict == DATA_UNFIT else _glance(explanation, arm),
+        *_findings(explanation, arm, drawn),
+        None if drawn is None else _over_time(explanation, drawn),
+        _unexplained(explanation),
+        _listing("In the reference as well", explanation.already_there),
+        _listing("Next experiment", [explanation.next_experiment] if explanation.next_experiment else ()),
+        _obtained(explanation, sources),
+    )
+    return page(title, body)
+
+
+# --- verdict --------------------------------------------------------------------------------------------------
+
+
+def _verdict(explanation: Explanation) -> Markup:
+    level, headline, sentences = _judged(explanation)
+    reasons = [] if explanation.verdict == DATA_UNFIT else list(explanation.reasons)
+    return join(
+        element(
+            "section",
+            element("h2", headline),
+            *(element("p", sentence) for sentence in sentences),
+            class_=f"verdict {level}",
+        ),
+        element("ul", *(element("li", reason) for reason in reasons), class_="warnings") if reasons else None,
+    )
+
+
+def _judged(explanation: Explanation) -> tuple[str, str, list[object]]:
+    """Level, headline and what follows it."""
+    findings = explanation.findings
+    if explanation.verdict == DATA_UNFIT:
+        return "unknown", "The data cannot carry the question", list(explanation.reasons)
+    if explanation.verdict == NO_MISMATCH or not findings:
+        above = listed([joint for left in explanation.unexplained for joint in left.joints])
+        rest = f"A little more than noise is left at {above}, see below." if above else None
+        return "good", "No mismatch: the reference explains the recordings", [rest] if rest else []
+    first, more = findings[0], findings[1:]
+    headline = f"Mismatch at {_at(first)}: {_name(first.effect)}, {_size(first)}"
+    sentences: list[object] = [_surety(first)]
+    if math.isfinite(first.explained):
+        sentences.append(
+            f"On {explanation.judged_on or 'data held out'} it removes {percent(first.explained)} of the residual "
+            "above the noise there."
+        )
+    if more:
+        sentences.append(f"Also found: {'; '.join(f'{_name(other.effect)} at {_at(other)}' for other in more)}.")
+    doubtful = any(finding.effect == UNKNOWN or finding.explained < LITTLE for finding in findings)
+    return "poor" if first.effect == UNKNOWN else "fair" if doubtful else "found", headline, sentences
+
+
+def _surety(finding: Finding) -> str:
+    if finding.effect == UNKNOWN:
+        return f"What is known of it: {finding.where}. No physics of the catalogue explains it as well."
+    word = next(word for least, word in SURE if not finding.confidence < least)
+    sentence = f"It is {word} this ({percent(finding.confidence)} against the other explanations): {finding.where}."
+    close = [other for other in finding.alternatives if other.effect != UNKNOWN and other.score > 0.9]
+    if close:
+        return f"{sentence} These data hardly tell it from {_name(close[0].effect)}."
+    return sentence
+
+
+def _name(effect: str) -> str:
+    """An effect in words."""
+    if effect == UNKNOWN:
+        return "something that no known effect explains"
+    return EFFECTS[effect].words if effect in EFFECTS else effect.replace("_", " ")
+
+
+def _at(of: Finding | Alternative) -> str:
+    return listed(of.joints) or "the whole arm"
+
+
+def _size(finding: Finding) -> str:
+    """The torque it accounts for at the joint where that is largest."""
+    sizes = {
+        joint: math.sqrt(max(before**2 - finding.after_Nm.get(joint, math.nan) ** 2, 0.0))
+        for joint, before in finding.before_Nm.items()
+        if math.isfinite(before) and math.isfinite(finding.after_Nm.get(joint, math.nan))
+    }
+    if not sizes or not max(sizes.values()) > 0:
+        return "not seen on the data it is judged on"
+    joint = max(sizes, key=sizes.__getitem__)
+    where = f" at {joint}" if len(sizes) > 1 else ""
+    return f"{number(sizes[joint], 2)} N·m RMS{where}"
+
+
+# --- at a glance ----------------------------------------------------------------------------------------------
+
+
+def _glance(explanation: Explanation, arm: Arm) -> Markup:
+    heads = ("noise floor", "before", "after", "before / floor", "after / floor")
+    rows = []
+    columns = (explanation.noise_floor_Nm, explanation.before_Nm, explanation.after_Nm)
+    for joint, *values in zip(explanation.joints, *columns):
+        floor, before, after = map(float, values)
+        ratios = [value / floor if floor > 0 else math.nan for value in (before, after)]
+        unit = "N·m" if joint not in arm.joint_names or arm.joints[arm.joint_names.index(joint)].revolute else "N"
+        cells = (*(f"{number(v)} {unit}" if math.isfinite(v) else NOTHING for v in (floor, before, after)),)
+        rows.append(
+            element(
+                "tr",
+                element("th", breakable(joint), class_="text"),
+                *(element("td", cell) for cell in (*cells, *(number(ratio, 2) for ratio in ratios))),
+            )
+        )
+    header = element("tr", element("th", "joint", class_="text"), *(element("th", head) for head in heads))
+    return join(
+        element("h2", "Residual at a glance"),
+        _key("before", "after"),
+        captioned(
+            figures.overview(explanation),
+            "Bars grow out of the noise floor (1×); over them the RMS residual in N·m; below the joint what was found "
+            "there. Before: the reference's model alone; after: with every finding.",
+        ),
+        element(
+            "details",
+            element("summary", "The same in figures"),
+            element("table", element("thead", header), element("tbody", *rows)),
+        ),
+    )
+
+
+def _key(*roles: str) -> Markup:
+    marks = (
+        element("span", element("span", class_="swatch", style=f"border-color: var(--{role})"), role) for role in roles
+    )
+    return element("div", *marks, class_="key")
+
+
+# --- findings -------------------------------------------------------------------------------------------------
+
+
+def _findings(explanation: Explanation, arm: Arm, drawn: figures.Signals | None) -> Iterable[Markup]:
+    if not explanation.findings:
+        return
+    yield element("h2", "Findings")
+    for place, finding in enumerate(explanation.findings, start=1):
+        drawing = None if drawn is None else figures.dependence(finding, arm, drawn, explanation.noise_floor_Nm)
+        yield element(
+            "section",
+            element(
+                "h3",
+                f"{place}. {_name(finding.effect).capitalize() if finding.effect in EFFECTS else _name(finding.effect)}",
+                element("small", element("code", finding.effect), f" at {_at(finding)}"),
+            ),
+            element("p", f"{finding.where[:1].upper()}{finding.where[1:]}."),
+            _facts(finding),
+            _parameters(finding.parameters),
+            None if drawing is None else captioned(*drawing),
+            _alternatives(finding.alternatives),
+            class_="card",
+        )
+
+
+def _facts(finding: Finding) -> Markup:
+    rms = [
+        f"{joint} {number(before)} → {number(finding.after_Nm.get(joint, math.nan))}"
+        for joint, before in finding.before_Nm.items()
+    ]
+    facts: list[tuple[str, object]] = [
+        ("physics", join(element("code", typeset(finding.equation)), f" · {finding.source}")),
+        ("confidence", _meter(finding.confidence, "of the name, against the other explanations")),
+        ("explains", _meter(finding.explained, "of the residual above the noise there, on unseen data")),
+        ("RMS without → with it", f"{', '.join(rms) or NOTHING} N·m"),
+    ]
+    if math.isfinite(finding.visibility):
+        facts.append(("visibility", f"{percent(finding.visibility)} of it is nothing the base model could take over"))
+    return element("dl", *(element(tag, text) for named in facts for tag, text in zip(("dt", "dd"), named)))
+
+
+def _meter(share: float, of: str) -> Markup:
+    part = 100 * min(max(share, 0.0), 1.0) if math.isfinite(share) else 0.0
+    bar = element("span", element("span", style=f"width: {part:.0f}%"), class_="meter")
+    return join(bar, f"{percent(share) if math.isfinite(share) else 'not testable'} ", element("small", of))
+
+
+def _parameters(parameters: Mapping[str, Quantity]) -> Markup | None:
+    if not parameters:
+        return None
+    header = element("tr", element("th", "parameter", class_="text"), *(element("th", h) for h in ("value", "95 %")))
+    rows = []
+    for name, quantity in parameters.items():
+        low, high, unit = quantity.low, quantity.high, unit_text(quantity.unit)
+        known = math.isfinite(low) and math.isfinite(high)
+        rows.append(
+            element(
+                "tr",
+                element("th", breakable(name), class_="text"),
+                element("td", f"{number(quantity.value, 4)} {unit}".rstrip()),
+                element("td", f"{number(low, 4)} to {number(high, 4)}" if known else NOTHING),
+                class_="minor" if known and low <= 0.0 <= high else None,
+            )
+        )
+    return element("table", element("thead", header), element("tbody", *rows), class_="narrow")
+
+
+def _alternatives(others: tuple[Alternative, ...]) -> Markup:
+    if not others:
+        return element("p", "No other explanation came near it.", class_="quiet")
+    heads = (("instead", "text"), ("at", "text"), ("score, of this", None), ("why not", "text"))
+    header = element("tr", *(element("th", head, class_=kind) for head, kind in heads))
+    rows = (
+        element(
+            "tr",
+            element("td", _name(other.effect), " ", element("code", other.effect), class_="text wrap"),
+            element("td", _at(other), class_="text wrap"),
+            element("td", percent(other.score)),
+            element("td", other.why_not, class_="text wrap"),
+        )
+        for other in others
+    )
+    return element("table", element("thead", header), element("tbody", *rows))
+
+
+_LETTERS = {
+    **{"qdd": "q̈", "qd": "q̇", "q_d": "q̇", "tau": "τ", "mu": "μ", "eta": "η", "alpha": "α", "dz/ds": "dz/ds"},
+    **{"df": "Δf", "dk": "Δk", "tau_load": "τ_load"},
+}
+_SIGNS = (("^-1", "⁻¹"), ("^2", "²"), ("^3", "³"), ("^T", "ᵀ"), (" x ", " × "), (" . ", " · "), ("-", MINUS))
+
+
+def typeset(equation: str) -> str:
+    """An equation in plain ASCII with the field's letters and signs: `mu |tau_load| sgn(qd)` with mu, tau, q-dot."""
+    text = re.sub(r"[A-Za-z]+", lambda found: _LETTERS.get(found[0], found[0]), equation.replace("q_d", "qd"))
+    for plain, sign in _SIGNS:
+        text = text.replace(plain, sign)
+    return text
+
+
+# --- the rest -------------------------------------------------------------------------------------------------
+
+
+def _over_time(explanation: Explanation, drawn: figures.Signals) -> Markup:
+    return join(
+        element("h2", "Residual over time"),
+        _key("before", "after"),
+        captioned(
+            figures.over_time(explanation.joints, drawn, explanation.noise_floor_Nm),
+            "Measured minus predicted, N·m, a joint a row. Gaps: standstill and what else does not count. Band: noise, "
+            "two standard deviations either way.",
+        ),
+    )
+
+
+def _unexplained(explanation: Explanation) -> Markup | None:
+    if explanation.verdict == DATA_UNFIT:
+        return None
+    if not explanation.unexplained:
+        finite = np.isfinite(explanation.after_Nm).any()
+        what = "Nothing above the noise." if finite else "Not known: no residual could be judged."
+        return join(element("h2", "What remains unexplained"), element("p", what))
+    return _listing(
+        "What remains unexplained",
+        [
+            f"{listed(left.joints)}: {percent(left.fraction)} of the residual's variance is above the noise; {left.where}."
+            for left in explanation.unexplained
+        ],
+    )
+
+
+def _listing(title: str, items: Iterable[str]) -> Markup | None:
+    lines = list(items)
+    if not lines:
+        return None
+    if len(lines) == 1:
+        return join(element("h2", title), element("p", lines[0]))
+    return join(element("h2", title), element("ul", *(element("li", line) for line in lines)))
+
+
+def _obtained(explanation: Explanation, sources: Mapping[str, Any]) -> Markup:
+    known = dict(sources)
+    tables = [source_table(known.pop(which, None), title) for which, title in SOURCES]
+    facts: list[tuple[str, object]] = [
+        (str(key).replace("_", " "), fact(value)) for key, value in known.items() if value
+    ]
+    if explanation.model is not None:
+        facts.insert(0, ("bandwidth", f"{number(explanation.model.cutoff_hz)} Hz"))
+    files = "Beside this page: mismatch.json says the same to programs"
+    extended = f"; {EXTENDED_MODEL} is the base model with the findings, for simulate and identify"
+    return join(
+        element("h2", "How it was obtained"),
+        element("dl", *(element(tag, text) for named in facts for tag, text in zip(("dt", "dd"), named))),
+        *tables,
+        element("p", f"{files}{extended if explanation.model is not None else ''}.", class_="quiet"),
+    )

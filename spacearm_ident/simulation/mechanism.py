@@ -1,0 +1,124 @@
+"""What carries the joints: equations of motion behind a small interface, and the rigid arm on a fixed base.
+
+A mechanism may have more coordinates than the arm has joints (motors behind springs, bending links, a floating
+base). Motors and friction act on its *drive* coordinates, which are also what motor encoders see; all others
+move freely under the mechanism's own passive forces.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from spacearm_ident.errors import UserError
+from spacearm_ident.simulation.parameters import PlantParameters
+
+FloatArray = NDArray[np.float64]
+
+
+def rigid_body_model(parameters: PlantParameters) -> pin.Model:
+    """Pinocchio model with the parameters' inertias, rotor inertias (armature) and gravity.
+
+    Raises:
+        UserError: The description cannot be parsed, or its moving joints are not those of the parameters.
+    """
+    try:
+        model = pin.buildModelFromXML(parameters.urdf)
+    except (ValueError, RuntimeError) as error:
+        raise UserError(f"the robot description cannot be parsed ({error}); correct the URDF") from error
+    names = tuple(model.names)[1:]
+    if names != parameters.joints:
+        raise UserError(
+            f"the description's moving joints are {', '.join(names)}, "
+            f"the model's {', '.join(parameters.joints)}; name the same joints in the same order, base to tip"
+        )
+    if model.nq != model.nv:
+        raise UserError("the simulated arm takes revolute and prismatic joints; make continuous ones revolute")
+    for index, values in enumerate(parameters.rigid_body, start=1):
+        model.inertias[index] = pin.Inertia.FromDynamicParameters(values)
+    model.armature = parameters.rotor_inertia.copy()
+    model.gravity.linear = parameters.gravity
+    return model
+
+
+class Mechanism(Protocol):
+    """Equations of motion A·dv/dt + b = torque in m ≥ n velocity coordinates; SI."""
+
+    size: int
+    """m."""
+    drives: NDArray[np.intp] | None
+    """Where the n drives are among the coordinates; None: the coordinates are the drives."""
+    time: float
+    """s on the recording's clock; set by the plant before each step."""
+
+    def start(self, position: FloatArray) -> FloatArray:
+        """Configuration at rest with the drives at `position` (n,)."""
+
+    def position(self, configuration: FloatArray) -> FloatArray:
+        """Drive positions (n,) of a configuration."""
+
+    def moved(self, configuration: FloatArray, velocity: FloatArray, h: float) -> FloatArray:
+        """The configuration after `h` seconds at `velocity` (m,)."""
+
+    def acceleration(self, configuration: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
+        """(m,) under `torque` (m,) and the mechanism's own forces."""
+
+    def bias(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray:
+        """b, (m,): Coriolis, gravity and passive forces."""
+
+    def inertia(self, configuration: FloatArray) -> FloatArray:
+        """A, (m, m), rotors included."""
+
+    def joint_inertia(self, configuration: FloatArray) -> FloatArray:
+        """Inertia (n, n) the drives would feel if everything but the joints were stiff."""
+
+    def load(self, configuration: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """(n,) N·m the gears pass on to the links, that is without rotors and joint friction."""
+
+
+class RigidMechanism:
+    """Rigid links on a fixed base: the coordinates are the joints."""
+
+    def __init__(self, parameters: PlantParameters) -> None:
+        self._model = rigid_body_model(parameters)
+        self._data = self._model.createData()
+        self._rotor_inertia = parameters.rotor_inertia
+        self.size = self._model.nv
+        self.drives: NDArray[np.intp] | None = None
+        self.time = 0.0
+
+    def start(self, position: FloatArray) -> FloatArray:
+        """See `Mechanism`."""
+        return position
+
+    def position(self, configuration: FloatArray) -> FloatArray:
+        """See `Mechanism`."""
+        return configuration
+
+    def moved(self, configuration: FloatArray, velocity: FloatArray, h: float) -> FloatArray:
+        """See `Mechanism`."""
+        return configuration + h * velocity
+
+    def acceleration(self, configuration: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
+        """See `Mechanism`."""
+        found: FloatArray = pin.aba(self._model, self._data, configuration, velocity, torque)
+        return found
+
+    def bias(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray:
+        """See `Mechanism`."""
+        found: FloatArray = pin.nonLinearEffects(self._model, self._data, configuration, velocity)
+        return found
+
+    def inertia(self, configuration: FloatArray) -> FloatArray:
+        """See `Mechanism`."""
+        return np.array(pin.crba(self._model, self._data, configuration))
+
+    joint_inertia = inertia
+
+    def load(self, configuration: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """See `Mechanism`."""
+        total: FloatArray = pin.rnea(self._model, self._data, configuration, velocity, acceleration)
+        return total - self._rotor_inertia * acceleration
