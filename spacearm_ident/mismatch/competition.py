@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -23,17 +23,22 @@ from .rivals import UNKNOWN, Rival, rivals
 
 GATE = 60.0
 """Score an effect must have. The largest on healthy arms is what sets it (bench/concealed.py)."""
-REFINED = 14
-"""So many of the best are refined and judged on unseen data."""
-NAMED_SHARE = 0.8
-"""A named effect stands if it explains this share of what the best generic rival does."""
+REFINED, RIVALS = 12, 6
+"""So many of the best named effects, and of the generic rivals, are refined and judged on unseen data."""
+NAMED_SHARE, NAMED_PAIR = 0.8, 0.9
+"""A named effect stands if it explains this share of what the best generic rival does, or two of them this share."""
 SHARED = 0.3
 """An effect that explains this share as much in the reference, row for row, was there before."""
 MINOR_SHARE = 0.003
 """Beside a large effect at the same joints, less than this share of it is more likely the large one's own law being
 a little different than a second physics: it is left unexplained, not named."""
 SEEN_AGAIN = 0.1
-"""Share of its drop on the fitted rows that an effect must show, row for row, on unseen ones."""
+"""Share of its drop on the fitted rows that an effect must show, row for row, on unseen ones. A large named one may
+be asleep there (another motion need not excite it); then it only must do no harm."""
+CLEARS_UP = 0.5
+"""What an effect that is asleep in the unseen data must explain of its joints' residual in the field."""
+NAMES_ENOUGH = 0.2
+"""A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
 MOST = 8
 """Effects in one arm; more is a wrong base model."""
 
@@ -55,6 +60,11 @@ class Scored:
     unseen: float
     score: float
     plausible: bool
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Where it acts."""
+        return self.candidate.effect.joints
 
     @property
     def named(self) -> bool:
@@ -127,7 +137,7 @@ class Competition:
         while len(rounds) + len(self.common) < MOST:
             progress(len(rounds) / MOST, f"comparing effects, round {len(rounds) + 1}")
             ranked = self._ranked()
-            winner = choose([scored for scored in ranked if self._stands(scored)], self.gate)
+            winner = self._choose([scored for scored in ranked if self._stands(scored)])
             if winner is None:
                 left = ranked[0] if ranked else None
                 left_values = self._values_of(left) if left else left_values
@@ -148,6 +158,32 @@ class Competition:
             left_values,
         )
 
+    def _choose(self, ranked: Sequence[Scored]) -> Scored | None:
+        """The winner; None below the gate.
+
+        The best named effect, unless a generic rival explains clearly more: than it, and than it with a second named
+        one, for two effects at one joint look like one dependence that neither has.
+        """
+        above = [s for s in ranked if s.score > self.gate and s.plausible]
+        named = [s for s in above if s.named]
+        generic = next((s for s in above if not s.named), None)
+        if generic is None or not named:
+            return named[0] if named else generic
+        if generic.score <= named[0].score:
+            return named[0]
+        enough = NAMED_SHARE * (generic.gain + generic.unseen)
+        if named[0].gain + named[0].unseen >= enough:
+            return named[0]
+        before = self.evidence.refit(self.accepted)
+        unseen_before = self._unseen_squares(self.accepted, before.values)
+        for one, other in combinations([s for s in named if s.candidate.effect.joints == generic.joints][:6], 2):
+            both = [*self.accepted, one.candidate, other.candidate]
+            together = self.evidence.refit(both)
+            gain = together.gain - before.gain + unseen_before - self._unseen_squares(both, together.values)
+            if gain > NAMED_PAIR * (generic.gain + generic.unseen):
+                return one
+        return generic
+
     def _values_of(self, scored: Scored) -> FloatArray:
         """Parameters and constants of a candidate beside what is accepted."""
         count = len(scored.candidate.effect.parameters)
@@ -155,18 +191,30 @@ class Competition:
         return np.concatenate([values, scored.candidate.constants])
 
     def _stands(self, scored: Scored) -> bool:
-        """Whether an effect shows on unseen rows too, and is not a crumb of a larger one at the same joints."""
+        """Whether an effect explains enough, shows on unseen rows too, and is no crumb of a larger one beside it."""
+        values = self._values_of(scored)
+        mine = self._energy([scored.candidate], values)
+        felt = mine > 0.05 * mine.max()
+        share = scored.gain / max(float(self._excess()[felt].sum()), 1e-9)
+        if scored.named and share < NAMES_ENOUGH:
+            return False
         lasting = not any(constant.symbol == "start" for constant in scored.candidate.effect.constants)
         if self.unseen is not None and lasting:
-            again = scored.unseen / len(self.unseen.scene)
-            if again < SEEN_AGAIN * scored.gain / self.evidence.rows:
+            again = scored.unseen / len(self.unseen.scene) / (scored.gain / self.evidence.rows)
+            asleep = scored.named and share > CLEARS_UP and again >= 0.0
+            if again < SEEN_AGAIN and not asleep:
                 return False
         if not self.accepted:
             return True
-        values = self.evidence.refit(self.accepted).values
-        large = self._energy(self.accepted, values)
-        mine = self._energy([scored.candidate], self._values_of(scored))
-        return float(mine.sum()) > MINOR_SHARE * float(large[mine > 0.05 * mine.max()].sum())
+        large = self._energy(self.accepted, self.evidence.refit(self.accepted).values)
+        return float(mine.sum()) > MINOR_SHARE * float(large[felt].sum())
+
+    def _excess(self) -> FloatArray:
+        """(n,) chi-square of each joint's field rows above what noise would leave, beside what is accepted."""
+        residual = self.evidence.residual_beside(self.accepted)
+        joint, count = self.evidence.field.joint, len(self.evidence.base.model.arm.joints)
+        squares = np.bincount(joint, weights=residual**2, minlength=count)
+        return np.asarray(np.maximum(squares - np.bincount(joint, minlength=count), 0.0))
 
     def _energy(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(n,) sum of squares by joint of what effects add to the torque."""
@@ -223,7 +271,9 @@ class Competition:
             rough.append((best[0] - penalty(effect, self.evidence.rows), len(rough), candidate))
         rough.sort(key=lambda item: -item[0])
         scored = []
-        for _, _, candidate in rough[:REFINED]:
+        named = [item for item in rough if item[2].effect.kind != UNKNOWN][:REFINED]
+        generic = [item for item in rough if item[2].effect.kind == UNKNOWN][:RIVALS]
+        for _, _, candidate in [*named, *generic]:
             refined = self._refined(candidate, beside)
             scored.append(self._scored(refined, beside, unseen_before))
         return sorted(scored, key=lambda s: -s.score)
@@ -292,20 +342,6 @@ class Competition:
                 self.accepted = others
                 return self._without_the_idle([r for number, r in enumerate(rounds) if number != k])
         return rounds
-
-
-def choose(ranked: Sequence[Scored], gate: float) -> Scored | None:
-    """The winner: the best named effect, unless a generic rival explains clearly more; None below the gate."""
-    above = [s for s in ranked if s.score > gate and s.plausible]
-    named = [s for s in above if s.named]
-    generic = [s for s in above if not s.named]
-    if not named:
-        return generic[0] if generic else None
-    if generic and generic[0].score > named[0].score:
-        explained = named[0].gain + named[0].unseen
-        if explained < NAMED_SHARE * (generic[0].gain + generic[0].unseen):
-            return generic[0]
-    return named[0]
 
 
 def penalty(effect: Effect, rows: int) -> float:

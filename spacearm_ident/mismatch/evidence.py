@@ -188,6 +188,17 @@ class Evidence:
         energy = np.concatenate([np.sum(c.stacked.columns**2, axis=0) for c in candidates])
         return Refit(values, gain, covariance, np.diag(gram) / np.maximum(energy, 1e-300))
 
+    def residual_beside(self, candidates: Sequence[Candidate]) -> FloatArray:
+        """(F,) field residual with some effects and the base fitted together."""
+        residual = self.residual.copy()
+        values, first = self.refit(candidates).values, 0
+        for candidate in candidates:
+            own = values[first : first + len(candidate.effect.parameters)]
+            first += len(own)
+            residual[candidate.stacked.rows] -= candidate.stacked.columns @ own
+            residual += self._basis @ (candidate.inside @ own)
+        return np.asarray(residual)
+
     def base_parameters(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """Parameters of the base (nuisance and common effects last) when these effects stand beside it."""
         inside = self._inside.copy()

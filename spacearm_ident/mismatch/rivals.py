@@ -21,6 +21,8 @@ from ..recording.motion import Motion
 
 UNKNOWN = "unknown"
 DEGREE = 3
+INNER = (2.0, 98.0)
+"""Percentiles between which a dependence is followed; beyond them it stays as it is there."""
 
 
 @dataclass(frozen=True)
@@ -95,22 +97,21 @@ def rivals(motions: Sequence[Motion]) -> Iterator[Options]:
     position = np.concatenate([motion.position for motion in motions])
     velocity = np.concatenate([motion.velocity for motion in motions])
     length = max(len(motion.position) / motion.rate_hz for motion in motions)
+    low, high = np.percentile(position, INNER, axis=0)
+    slow, fast = np.percentile(velocity, INNER, axis=0)
     for row, joint in enumerate(joints):
-        bounds = {"low": float(position[:, row].min()), "high": float(position[:, row].max())}
-        speed = float(np.abs(velocity[:, row]).max())
+        bounds = {"low": float(low[row]), "high": float(high[row])}
         yield {"joint": joint, "of": "position", "count": 9, **bounds}
         yield {"joint": joint, "of": "friction_position", "count": 9, **bounds}
-        yield {"joint": joint, "of": "velocity", "count": 8, "low": -speed, "high": speed}
+        yield {"joint": joint, "of": "velocity", "count": 8, "low": float(slow[row]), "high": float(fast[row])}
         yield {"joint": joint, "of": "time_periodic"}
         yield {"joint": joint, "of": "time_window"}
         yield {"joint": joint, "of": "time_drift", "length": length}
-        for other, name in enumerate(joints):
-            if other == row:
-                continue
-            low, high = float(position[:, other].min()), float(position[:, other].max())
-            fastest = float(np.abs(velocity[:, other]).max())
-            yield {"joint": joint, "with": name, "of": "position", "count": 6, "low": low, "high": high}
-            yield {"joint": joint, "with": name, "of": "velocity", "count": 6, "low": -fastest, "high": fastest}
+        for k, name in enumerate(joints):
+            if k != row:
+                both = {"joint": joint, "with": name, "count": 6}
+                yield {**both, "of": "position", "low": float(low[k]), "high": float(high[k])}
+                yield {**both, "of": "velocity", "low": float(slow[k]), "high": float(fast[k])}
 
 
 def _splines(signal: FloatArray, low: float, high: float, count: int) -> FloatArray:

@@ -53,6 +53,9 @@ SHOWN_OVER: dict[str, tuple[tuple[str, bool], ...]] = {
 }
 """Effect -> (signal, whether the residual is taken in the direction of motion); everything for any other effect."""
 
+BODILY = frozenset({"payload", "link_mass", "base_tilt", "floating_base", "base_flexibility", "external_contact"})
+"""Effects that move the torque of every joint, wherever they sit."""
+
 
 @dataclass(frozen=True)
 class Signals:
@@ -155,7 +158,7 @@ def _labels(findings: Sequence[Finding], joint: str) -> list[str]:
 
 def dependence(finding: Finding, arm: Arm, of: Signals, floor: FloatArray) -> tuple[Markup, str] | None:
     """Residual before and after over what the finding depends on, and a caption; None where nothing can be drawn."""
-    rows = [k for k in _strongest(finding, arm.joint_names) if np.isfinite(of.before[:, k]).any()]
+    rows = [k for k in _strongest(finding, arm.joint_names, of) if np.isfinite(of.before[:, k]).any()]
     if not rows:
         return None
     views = [view_of(finding, row, of) for row in rows]
@@ -174,15 +177,20 @@ def dependence(finding: Finding, arm: Arm, of: Signals, floor: FloatArray) -> tu
         return to_svg(figure, described), _caption(views)
 
 
-def _strongest(finding: Finding, names: Sequence[str]) -> list[int]:
-    taken = {
-        joint: finding.before_Nm[joint] ** 2 - finding.after_Nm[joint] ** 2
-        for joint in finding.before_Nm
-        if joint in names and joint in finding.after_Nm and np.isfinite(finding.before_Nm[joint])
-    }
-    ordered = sorted(taken, key=lambda joint: -taken[joint])
-    chosen = (ordered or [joint for joint in finding.joints if joint in names])[:MOST_JOINTS]
-    return [list(names).index(joint) for joint in chosen]
+def _strongest(finding: Finding, names: Sequence[str], of: Signals) -> list[int]:
+    """Rows of the joints to draw: those where most went away, among all for what moves the torque of all."""
+    if finding.effect in BODILY or not finding.joints:
+        before, after = (np.where(np.isfinite(y), y, 0.0) for y in (of.before, of.after))
+        taken = dict(zip(names, np.sum(before**2 - after**2, axis=0)))
+    else:
+        nothing = float("nan")
+        taken = {
+            joint: finding.before_Nm.get(joint, nothing) ** 2 - finding.after_Nm.get(joint, nothing) ** 2
+            for joint in finding.joints
+            if joint in names
+        }
+    ordered = sorted(taken, key=lambda joint: -np.nan_to_num(taken[joint], nan=-np.inf))
+    return [list(names).index(joint) for joint in ordered[:MOST_JOINTS]]
 
 
 def view_of(finding: Finding, row: int, of: Signals) -> View:
@@ -251,6 +259,8 @@ def _limit(of: Signals, row: int, noise: float) -> float:
     """Half the height of the panels of one joint: all but the rarest points, before and after, and the noise."""
     sizes = np.abs(np.concatenate([of.before[:, row], of.after[:, row]]))
     sizes = sizes[np.isfinite(sizes)]
+    if not len(sizes):
+        return 1.0
     return 1.1 * max(float(np.quantile(sizes, 0.998)), NOISE_BAND * noise if np.isfinite(noise) else 0.0) or 1.0
 
 
@@ -284,6 +294,8 @@ def over_time(names: Sequence[str], of: Signals, floor: FloatArray) -> Markup:
                 axes.axvline(float(of.time[start]), color=COLOUR["muted"], linewidth=0.6, linestyle=":")
             axes.set_ylabel(short(name, 14))
             axes.margins(x=0.005)
+            limit = _limit(of, row, floor[row])
+            axes.set_ylim(-limit, limit)
         panels[-1].set_xlabel("time, s" if len(of.starts) == 1 else "time, s (recordings joined)")
         return to_svg(figure, "Residual of every joint over time, before and after")
 

@@ -16,7 +16,7 @@ from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Alternative, Explanation
 from . import mismatch_figures as figures
 from .details import fact, source_table
 from .html import captioned, page
-from .markup import MINUS, NOTHING, Markup, breakable, element, join, listed, number, percent, unit_text
+from .markup import MINUS, NOTHING, Markup, breakable, element, join, listed, number, unit_text
 from .provenance import FITTED, VALIDATED
 
 UNKNOWN = "unknown"
@@ -79,7 +79,7 @@ def _judged(explanation: Explanation) -> tuple[str, str, list[object]]:
     sentences: list[object] = [_surety(first)]
     if math.isfinite(first.explained):
         sentences.append(
-            f"On {explanation.judged_on or 'data held out'} it removes {percent(first.explained)} of the residual "
+            f"On {explanation.judged_on or 'data held out'} it removes {_rounded(first.explained)} of the residual "
             "above the noise there."
         )
     if more:
@@ -92,7 +92,8 @@ def _surety(finding: Finding) -> str:
     if finding.effect == UNKNOWN:
         return f"What is known of it: {finding.where}. No physics of the catalogue explains it as well."
     word = next(word for least, word in SURE if not finding.confidence < least)
-    sentence = f"It is {word} this ({percent(finding.confidence)} against the other explanations): {finding.where}."
+    sure = f"It is {word} this ({_rounded(finding.confidence)} against the other explanations)"
+    sentence = f"{sure}." if finding.where == _name(finding.effect) else f"{sure}: {finding.where}."
     close = [other for other in finding.alternatives if other.effect != UNKNOWN and other.score > 0.9]
     if close:
         return f"{sentence} These data hardly tell it from {_name(close[0].effect)}."
@@ -104,6 +105,14 @@ def _name(effect: str) -> str:
     if effect == UNKNOWN:
         return "something that no known effect explains"
     return EFFECTS[effect].words if effect in EFFECTS else effect.replace("_", " ")
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}"
+
+
+def _rounded(share: float) -> str:
+    return f"{100 * share:.0f} %" if math.isfinite(share) else NOTHING
 
 
 def _at(of: Finding | Alternative) -> str:
@@ -180,10 +189,10 @@ def _findings(explanation: Explanation, arm: Arm, drawn: figures.Signals | None)
             "section",
             element(
                 "h3",
-                f"{place}. {_name(finding.effect).capitalize() if finding.effect in EFFECTS else _name(finding.effect)}",
+                f"{place}. {_sentence(_name(finding.effect))}",
                 element("small", element("code", finding.effect), f" at {_at(finding)}"),
             ),
-            element("p", f"{finding.where[:1].upper()}{finding.where[1:]}."),
+            element("p", f"{_sentence(finding.where)}.") if finding.where != _name(finding.effect) else None,
             _facts(finding),
             _parameters(finding.parameters),
             None if drawing is None else captioned(*drawing),
@@ -204,14 +213,14 @@ def _facts(finding: Finding) -> Markup:
         ("RMS without → with it", f"{', '.join(rms) or NOTHING} N·m"),
     ]
     if math.isfinite(finding.visibility):
-        facts.append(("visibility", f"{percent(finding.visibility)} of it is nothing the base model could take over"))
+        facts.append(("visibility", f"{_rounded(finding.visibility)} of it is nothing the base model could take over"))
     return element("dl", *(element(tag, text) for named in facts for tag, text in zip(("dt", "dd"), named)))
 
 
 def _meter(share: float, of: str) -> Markup:
     part = 100 * min(max(share, 0.0), 1.0) if math.isfinite(share) else 0.0
     bar = element("span", element("span", style=f"width: {part:.0f}%"), class_="meter")
-    return join(bar, f"{percent(share) if math.isfinite(share) else 'not testable'} ", element("small", of))
+    return join(bar, f"{_rounded(share) if math.isfinite(share) else 'not testable'} ", element("small", of))
 
 
 def _parameters(parameters: Mapping[str, Quantity]) -> Markup | None:
@@ -243,8 +252,8 @@ def _alternatives(others: tuple[Alternative, ...]) -> Markup:
         element(
             "tr",
             element("td", _name(other.effect), " ", element("code", other.effect), class_="text wrap"),
-            element("td", _at(other), class_="text wrap"),
-            element("td", percent(other.score)),
+            element("td", _at(other), class_="text"),
+            element("td", _rounded(other.score)),
             element("td", other.why_not, class_="text wrap"),
         )
         for other in others
@@ -276,8 +285,8 @@ def _over_time(explanation: Explanation, drawn: figures.Signals) -> Markup:
         _key("before", "after"),
         captioned(
             figures.over_time(explanation.joints, drawn, explanation.noise_floor_Nm),
-            "Measured minus predicted, N·m, a joint a row. Gaps: standstill and what else does not count. Band: noise, "
-            "two standard deviations either way.",
+            "Measured minus predicted, N·m, a joint a row; rare peaks run out of the picture. Gaps: standstill and "
+            "what else does not count. Band: noise, two standard deviations either way.",
         ),
     )
 
@@ -292,7 +301,7 @@ def _unexplained(explanation: Explanation) -> Markup | None:
     return _listing(
         "What remains unexplained",
         [
-            f"{listed(left.joints)}: {percent(left.fraction)} of the residual's variance is above the noise; {left.where}."
+            f"{listed(left.joints)}: {_rounded(left.fraction)} of the variance left is above the noise; {left.where}."
             for left in explanation.unexplained
         ],
     )
@@ -313,7 +322,7 @@ def _obtained(explanation: Explanation, sources: Mapping[str, Any]) -> Markup:
     facts: list[tuple[str, object]] = [
         (str(key).replace("_", " "), fact(value)) for key, value in known.items() if value
     ]
-    if explanation.model is not None:
+    if explanation.model is not None and explanation.model.cutoff_hz is not None:
         facts.insert(0, ("bandwidth", f"{number(explanation.model.cutoff_hz)} Hz"))
     files = "Beside this page: mismatch.json says the same to programs"
     extended = f"; {EXTENDED_MODEL} is the base model with the findings, for simulate and identify"

@@ -81,7 +81,8 @@ summary { cursor: pointer; color: var(--predicted); margin: 10px 0 4px; }
   table, .key, figcaption, .quiet { font-size: 9.5px; }
   table.matrix th, table.matrix td { font-size: 8.5px; padding: 1px 4px; }
   th, td { padding: 1px 6px; } code { font-size: 8.5px; } dl { font-size: 10px; }
-  td.share, .meter, .meter > span, .verdict, ul.warnings li, .swatch.block { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+  td.share, .meter, .meter > span, .verdict, ul.warnings li, .swatch.block {
+    print-color-adjust: exact; -webkit-print-color-adjust: exact; }
   .wide { overflow: visible; }
   details::details-content { content-visibility: visible; block-size: auto; }
 }

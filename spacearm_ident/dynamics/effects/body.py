@@ -230,8 +230,8 @@ class ExternalContact(Effect):
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """On the flange."""
-        yield {}
+        """On the last link."""
+        yield {"joint": arm.joint_names[-1]}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -243,8 +243,8 @@ class ExternalContact(Effect):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """None: it is the flange."""
-        return ()
+        """That of the link that was touched."""
+        return (str(self.place["joint"]),)
 
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """Torque that holds against a force on the flange along each base axis, within the window."""

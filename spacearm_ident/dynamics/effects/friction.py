@@ -87,8 +87,8 @@ class TemperatureFriction(_Friction):
         """At one joint: `of` names what follows the temperature."""
         joint = known_joint(arm, place)
         known = {
-            "f_c": Parameter("alpha_c", joint, "N m/K", scale=1.0),
-            "k_v1": Parameter("alpha_v", joint, "N m s/(rad K)", scale=1.0),
+            "f_c": Parameter("alpha_c", joint, "N m/K", scale=1.0, upper=0.0),
+            "k_v1": Parameter("alpha_v", joint, "N m s/(rad K)", scale=1.0, upper=0.0),
         }
         return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), place=place)
 
