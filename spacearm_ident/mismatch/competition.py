@@ -32,6 +32,8 @@ SHARED = 0.3
 MINOR_SHARE = 0.003
 """Beside a large effect at the same joints, less than this share of it is more likely the large one's own law being
 a little different than a second physics: it is left unexplained, not named."""
+MINOR_UNKNOWN = 0.05
+"""The same for a dependence without a name, which has the freedom to follow any such difference."""
 SEEN_AGAIN = 0.1
 """Share of its drop on the fitted rows that an effect must show, row for row, on unseen ones. A large named one may
 be asleep there (another motion need not excite it); then it only must do no harm."""
@@ -207,7 +209,8 @@ class Competition:
         if not self.accepted:
             return True
         large = self._energy(self.accepted, self.evidence.refit(self.accepted).values)
-        return float(mine.sum()) > MINOR_SHARE * float(large[felt].sum())
+        minor = MINOR_SHARE if scored.named else MINOR_UNKNOWN
+        return float(mine.sum()) > minor * float(large[felt].sum())
 
     def _excess(self) -> FloatArray:
         """(n,) chi-square of each joint's field rows above what noise would leave, beside what is accepted."""

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.effects import EFFECTS
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
@@ -19,7 +20,7 @@ from .cards import Cards
 from .competition import GATE, Competition, Outcome, Scored
 from .evidence import Evidence
 from .extend import extended_model
-from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, unfit
+from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
 from .integrity import faults
 from .preparation import Prepared, prepare_evidence
 from .residuals import Residuals
@@ -98,7 +99,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     cards = Cards(evidence, residuals, outcome, floor)
-    findings = tuple(sorted((cards.finding(k) for k in range(len(accepted))), key=lambda f: -f.gain - f.unseen_gain))
+    findings = _by_cause([cards.finding(k) for k in range(len(accepted))], joints)
     rms_before, rms_after = residuals.rms(before), residuals.rms(after)
     return Explanation(
         verdict=MISMATCH if findings else NO_MISMATCH,
@@ -112,7 +113,18 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         already_there=tuple(_words(scored) for scored in outcome.common),
         model=extended_model(evidence, accepted, outcome.refit.values) if findings else None,
         traces=residuals.traces(before, after),
+        cutoff_hz=prepared.cutoff_hz,
     )
+
+
+def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Finding, ...]:
+    """Largest first; what several joints show for one reason is one finding."""
+    ordered = sorted(findings, key=lambda finding: -finding.gain - finding.unseen_gain)
+    causes: dict[object, list[Finding]] = {}
+    for number, finding in enumerate(ordered):
+        one = finding.effect in EFFECTS and EFFECTS[finding.effect].one_cause
+        causes.setdefault(finding.effect if one else number, []).append(finding)
+    return tuple(joined(group, joints) for group in causes.values())
 
 
 def _healthy(evidence: Evidence, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -151,8 +163,6 @@ def _unexplained(
 
 def _next(findings: Sequence[Finding]) -> str | None:
     """The experiment that would tell what these data cannot, for the largest finding that leaves a doubt."""
-    from ..dynamics.effects import EFFECTS
-
     for finding in findings:
         if finding.effect == UNKNOWN:
             return (

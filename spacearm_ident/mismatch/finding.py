@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,6 +75,36 @@ class Finding:
     explained: float
 
 
+def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
+    """Findings of one effect at several joints as one; the first is the largest.
+
+    Args:
+        findings: Of the same effect.
+        joints: All of the arm's, for their order.
+    """
+    largest = findings[0]
+    if len(findings) == 1:
+        return largest
+    where = {joint for finding in findings for joint in finding.joints}
+    weights = [finding.gain + max(finding.unseen_gain, 0.0) for finding in findings]
+    known = [(w, f.explained) for w, f in zip(weights, findings) if math.isfinite(f.explained)]
+    return replace(
+        largest,
+        joints=tuple(joint for joint in joints if joint in where),
+        parameters={
+            f"{name}[{finding.joints[0]}]": quantity
+            for finding in findings
+            for name, quantity in finding.parameters.items()
+        },
+        confidence=max(finding.confidence for finding in findings),
+        gain=sum(finding.gain for finding in findings),
+        unseen_gain=sum(finding.unseen_gain for finding in findings),
+        before_Nm={joint: rms for finding in findings for joint, rms in finding.before_Nm.items()},
+        after_Nm={joint: rms for finding in findings for joint, rms in finding.after_Nm.items()},
+        explained=sum(w * e for w, e in known) / sum(w for w, _ in known) if known else float("nan"),
+    )
+
+
 @dataclass(frozen=True)
 class Unexplained:
     """What is left of a joint's residual."""
@@ -115,6 +147,7 @@ class Explanation:
         model: Base model with the effects; None where nothing was found.
         traces: For figures.
         judged_on: In words, what the residuals are on.
+        cutoff_hz: Bandwidth that was looked at; NaN where the data are unfit.
     """
 
     verdict: str
@@ -130,6 +163,7 @@ class Explanation:
     model: IdentifiedModel | None = None
     traces: tuple[Trace, ...] = ()
     judged_on: str = ""
+    cutoff_hz: float = float("nan")
 
 
 def unfit(joints: tuple[str, ...], reasons: tuple[str, ...]) -> Explanation:

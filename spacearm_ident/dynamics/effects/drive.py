@@ -135,6 +135,7 @@ class TimeDelay(_Late):
     """The recorded torque is late by a fixed time."""
 
     kind: ClassVar[str] = "time_delay"
+    one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "the recorded torque is late by a fixed time"
     equation: ClassVar[str] = "tau(t - d) - tau(t)"
     source: ClassVar[str] = "fieldbus and filter delays; MuJoCo and PACE identification reports"
@@ -162,6 +163,7 @@ class FilterLag(_Late):
     """The recorded torque went through a low-pass of first order."""
 
     kind: ClassVar[str] = "filter_lag"
+    one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "the recorded torque went through a low-pass"
     equation: ClassVar[str] = "tau filtered by 1/(1 + T s), minus tau"
     source: ClassVar[str] = "current filters of drives"

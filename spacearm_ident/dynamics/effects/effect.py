@@ -36,6 +36,8 @@ class Effect(Term):
     source: ClassVar[str]
     confused_with: ClassVar[tuple[str, ...]] = ()
     experiment: ClassVar[str] = ""
+    one_cause: ClassVar[bool] = False
+    """Whether several joints show it for one reason (the arm got warm, the clock is late): one finding then."""
     place: Options = ()  # type: ignore[assignment]
 
     @classmethod

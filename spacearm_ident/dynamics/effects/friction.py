@@ -69,6 +69,7 @@ class TemperatureFriction(_Friction):
     """Friction follows the joint's temperature."""
 
     kind: ClassVar[str] = "temperature_friction"
+    one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "friction follows temperature"
     equation: ClassVar[str] = "[alpha_c sgn(qd) + alpha_v qd] (T - T_0)"
     source: ClassVar[str] = "paper §2.2.2"
@@ -299,6 +300,7 @@ class VacuumFriction(_Friction):
     """In vacuum the terms of higher order vanish, at every joint at once."""
 
     kind: ClassVar[str] = "vacuum_friction"
+    one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "the high-order terms of friction are gone"
     equation: ClassVar[str] = "-share (k_v2 qd^2 + k_v3 qd^3)"
     source: ClassVar[str] = "paper §2.2.2"
