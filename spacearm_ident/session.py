@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from .dynamics.arm import Arm, arm_from_urdf, load_arm
-from .dynamics.model import structure_of
+from .dynamics.effects import Effect
+from .dynamics.model import Structure, TorqueModel, structure_of
+from .dynamics.model_file import load_model
 from .errors import UserError
 from .identification.identified import Identified, Validation
 from .identification.identify import Progress, Settings, identify, with_provenance
@@ -126,18 +128,43 @@ def find_arm(file: Path | None, gravity: Sequence[float] | None, recordings: Seq
     return arm if gravity is None else arm.with_gravity(np.array(gravity, dtype=float))
 
 
-def settings_for(arm: Arm, friction: str = AUTO, cutoff_hz: float | None = None) -> Settings:
+def settings_for(
+    arm: Arm, friction: str = AUTO, cutoff_hz: float | None = None, structure: Path | None = None
+) -> Settings:
     """Settings from the words of a user.
 
     Args:
         arm: The arm.
         friction: `auto` (the paper's law, and what else the data demand), or one of `FRICTION_LAWS`.
         cutoff_hz: Bandwidth; None: chosen from the data.
+        structure: Model file whose terms are identified, effects included; its values do not count.
 
     Raises:
-        UserError: No friction law of that name.
+        UserError: No friction law of that name, one beside a structure, or a structure that is not of this arm.
     """
-    return Settings(cutoff_hz, None if friction == AUTO else structure_of(arm, friction))
+    if structure is None:
+        return Settings(cutoff_hz, None if friction == AUTO else structure_of(arm, friction))
+    if friction != AUTO:
+        raise UserError(f"a structure has its own friction law: leave out friction {friction} or {structure}")
+    return Settings(cutoff_hz, structure_of_file(structure, arm))
+
+
+def structure_of_file(path: Path, arm: Arm) -> Structure:
+    """The terms of a model file, for an arm.
+
+    Raises:
+        UserError: It cannot be read, or names joints that the arm does not have.
+    """
+    structure = load_model(path).model.structure
+    try:
+        terms = TorqueModel(arm, structure).terms
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from error
+    for term in terms:
+        unknown = set(term.joints) - set(arm.joint_names) if isinstance(term, Effect) else set()
+        if unknown:
+            raise UserError(f"{path}: {term.kind}: the arm has no joint {min(unknown)!r}")
+    return structure
 
 
 def within(progress: Progress, start: float, stop: float) -> Progress:

@@ -2,6 +2,7 @@
 
 import os
 import struct
+import threading
 import time
 from pathlib import Path
 
@@ -38,6 +39,51 @@ def smooth(t: float, amplitude: float = 0.06, period: float = 2.0) -> float:
     return float(amplitude * s**4)
 
 
+class BusWatch:
+    """What goes over both buses while it is open, as one more participant sees it."""
+
+    def __enter__(self):
+        self._frames = [[] for _ in CHANNELS]
+        self._stop = threading.Event()
+        self._buses = [LocalBus(channel) for channel in CHANNELS]
+        self._threads = [threading.Thread(target=self._read, args=(k,)) for k in range(len(CHANNELS))]
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._stop.set()
+        for thread, bus in zip(self._threads, self._buses):
+            thread.join()
+            bus.shutdown()
+
+    def _read(self, number):
+        bus, frames = self._buses[number], self._frames[number]
+        while not self._stop.is_set():
+            message = bus.recv(0.05)
+            if message is not None and not message.is_error_frame:
+                frames.append((message.timestamp, message.arbitration_id, bytes(message.data)))
+
+    def frames(self, bus, *can_ids):
+        """Time (s) and data of the frames with one of these identifiers, in the order they were sent."""
+        return sorted((at, data) for at, can_id, data in tuple(self._frames[bus]) if can_id in can_ids)
+
+    def set_points(self, joint):
+        """Time, target (counts) and controlword of each set-point of a joint."""
+        return [(at, *struct.unpack("<iH", data)) for at, data in self.frames(joint // 3, 0x201 + joint)]
+
+    def feedback(self, joint):
+        """Time and position (counts) of each sound feedback of a joint."""
+        frames = self.frames(joint // 3, 0x181 + joint)
+        return [(at, struct.unpack_from("<i", data)[0]) for at, data in frames if len(data) == 8]
+
+    def syncs_until_stop(self, joint, cause_s):
+        """How many SYNCs of its bus lie between a moment and the first quick-stop word to a joint's drive."""
+        words = [at for at, _, word in self.set_points(joint) if at > cause_s and not word & 0x04]
+        assert words, f"joint_{joint + 1} was never told to stop"
+        return sum(cause_s < at < words[0] for at, _ in self.frames(joint // 3, 0x080))
+
+
 class DrivenArm:
     """Both processes, and the probe."""
 
@@ -51,7 +97,6 @@ class DrivenArm:
 
         from spacearm_ident.nodes.runtime import STREAM
 
-        self._clients = {}
         self.payloads, self.currents = [], []
         node = self.probe.node
         node.create_subscription(JointState, "/joint_states", self.payloads.append, STREAM, raw=True)
@@ -65,6 +110,8 @@ class DrivenArm:
         self.arm = self.processes.node("simulated_arm", f"can_config:={self.can_config}")
 
     def start_driver(self):
+        # What an earlier driver said last must not be taken for the new one's words.
+        self.probe.statuses.pop("canopen_driver", None)
         self.driver = self.second_driver()
 
     def second_driver(self):
@@ -77,17 +124,7 @@ class DrivenArm:
         self.processes.end()
 
     def call(self, name, data=None):
-        """As `Probe.call`, but the client stays: finding a service takes longer than calling it."""
-        from std_srvs.srv import SetBool, Trigger
-
-        kind = Trigger if data is None else SetBool
-        if name not in self._clients:
-            self._clients[name] = self.probe.node.create_client(kind, name)
-        client = self._clients[name]
-        self.probe.wait_for(client.service_is_ready, f"service {name}")
-        future = client.call_async(Trigger.Request() if data is None else SetBool.Request(data=data))
-        self.probe.wait_for(future.done, f"a reply from {name}")
-        return future.result().success, future.result().message
+        return self.probe.call(name, data)
 
     # What the driver says -----------------------------------------------------------------------------
 

@@ -14,6 +14,9 @@ from pathlib import Path
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(50 + os.getpid() % 20)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+# Fast DDS leaves its shared memory (a file in /dev/shm) behind with every killed process, and tests kill many.
+# What is measured of shared memory is measured by the demo, which ends its nodes properly.
+os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 PATIENCE_S = 30.0
 """Longest wait for anything that is bound to happen, on a busy machine."""
@@ -87,14 +90,17 @@ class Probe:
     def __init__(self):
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.experimental import EventsExecutor
         from rclpy.signals import SignalHandlerOptions
 
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node("probe", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        # First come, first served. The other executors start over with the subscriptions whenever `spin_once` is
+        # given another timeout than before: where messages come faster than they are taken, no reply is ever seen.
+        self._executor = EventsExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._clients = {}
         self.statuses = {}
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 100)
 
@@ -114,14 +120,14 @@ class Probe:
         """Call a Trigger service, or a SetBool service with `data`."""
         from std_srvs.srv import SetBool, Trigger
 
-        client = self.node.create_client(Trigger if data is None else SetBool, name)
-        try:
-            self.wait_for(client.service_is_ready, f"service {name}")
-            future = client.call_async(Trigger.Request() if data is None else SetBool.Request(data=data))
-            self.wait_for(future.done, f"a reply from {name}")
-            return future.result().success, future.result().message
-        finally:
-            self.node.destroy_client(client)
+        if name not in self._clients:
+            # It stays: finding a service takes longer than calling it.
+            self._clients[name] = self.node.create_client(Trigger if data is None else SetBool, name)
+        client = self._clients[name]
+        self.wait_for(client.service_is_ready, f"service {name}")
+        future = client.call_async(Trigger.Request() if data is None else SetBool.Request(data=data))
+        self.wait_for(future.done, f"a reply from {name}")
+        return future.result().success, future.result().message
 
     def values(self, name: str) -> dict[str, str]:
         """The figures of a part's latest diagnostics; empty before the first."""

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2 (pip install '.[ros]')")
 
-from driven_arm import CORRUPT, EMERGENCY, FREEZE, JOINTS, DrivenArm, smooth
+from driven_arm import CORRUPT, EMERGENCY, FREEZE, JOINTS, BusWatch, DrivenArm, smooth
 from live_nodes import PATIENCE_S, output
 
 from spacearm_ident.config import config_path
@@ -163,6 +163,22 @@ def test_bad_set_points_stop_the_arm(arm, position, words):
     recovers(arm)
 
 
+def test_after_a_stop_on_the_way_the_arm_is_held_where_it_is_not_where_it_was_going(arm):
+    moving(arm, lambda: arm.call("/driver/halt"), after_s=2.5)
+    stopped_by(arm, "halt")
+    with BusWatch() as watch:
+        arm.probe.spin(0.05)
+        recovers(arm)
+        arm.probe.spin(0.3)
+    for joint, scale in enumerate(load_arm_can(arm.can_config).bus.scales):
+        positions = np.array([position for _, position in watch.feedback(joint)])
+        enabled = [target for _, target, word in watch.set_points(joint) if word & 0x0F == 0x0F]
+        assert enabled
+        tolerance = 5e-4 * scale.counts_per_turn * scale.gear_ratio / (2 * np.pi)
+        assert np.abs(np.array(enabled) - positions[-1]).max() < tolerance
+        assert np.ptp(positions) < tolerance
+
+
 def test_set_points_of_other_joints_stop_the_arm(arm):
     from sensor_msgs.msg import JointState
 
@@ -180,18 +196,27 @@ def test_a_stream_that_breaks_off_stops_the_arm(arm):
     recovers(arm)
 
 
-def test_an_emergency_of_one_drive_stops_all(arm):
-    moving(arm, lambda: arm.inject(4, EMERGENCY, 0x4310))
-    stopped_by(arm, "node 5")
+def test_an_emergency_of_one_drive_stops_all_within_a_cycle(arm):
+    with BusWatch() as watch:
+        moving(arm, lambda: arm.inject(4, EMERGENCY, 0x4310))
+        stopped_by(arm, "node 5")
+    emergency = watch.frames(1, 0x085)[0][0]
+    # It may come just after the cycle has read its feedback: then the next cycle's frames stop the arm.
+    assert all(watch.syncs_until_stop(joint, emergency) <= 1 for joint in range(6))
     arm.wait_for(lambda: arm.drive_states()["joint_5"] == "fault", "the drive's fault")
     assert [arm.drive_states()[name] for name in ("joint_1", "joint_4")] == ["quick stop active"] * 2
     assert arm.at_rest()
     recovers(arm)
 
 
-def test_a_frozen_drive_stops_all(arm):
-    moving(arm, lambda: arm.inject(1, FREEZE, 2500))
-    stopped_by(arm, "node 2")
+def test_a_frozen_drive_stops_all_in_the_cycle_its_silence_is_too_long(arm):
+    with BusWatch() as watch:
+        moving(arm, lambda: arm.inject(1, FREEZE, 2500))
+        stopped_by(arm, "node 2")
+        silent_since = watch.feedback(1)[-1][0]
+        stale = load_arm_can(arm.can_config).bus.stale_cycles
+        arm.probe.spin(0.1)
+    assert all(watch.syncs_until_stop(joint, silent_since) <= stale + 1 for joint in (0, 2, 3, 4, 5))
     others = [state for name, state in arm.drive_states().items() if name != "joint_2"]
     assert others == ["quick stop active"] * 5
     done, message = arm.call("/driver/recover")
@@ -203,9 +228,15 @@ def test_a_frozen_drive_stops_all(arm):
 
 @pytest.mark.parametrize("how", [1, 2, 3], ids=["short", "random", "missing"])
 def test_corrupt_feedback_stops_the_arm(arm, how):
-    moving(arm, lambda: arm.inject(3, CORRUPT, how))
-    arm.wait_for(lambda: arm.fault, "a fault")
-    assert not arm.enabled
+    with BusWatch() as watch:
+        moving(arm, lambda: arm.inject(3, CORRUPT, how))
+        arm.wait_for(lambda: arm.fault, "a fault")
+        arm.probe.spin(0.1)
+    assert not arm.enabled and arm.probe.level("canopen_driver") == 2
+    short = [at for at, data in watch.frames(1, 0x184) if len(data) != 8]
+    if short:
+        assert "bytes of feedback instead of 8" in arm.fault
+        assert all(watch.syncs_until_stop(joint, short[0]) <= 1 for joint in range(6))
     arm.inject(3, CORRUPT, 0)
     arm.wait_for(lambda: arm.call("/driver/recover")[0], "recovery from sound feedback")
     arm.healthy()
@@ -223,6 +254,13 @@ def test_a_second_driver_is_refused_and_the_first_does_not_notice(arm):
     assert second.wait(PATIENCE_S) == 2
     assert "another canopen_driver runs on local bus 'arm0': stop it first" in output(second)
     arm.wait_for(lambda: int(arm.values["cycles"]) > cycles + 500, "cycles going on")
+    assert arm.enabled and not arm.fault
+
+
+def test_a_second_arm_is_refused(arm):
+    second = arm.processes.node("simulated_arm", f"can_config:={arm.can_config}")
+    assert second.wait(PATIENCE_S) == 2
+    assert "another simulated_arm runs on local bus 'arm0': stop it first" in output(second)
     assert arm.enabled and not arm.fault
 
 

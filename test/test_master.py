@@ -15,7 +15,7 @@ from simulated_bus import SCALE, simulated_drives
 
 from spacearm_ident.canbus.arm_bus import ArmBus, Axis, interpolation_time, optional_writes, required_writes
 from spacearm_ident.canbus.cia402 import Goal, State, statusword_of
-from spacearm_ident.canbus.cycle import Cycle
+from spacearm_ident.canbus.cycle import TORN, Cycle
 from spacearm_ident.canbus.eds import eds_path
 from spacearm_ident.canbus.events import EventKind
 from spacearm_ident.canbus.local_bus import LocalBus
@@ -399,6 +399,35 @@ def test_feedback_stamped_before_the_sync_is_late_though_it_arrives_after_it(sin
     drive.send(feedback_frame(7))
     cycle.run()
     assert (cycle.late, cycle.incomplete, cycle.received[0], cycle.feedback.counts[0]) == (1, 1, 0, 0)
+
+
+class Answering:
+    """A bus whose drive answers each SYNC at once; the sender may be taken off the processor before it goes on."""
+
+    def __init__(self, bus, drive):
+        self.bus, self.drive, self.recv = bus, drive, bus.recv
+        self.held_up_s = 0.0
+
+    def send(self, message):
+        self.bus.send(message)
+        if message.arbitration_id == 0x80:
+            self.drive.send(feedback_frame(7))
+            time.sleep(self.held_up_s)
+
+
+def test_feedback_of_a_sync_that_went_out_in_pieces_is_not_used(single):
+    """The other buses' drives answer for a moment that is not the sample's: a jerk that never was."""
+    cycle, drive = single
+    bus = cycle._buses[0] = Answering(cycle._buses[0], drive)
+    bus.held_up_s = 2 * TORN * cycle.arm.period
+    cycle.run()
+    assert (cycle.late, cycle.incomplete, cycle.received[0], cycle.feedback.counts[0]) == (1, 1, 0, 0)
+    bus.held_up_s = 0.0
+    for _ in range(100):
+        cycle.run()
+        if cycle.received[0]:
+            break
+    assert cycle.feedback.counts[0] == 7 and cycle.missing[0] == 0
 
 
 def test_a_flood_does_not_stop_the_cycle(single):

@@ -2,11 +2,13 @@
 
 import resource
 import signal
+import subprocess
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import small_arm
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
@@ -17,8 +19,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
+from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.nodes.runtime import LATCHED, STREAM
-from spacearm_ident.recording import cdr, read_recording
+from spacearm_ident.recording import cdr, read_recording, write_recording
 from spacearm_ident.recording.background import BackgroundWriter, Topic
 from spacearm_ident.recording.definitions import definition_text
 from spacearm_ident.recording.messages import JOINT_STATE, STRING, MessageType
@@ -170,6 +173,29 @@ def test_killed_while_recording_it_loses_at_most_the_last_second(processes, prob
     assert killed_at - last < 1.0
     assert np.array_equal(np.diff(recording.position[:, 0]), np.ones(len(recording.time) - 1))
     assert len(recording.time) > 1000
+
+
+def test_what_a_killed_recorder_left_can_be_identified(processes, probe, tmp_path):
+    whole = tmp_path / "whole.mcap"
+    write_recording(whole, small_arm.recording())
+    recorder = processes.node("recorder", f"directory:={tmp_path}")
+    folder = started(probe)
+    player = processes.python("-m", "graph_arm", stdin=subprocess.PIPE)
+    player.stdin.write(f"play {whole}\n".encode())
+    player.stdin.flush()
+    probe.wait_for(lambda: received(probe, "/joint_states") >= 3200, "all joint states")
+    probe.spin(1.0)
+    recorder.kill()
+    recorder.wait()
+    assert len(read_recording(folder).time) == 3200
+    words = ("identify", str(folder), "--out", str(tmp_path / "result"), "--quiet", "--friction", "coulomb-viscous")
+    command = processes.python("-m", "spacearm_ident.cli.main", *words)
+    assert command.wait(120) == 0, output(command)
+    model = load_model(tmp_path / "result" / "model.yaml")
+    found = dict(zip((p.name for p in model.model.parameters), model.parameters))
+    for k, joint in enumerate(small_arm.JOINTS):
+        assert found[f"f_c[{joint}]"] == pytest.approx(small_arm.COULOMB[k], rel=0.05)
+        assert found[f"k_v1[{joint}]"] == pytest.approx(small_arm.VISCOUS[k], rel=0.1)
 
 
 def test_replies_name_what_is_wrong(processes, probe, tmp_path):

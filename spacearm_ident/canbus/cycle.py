@@ -42,6 +42,8 @@ HEARTBEAT: Final = 0x700
 MOST_WAITING: Final = 200
 #: Events kept for a caller that does not fetch them.
 MOST_EVENTS: Final = 1000
+#: Share of the period within which SYNC is out on all buses; else the answers are of no one moment and not used.
+TORN: Final = 0.2
 _RUN_INTERPOLATION: Final = 0x10
 
 
@@ -57,8 +59,8 @@ class Cycle:
         states: CiA 402 state of each axis; None for a pattern CiA 402 does not know.
         goal: Where all drives shall be; set it, the cycles lead there.
         cycles: Cycles run.
-        incomplete: Cycles in which at least one feedback did not come in time.
-        late: Feedback frames that came after their cycle.
+        incomplete: Cycles in which at least one feedback did not come in time, or SYNC went out in pieces (`TORN`).
+        late: Feedback frames that belong to no cycle: they came after theirs, or it was torn.
         malformed: Frames of a wrong length or that the `canopen` library could not read.
         answer_s: From SYNC to the last feedback of the last cycle, s; NaN if incomplete.
         events: What happened, oldest first; the caller takes them out (`popleft`).
@@ -93,6 +95,7 @@ class Cycle:
         self.goal = Goal.DISABLED
         self.cycles = self.incomplete = self.late = self.malformed = 0
         self.answer_s = np.nan
+        self._torn = False
         self.events: deque[Event] = deque(maxlen=MOST_EVENTS)
         self._fresh = np.zeros(count, dtype=bool)
         self._not_enabled = np.ones(count, dtype=bool)
@@ -147,6 +150,8 @@ class Cycle:
         self.sync_ns = time.time_ns()
         for bus in range(len(self._buses)):
             self._send(bus, self._sync)
+        # Taken off the processor meanwhile: what the drives answer is not of the moment of `sync_ns`.
+        self._torn = time.monotonic() - begin > TORN * self.arm.period
         self.cycles += 1
         if self.cycles % self.arm.set_point_divider == 0:
             self._send_set_points()
@@ -239,7 +244,7 @@ class Cycle:
             axis = routes.get(message.arbitration_id, -1)
             if axis < 0 or message.is_error_frame:
                 self.take_other(bus, message)
-            elif self._fresh[axis] or message.timestamp < sync_s:
+            elif self._torn or self._fresh[axis] or message.timestamp < sync_s:
                 self.late += 1
             elif self.feedback.put(axis, message.data):
                 self._fresh[axis] = True

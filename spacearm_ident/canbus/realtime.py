@@ -12,6 +12,8 @@ from typing import Final
 import numpy as np
 
 _PR_SET_TIMERSLACK: Final = 29
+#: mlockall(2): what is mapped now and later, page by page as it is used.
+_MCL_CURRENT_FUTURE_ONFAULT: Final = 1 | 2 | 4
 #: Threads give way to each other within this time, s; Python's default of 5 ms is five cycles.
 SWITCH_INTERVAL: Final = 5e-4
 #: Priority for the other threads of a process with a cycle.
@@ -19,7 +21,7 @@ BESIDE_THE_CYCLE: Final = 10
 
 
 def prepare_process() -> None:
-    """Stop the garbage collector from pausing the process, and let its threads switch quickly.
+    """Keep garbage collector and pager (where permitted) from pausing the process; let its threads switch quickly.
 
     What exists now is never looked at again. Call it once, after everything has been loaded; whatever runs
     afterwards must not depend on cycles being collected.
@@ -28,6 +30,7 @@ def prepare_process() -> None:
     gc.freeze()
     gc.disable()
     sys.setswitchinterval(SWITCH_INTERVAL)
+    ctypes.CDLL(None).mlockall(_MCL_CURRENT_FUTURE_ONFAULT)
 
 
 def prepare_thread(priority: int = 60) -> str | None:

@@ -42,6 +42,12 @@ def add(commands: Any) -> None:
         default=AUTO,
         help="friction law; auto (default): the paper's, and what else the data demand",
     )
+    command.add_argument(
+        "--structure",
+        type=Path,
+        metavar="FILE",
+        help="identify the terms of this model file, its effects (extended_model.yaml) included; instead of --friction",
+    )
     common.add_output_options(command)
     command.set_defaults(run=run)
 
@@ -56,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
             fitted,
             validated,
             arm,
-            settings_for(arm, options.friction, options.bandwidth),
+            settings_for(arm, options.friction, options.bandwidth, options.structure),
             options.out,
             command=options.command_line,
             progress=common.within(report, 0.3, 1.0),

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.arm import Arm, load_arm
-from ..dynamics.model_file import load_model, model_to_dict
+from ..dynamics.model_file import load_model
 from ..errors import UserError
 from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import load_trajectory
 from ..recording import Recording, write_recording
 from ..simulation.closed_loop import SensorNoise, simulate_run
 from ..simulation.concealed import Concealment, Effect, load_concealed
+from ..simulation.concealed.from_model import simulated_arm
 from ..simulation.parameters import PlantParameters
 from ..simulation.servo import DriveData
 from . import common
@@ -33,7 +34,11 @@ def add(commands: Any) -> None:
     """Add the command to a parser."""
     command = commands.add_parser("simulate", help="record the simulated arm", description=DESCRIPTION)
     command.add_argument(
-        "--model", required=True, type=Path, metavar="FILE", help="what the arm obeys: a model.yaml, identified or not"
+        "--model",
+        required=True,
+        type=Path,
+        metavar="FILE",
+        help="what the arm obeys: a model.yaml or extended_model.yaml",
     )
     command.add_argument("--trajectory", required=True, type=Path, metavar="FILE", help="what it is to follow")
     command.add_argument("--out", required=True, type=Path, metavar="BAG", help="recording to write")
@@ -53,9 +58,10 @@ def run(options: argparse.Namespace) -> int:
         raise UserError(f"--noise {options.noise:g} is negative: give 0 for none, 1 for the default")
     model = load_model(options.model)
     arm = model.model.arm if options.arm is None else load_arm(options.arm)
-    parameters = PlantParameters.from_model(model_to_dict(model), arm.urdf)
+    parameters, effects = simulated_arm(model, arm.urdf)
     trajectory = load_trajectory(options.trajectory)
-    effects = [] if options.conceal is None else load_concealed(options.conceal, parameters.joints)
+    if options.conceal is not None:
+        effects += load_concealed(options.conceal, parameters.joints)
     with common.progress(options) as report:
         recording = record(parameters, trajectory, arm, options.seed, options.noise, report, effects)
         write_recording(options.out, recording)

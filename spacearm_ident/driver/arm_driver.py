@@ -277,12 +277,13 @@ class ArmDriver:
     def _serve(self) -> None:
         assert self._master is not None
         cycle = self._master.cycle()
+        # Before the first heartbeat: the drives do not forgive a pause after it.
+        prepare_process()
         monitor = self._monitor = MotionMonitor(self.config.limits)
         cycle.run()
         begin_ns = cycle.sync_ns
         self._cycle, self.connection, self._reconnecting = cycle, "connected", False
         pacer, sample = self._pacer, self._on_sample
-        prepare_process()
         while not self._ending.is_set() and not self._reconnecting:
             late = pacer.wait()
             self._lead(cycle)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.effects import EFFECTS
+from ..dynamics.effects.body import ExternalContact
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
@@ -30,6 +31,8 @@ Progress = Callable[[float, str], None]
 HOLD_OUT = 0.35
 LEFT_OVER = 2.0
 """A joint whose residual variance is so many times the noise's has something unexplained."""
+SHOWS = 0.1
+"""A finding beside the first that removes less than this share of what is above the noise on unseen data is not one."""
 CLOSE = 0.7
 """Another explanation with this share of the score cannot be told apart."""
 
@@ -99,7 +102,9 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     cards = Cards(evidence, residuals, outcome, floor)
-    findings = _by_cause([cards.finding(k) for k in range(len(accepted))], joints)
+    made = [cards.finding(k) for k in range(len(accepted))]
+    shown = [finding for finding in made if finding is made[0] or _shows(finding)]
+    findings = _by_cause(shown, joints)
     rms_before, rms_after = residuals.rms(before), residuals.rms(after)
     return Explanation(
         verdict=MISMATCH if findings else NO_MISMATCH,
@@ -123,8 +128,17 @@ def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Findi
     causes: dict[object, list[Finding]] = {}
     for number, finding in enumerate(ordered):
         one = finding.effect in EFFECTS and EFFECTS[finding.effect].one_cause
-        causes.setdefault(finding.effect if one else number, []).append(finding)
+        key: object = finding.effect if one else number
+        if finding.effect == UNKNOWN:
+            key = (UNKNOWN, finding.joints)
+        causes.setdefault(key, []).append(finding)
     return tuple(joined(group, joints) for group in causes.values())
+
+
+def _shows(finding: Finding) -> bool:
+    """Whether a finding explains something of what the fit has not seen, or could not there."""
+    lasting = finding.effect != ExternalContact.kind
+    return not (lasting and finding.explained < SHOWS)
 
 
 def _healthy(evidence: Evidence, noise: FloatArray) -> tuple[FloatArray, FloatArray]:

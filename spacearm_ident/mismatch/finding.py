@@ -91,6 +91,7 @@ def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
     return replace(
         largest,
         joints=tuple(joint for joint in joints if joint in where),
+        where="; ".join(dict.fromkeys(finding.where for finding in findings)),
         parameters={
             f"{name}[{finding.joints[0]}]": quantity
             for finding in findings

@@ -8,9 +8,11 @@ none of them outlives the chain.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -30,14 +32,19 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from ..errors import UserError
-from .main import NODES
 from .runtime import LATCHED
 
 STARTED_S = 60.0
 """Longest wait for a node to come up, or a service to answer, on a busy machine."""
 ENDED_S = 20.0
+DOMAINS = range(1, 30)
+"""ROS domains to choose from where the user has set none; the default, 0, is left to others."""
+LONGEST_FOLDER = 60
 STOP_ORDER = ("trajectory", "identifier", "recorder", "canopen_driver", "simulated_arm")
 """Who moves the arm goes first, the arm itself last."""
+
+_LIBC = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
 
 Values = Mapping[str, str]
 
@@ -57,23 +64,39 @@ class Chain:
         """
         self._logs = directory / "logs"
         self._logs.mkdir(parents=True, exist_ok=True)
-        self._sockets = tempfile.TemporaryDirectory(prefix="spacearm-can-")
+        self._domain = _Domain()
+        # The kernel takes socket paths of up to 107 bytes.
+        short = len(tempfile.gettempdir()) <= LONGEST_FOLDER
+        self._sockets = tempfile.TemporaryDirectory(prefix="spacearm-can-", dir=None if short else "/tmp")
         self._environment = {
             **os.environ,
-            "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", str(1 + os.getpid() % 100)),
+            "ROS_DOMAIN_ID": str(self._domain.number),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "SPACEARM_RUNTIME_DIR": self._sockets.name,
             "PYTHONUNBUFFERED": "1",
         }
-        self._processes = {name: self._spawn(name, parameters.get(name, {})) for name in reversed(STOP_ORDER)}
-        self._context = rclpy.Context()
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._graph = contextlib.ExitStack()
+        try:
+            for name in reversed(STOP_ORDER):
+                self._processes[name] = self._spawn(name, parameters.get(name, {}))
+            self._join_graph()
+        except BaseException:
+            self.close()
+            raise
+
+    def _join_graph(self) -> None:
+        context = rclpy.Context()
         rclpy.init(
-            context=self._context,
+            context=context,
             domain_id=int(self._environment["ROS_DOMAIN_ID"]),
             signal_handler_options=SignalHandlerOptions.NO,
         )
-        self._node = rclpy.create_node("chain", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._graph.callback(context.try_shutdown)
+        self._node = rclpy.create_node("chain", context=context)
+        self._graph.callback(self._node.destroy_node)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._graph.callback(self._executor.shutdown)
         self._executor.add_node(self._node)
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._excitation: dict[str, Any] = {}
@@ -85,7 +108,13 @@ class Chain:
         command = [sys.executable, "-m", "spacearm_ident.cli.main", "node", name, "--ros-args", *words]
         with (self._logs / f"{name}.log").open("wb") as log:
             return subprocess.Popen(
-                command, env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+                command,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                preexec_fn=_end_with_parent,
             )
 
     def __enter__(self) -> Chain:
@@ -159,13 +188,18 @@ class Chain:
         return {pair.key: pair.value for pair in found.values} if found else {}
 
     @property
+    def processes(self) -> Mapping[str, int]:
+        """Process id of each node."""
+        return {name: process.pid for name, process in self._processes.items()}
+
+    @property
     def excitation(self) -> Mapping[str, Any]:
         """The latest `/excitation/state`."""
         return self._excitation
 
     def close(self) -> dict[str, int]:
         """End every process, the mover first; returns their exit codes."""
-        for name in STOP_ORDER:
+        for name in filter(self._processes.__contains__, STOP_ORDER):
             process = self._processes[name]
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
@@ -174,12 +208,10 @@ class Chain:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-        if self._context.ok():
-            self._executor.shutdown()
-            self._node.destroy_node()
-            self._context.try_shutdown()
+        self._graph.close()
         self._sockets.cleanup()
-        return {name: self._processes[name].returncode for name in NODES}
+        self._domain.release()
+        return {name: process.returncode for name, process in self._processes.items()}
 
     def _last_words(self, name: str) -> str:
         lines = (self._logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
@@ -190,6 +222,32 @@ class Chain:
 
     def _keep_excitation(self, message: String) -> None:
         self._excitation = json.loads(message.data)
+
+
+def _end_with_parent() -> None:
+    """Have the kernel send SIGTERM to this process when the one that started it is gone, however that ended."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+class _Domain:
+    """A ROS domain: the user's, or one that no other chain on this machine has."""
+
+    def __init__(self) -> None:
+        self._lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        given = os.environ.get("ROS_DOMAIN_ID")
+        self.number = self._free() if given is None else int(given)
+
+    def _free(self) -> int:
+        for number in DOMAINS:
+            # An abstract name: no file, and it goes with this process.
+            with contextlib.suppress(OSError):
+                self._lock.bind(f"\0spacearm_ident/domain/{number}")
+                return number
+        raise UserError("too many chains run on this machine: stop one, or set ROS_DOMAIN_ID")
+
+    def release(self) -> None:
+        """Let another have it."""
+        self._lock.close()
 
 
 def _yaml(value: object) -> str:

@@ -92,6 +92,11 @@ class Identifier(LiveNode):
             raise UserError(
                 f"parameter friction: no law {self._friction!r}: one of {', '.join((AUTO, *FRICTION_LAWS))}"
             )
+        self._structure = _path(
+            self.parameter("structure", "", "Model file whose terms to identify, effects included; instead of friction")
+        )
+        if self._structure and self._friction != AUTO:
+            raise UserError(f"parameter structure: it has its own friction law: leave friction at {AUTO}")
         bandwidth = self.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
         self._bandwidth = bandwidth or None
         self._buffer_s = self.parameter(
@@ -107,9 +112,11 @@ class Identifier(LiveNode):
         validate = _path(self.parameter("replay_validate", "", "Bag to validate the replay on; empty: hold-out"))
         self._replay_validate = (validate,) if validate else ()
         self._exit_after = self.parameter("exit_after_replay", False, "End when the replay is done")
-        for file in filter(None, (self._arm, self._replay, validate)):
+        for file in filter(None, (self._arm, self._structure, self._replay, validate)):
             if not file.exists():
-                raise UserError(f"{file}: no such file or folder: correct the parameter arm, replay or replay_validate")
+                raise UserError(
+                    f"{file}: no such file or folder: correct the parameter arm, structure, replay or replay_validate"
+                )
 
     def _subscribe(self) -> None:
         # In no executor: a wake-up a message would cost three times what taking them by the fifty does.
@@ -215,6 +222,7 @@ class Identifier(LiveNode):
             gravity=self._gravity,
             friction=self._friction,
             cutoff_hz=self._bandwidth,
+            structure=self._structure,
             captures=captures,
             bag=bag,
             known=known,

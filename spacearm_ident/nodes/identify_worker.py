@@ -39,7 +39,7 @@ class Job:
         directory: Result folder.
         arm: URDF or arm YAML; None: of the bags' `/robot_description`.
         gravity: (3,) m/s^2 instead of the arm's; None: the arm's.
-        friction, cutoff_hz: As `session.settings_for`.
+        friction, cutoff_hz, structure: As `session.settings_for`.
         captures: Written to `bag` before anything else.
         bag: Where to.
         known: Identification of `fitted`, where there is one.
@@ -52,6 +52,7 @@ class Job:
     gravity: tuple[float, float, float] | None = None
     friction: str = AUTO
     cutoff_hz: float | None = None
+    structure: Path | None = None
     captures: tuple[Capture, ...] = ()
     bag: Path | None = None
     known: Identified | None = None
@@ -68,6 +69,8 @@ class Job:
             words += ["--gravity", *(f"{value:g}" for value in self.gravity)]
         if self.friction != AUTO:
             words += ["--friction", self.friction]
+        if self.structure is not None:
+            words += ["--structure", str(self.structure)]
         if self.cutoff_hz is not None:
             words += ["--bandwidth", f"{self.cutoff_hz:g}"]
         return shlex.join([*words, "--out", str(self.directory)])
@@ -210,7 +213,7 @@ def perform(job: Job, progress: Progress) -> Done:
         fitted,
         validated,
         arm,
-        settings_for(arm, job.friction, job.cutoff_hz),
+        settings_for(arm, job.friction, job.cutoff_hz, job.structure),
         job.directory,
         command=job.command,
         known=job.known,

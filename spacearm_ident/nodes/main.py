@@ -13,6 +13,9 @@ from collections.abc import Sequence
 
 NODES = ("canopen_driver", "trajectory", "identifier", "recorder", "simulated_arm")
 
+_HELP = """Parameters: --ros-args -p NAME:=VALUE ..., or --ros-args --params-file FILE (see config/spacearm.yaml);
+while it runs, `ros2 param list /{name}` and `ros2 param describe /{name} PARAMETER` say what they mean."""
+
 
 def start(name: str, arguments: Sequence[str]) -> int:
     """Start a node by name; returns its exit code (2 where it cannot start, with the reason on stderr)."""
@@ -21,7 +24,11 @@ def start(name: str, arguments: Sequence[str]) -> int:
         print(f"{name}: this node is not in this version yet; use 'spacearm identify BAG' offline", file=sys.stderr)
         return 2
     try:
-        return int(importlib.import_module(module).main(arguments))
+        node = importlib.import_module(module)
+        if {"-h", "--help"} & set(arguments):
+            print(f"{node.__doc__}\n{_HELP.format(name=name)}")
+            return 0
+        return int(node.main(arguments))
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         print(

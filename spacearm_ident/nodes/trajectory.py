@@ -233,13 +233,13 @@ class TrajectoryNode(LiveNode):
         stream = self._stream
         if stream is None:
             return (Status(Level.OK, "idle", values),)
-        values |= {"set_points": stream.set_points, "missed": stream.missed, "late_p99_s": stream.late_s}
+        values |= {"set_points": stream.set_points, "late": stream.late, "late_p99_s": stream.late_s}
         state, period, periods = described["state"], described["period"], described["periods"]
         message = f"running period {period} of {periods}" if state == "running" else str(state)
         if stream.reason:
             return (Status(Level.WARN, f"{message}: {stream.reason}", values),)
-        if stream.missed:
-            return (Status(Level.WARN, f"{message}; {stream.missed} set-points missed", values),)
+        if stream.late:
+            return (Status(Level.WARN, f"{message}; {stream.late} set-points sent late", values),)
         return (Status(Level.OK, message + (f"; {stream.warning}" if stream.warning else ""), values),)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 #: Interpolation periods over which a stream of set-points that breaks off is extrapolated.
-EXTRAPOLATED: Final = 30
+EXTRAPOLATED: Final = 60
 #: Interpolation periods in which the drive then goes back to the last set-point.
 RETURN: Final = 100
 

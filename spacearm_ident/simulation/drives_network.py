@@ -6,8 +6,9 @@ phase of the steps follows the SYNC slowly (a phase-locked loop of at most `SLEW
 from it is made up with the velocity. So feedback belongs to the time stamp of its SYNC, however late the
 process was scheduled, and the physics may take most of a millisecond without delaying an answer.
 
-Without SYNC the physics follows the clock. A process that was held up catches up step by step, and beyond
-`CATCH_UP` steps leaves them out and counts them in `skipped`.
+Without SYNC the physics follows the clock. A process that was held up lives through what it missed in the order
+it happened: each waiting SYNC with its set-points, then its step, as if nothing had been; only the answers, which
+would come too late, are missing. Beyond `CATCH_UP` steps it leaves them out and counts them in `skipped`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from spacearm_ident.simulation.drives_communication import Route
 from spacearm_ident.simulation.drives_dictionary import key
 from spacearm_ident.simulation.drives_mechanics import Mechanics
 
-CATCH_UP: Final = 20
+CATCH_UP: Final = 300
 #: Largest shift of the physics' phase a SYNC may cause, as a share of the step.
 SLEW: Final = 0.005
 GAIN: Final = 0.02
@@ -35,6 +36,8 @@ GAIN: Final = 0.02
 GRACE: Final = 0.8
 #: A SYNC this share of a step before its state's time belongs to the state before.
 OVERDUE: Final = 0.1
+#: A SYNC this many steps after its state's time belongs to a later state.
+BEHIND: Final = 1.5
 #: Seconds without SYNC after which a bus is not waited for.
 SYNC_MEMORY: Final = 0.05
 #: A SYNC older than this share of the cycle is not answered: the master would take it for the next one's.
@@ -126,15 +129,12 @@ class DriveNetwork:
     def poll(self) -> None:
         """Wait for frames or for the next step, whichever comes first, and deal with it."""
         wait = self._due() - time.time()
-        behind = CATCH_UP
-        # A position that is behind must not be reported as that of now: all steps first, then the answers.
-        while wait <= 0.0 and behind:
-            self._step()
-            behind -= 1
-            wait = max(0.0, self._due() - time.time()) if behind else 0.0
-        ready = select.select(self._by_fd, (), (), wait)[0]
-        for fd in ready:
+        # A step that is due needs no frames but those of the SYNC it has been waiting for.
+        lines = self._by_fd if wait > 0.0 else [fd for fd, line in self._by_fd.items() if not line.answered]
+        for fd in select.select(lines, (), (), max(0.0, wait))[0]:
             self._drain(self._by_fd[fd])
+        if wait <= 0.0 and self._due() <= time.time():
+            self._step()
 
     def _due(self) -> float:
         """When the next step may run: once all buses are answered, else when the state has aged."""
@@ -165,6 +165,9 @@ class DriveNetwork:
                 _collect_routes(line)
 
     def _sync(self, line: _Line, stamp: float) -> None:
+        # A position that is behind must not be reported as that of now.
+        while stamp - self._state_time > BEHIND * self._dt:
+            self._step()
         lag = stamp - self._state_time
         drift = min(max(lag, -self._dt), self._dt)
         cycle = max(self._dt, stamp - line.last_sync)

@@ -123,13 +123,19 @@ class LiveArm:
         start = np.where(self._was_enabled, self._target, target)
         move, parts = target - start, max(1, round(dt / servo.dt))
         change = np.minimum(np.maximum(move / dt - self._rate, -self._slew * dt), self._slew * dt)
+        rate_before = np.where(enabled, self._rate, 0.0)
         rate = self._rate = np.where(enabled, self._rate + change, 0.0)
         before = self._motor
         self._motor = np.where(enabled, self._motor, 0.0)
         for part in range(1, parts + 1):
             before = self._motor
             plant.step(before, dt / parts)
-            wanted = servo.torque(plant.position, start + part / parts * move, rate, self._none)
+            share = part / parts
+            # The feedforward ramps, too: a staircase of it would show as a sawtooth of the torque, of which one
+            # sample a step always sees the same tooth; a twentieth of the inertia would be missing.
+            wanted = servo.torque(
+                plant.position, start + share * move, rate_before + share * (rate - rate_before), self._none
+            )
             self._motor = np.where(enabled, wanted, 0.0)
         self._target, self._was_enabled = target.copy(), enabled.copy()
         self.position, self.velocity = plant.position, plant.velocity

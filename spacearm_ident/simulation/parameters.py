@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.errors import UserError
 
 FloatArray = NDArray[np.float64]
@@ -77,7 +78,7 @@ class PlantParameters:
         """From the plain data of a model file (`spacearm_ident/model/1`) and its robot description.
 
         Terms that are absent count as zero (frictionless, no rotor, no spring); v_b = 0 is plain Coulomb
-        friction.
+        friction. Effects are no parameters: `concealed.from_model.simulated_arm` takes a model with them.
 
         Raises:
             UserError: The model has a term this plant does not simulate, or lacks a value.
@@ -88,6 +89,10 @@ class PlantParameters:
         quadratic = "even"
         for term in document["terms"]:
             kind = term["kind"]
+            if kind in EFFECTS:
+                raise UserError(
+                    f"this arm does not simulate the effect {kind!r}, only spacearm simulate does: remove it"
+                )
             if kind not in _KINDS:
                 raise UserError(f"the simulated arm has no term {kind!r}; remove it from the model")
             quadratic = term.get("options", {}).get("quadratic", quadratic)

@@ -236,6 +236,7 @@ class ExternalContact(Effect):
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """On the last link's frame; the window is searched."""
+        known_joint(arm, place)
         parameters = tuple(Parameter(f"force_{axis}", "flange", "N", scale=50.0) for axis in "xyz")
         start = Constant("start", "flange", "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
         length = Constant("length", "flange", "s", (0.75, 1.5, 3.0, 5.0))

@@ -21,7 +21,7 @@ from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
 from ..background import Background
 from ..term import Columns, Constant, Parameter
-from .effect import Effect, Options, each, known_joint, nothing
+from .effect import Effect, Options, each, known_axis, known_joint, nothing
 from .linearised import COARSE_HZ, Sensitivity, by_position, by_virtual_joint
 
 DAMPING_RATIO = 0.05
@@ -190,6 +190,7 @@ class LinkFlexibility(_Compliance):
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """The link of one joint, about `axis` in its frame."""
+        known_axis(place)
         joint = known_joint(arm, place)
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("stiffness", joint, "N m/rad", STIFFNESS_GRID),), place=place)
@@ -224,6 +225,7 @@ class BaseFlexibility(_Compliance):
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """About `axis` in the base frame."""
+        known_axis(place)
         share = Parameter("share", "base", "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("stiffness", "base", "N m/rad", STIFFNESS_GRID),), place=place)
 

@@ -42,6 +42,8 @@ class RotorCoupling(Effect):
         joint = place["joint"]
         if joint not in arm.joint_names or place.get("with", joint) not in arm.joint_names:
             raise ValueError(f"the arm has not both joints {joint!r} and {place.get('with')!r}")
+        if arm.joints[arm.joint_names.index(joint)].parent < 0:
+            raise ValueError(f"no joint carries {joint!r}")
         return cls((Parameter("J", joint, "kg m^2", scale=0.5),), place=place)
 
     @property

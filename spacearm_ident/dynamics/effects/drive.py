@@ -13,7 +13,7 @@ from ...recording.motion import Motion
 from ..arm import Arm
 from ..background import Background
 from ..term import Columns, Constant, Parameter
-from .effect import Effect, Options, each, known_joint, nothing, own
+from .effect import Effect, Options, each, known_joint, known_joints, nothing, own
 from .friction import WARM_FROM
 
 
@@ -145,7 +145,7 @@ class TimeDelay(_Late):
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At some joints alike."""
-        name = place.get("joint", "all")
+        name = known_joints(arm, place)
         grid = (5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3)
         share = Parameter("share", name, "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("delay", name, "s", grid),), place=place)
@@ -173,15 +173,15 @@ class FilterLag(_Late):
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At some joints alike."""
-        name = place.get("joint", "all")
+        name = known_joints(arm, place)
         grid = (5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 40e-3)
         share = Parameter("share", name, "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("lag", name, "s", grid),), place=place)
 
     def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
         """Filtered."""
-        keep = np.exp(-1.0 / samples)
-        # The mean of an interval is what a sample stands for: half a sample less of delay.
-        start = keep * torque[:1]
-        filtered = lfilter([1.0 - keep], [1.0, -keep], torque, axis=0, zi=start)[0]
+        # Tustin's rule: at low frequencies late by the lag itself, not by half a sample more or less.
+        gain, keep = 1.0 / (2.0 * samples + 1.0), (2.0 * samples - 1.0) / (2.0 * samples + 1.0)
+        start = (gain + keep) * torque[:1]
+        filtered = lfilter([gain, gain], [1.0, -keep], torque, axis=0, zi=start)[0]
         return np.asarray(filtered)

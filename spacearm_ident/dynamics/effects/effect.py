@@ -7,7 +7,7 @@ adds to a torque is written here once; the simulated arm conceals the same physi
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -47,7 +47,7 @@ class Effect(Term):
         if not isinstance(places, Sequence) or not all(isinstance(place, Mapping) for place in places):
             raise UserError(f"{cls.kind}: its options say where it acts: at: [{{joint: NAME}}, ...]")
         try:
-            return tuple(cls.at(arm, place) for place in places)
+            return _told_apart([cls.at(arm, place) for place in places])
         except (KeyError, ValueError) as error:
             raise UserError(f"{cls.kind}: a place of it is wrong or incomplete: {error}") from error
 
@@ -96,6 +96,27 @@ class Effect(Term):
         return self.words
 
 
+def _told_apart(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Effects whose parameters and constants have a name each: a second one at a joint has its number in them.
+
+    A model file keeps values by name; two harmonics or two axes at one joint would share one value there.
+    """
+    taken: set[str] = set()
+    named = []
+    for effect in effects:
+        number, one = 1, effect
+        while taken & {item.name for item in (*one.parameters, *one.constants)}:
+            number += 1
+            one = replace(
+                effect,
+                parameters=tuple(replace(p, symbol=f"{p.symbol}_{number}") for p in effect.parameters),
+                constants=tuple(replace(c, symbol=f"{c.symbol}_{number}") for c in effect.constants),
+            )
+        taken |= {item.name for item in (*one.parameters, *one.constants)}
+        named.append(one)
+    return tuple(named)
+
+
 def own(row: int, *columns: FloatArray) -> Columns:
     """Columns of an effect that acts in one row."""
     return {row: (list(range(len(columns))), np.stack(columns, axis=1))}
@@ -129,4 +150,42 @@ def known_joint(arm: Arm, place: Options) -> str:
     return str(joint)
 
 
-__all__ = ["Background", "Effect", "Options", "Shown", "direction", "each", "known_joint", "nothing", "own"]
+def known_joints(arm: Arm, place: Options) -> str:
+    """The name that parameters of an effect at some joints alike go by: that of its one joint, or `all`.
+
+    Raises:
+        ValueError: The arm does not have one of them, or none is named.
+    """
+    if "joint" in place:
+        return known_joint(arm, place)
+    for joint in place["joints"]:
+        known_joint(arm, {"joint": joint})
+    if not place["joints"]:
+        raise ValueError("joints is empty")
+    return "all"
+
+
+def known_axis(place: Options) -> None:
+    """Check the axis of a place.
+
+    Raises:
+        ValueError: It is not three numbers, or no direction.
+    """
+    axis = np.array(place["axis"], dtype=float)
+    if axis.shape != (3,) or not np.any(axis):
+        raise ValueError("axis is three numbers, not all zero")
+
+
+__all__ = [
+    "Background",
+    "Effect",
+    "Options",
+    "Shown",
+    "direction",
+    "each",
+    "known_axis",
+    "known_joint",
+    "known_joints",
+    "nothing",
+    "own",
+]

@@ -13,7 +13,7 @@ from ..arm import Arm, FloatArray
 from ..background import Background
 from ..friction import bristle_state
 from ..term import Columns, Constant, Parameter
-from .effect import Effect, Options, direction, each, known_joint, nothing, own
+from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own
 
 WARM_FROM = 20.0
 """T_0 of the paper's temperature law, °C."""
@@ -60,8 +60,8 @@ class FrictionDrift(_Friction):
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """Direction and velocity."""
         row = self.row(motion)
-        signals = {"df_c": direction(motion, row), "dk_v1": motion.velocity[:, row]}
-        return own(row, *(signals[parameter.symbol] for parameter in self.parameters))
+        signals = {"f_c": direction(motion, row), "k_v1": motion.velocity[:, row]}
+        return own(row, *(signals[of] for of in self.place.get("of", ["f_c"])))
 
 
 @dataclass(frozen=True)
@@ -104,8 +104,8 @@ class TemperatureFriction(_Friction):
         if motion.temperature is None:
             return nothing(motion, [row], len(self.parameters))
         excess = motion.temperature[:, row] - WARM_FROM
-        signals = {"alpha_c": direction(motion, row) * excess, "alpha_v": motion.velocity[:, row] * excess}
-        return own(row, *(signals[parameter.symbol] for parameter in self.parameters))
+        signals = {"f_c": direction(motion, row) * excess, "k_v1": motion.velocity[:, row] * excess}
+        return own(row, *(signals[of] for of in self.place.get("of", ["f_c"])))
 
 
 @dataclass(frozen=True)
@@ -264,8 +264,8 @@ class AsymmetricFriction(_Friction):
         """One, and speed."""
         row = self.row(motion)
         speed = np.abs(motion.velocity[:, row])
-        signals = {"a": np.ones_like(speed), "b": speed}
-        return own(row, *(signals[parameter.symbol] for parameter in self.parameters))
+        signals = {"level": np.ones_like(speed), "viscous": speed}
+        return own(row, *(signals[of] for of in self.place.get("of", ["level"])))
 
 
 @dataclass(frozen=True)
@@ -316,7 +316,7 @@ class VacuumFriction(_Friction):
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At some joints."""
-        name = place.get("joint", "all")
+        name = known_joints(arm, place)
         return cls((Parameter("share", name, "1", scale=1.0, lower=0.4, upper=1.6),), place=place)
 
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:

@@ -1,0 +1,126 @@
+"""The demo as a user starts it: a process; what it leaves behind, and what it must not leave behind."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.nodes.main import NODES
+from spacearm_ident.recording import read_recording
+
+ROOT = Path(__file__).parent.parent
+PATIENCE_S = 300.0
+"""Longest wait on a busy machine; the demo takes under one minute on an idle one."""
+TAG = "SPACEARM_TEST_DEMO"
+"""Environment variable that marks a demo and every process below it."""
+
+
+def marked(tag: str) -> dict[int, str]:
+    """Command lines of the living processes that carry this tag."""
+    found = {}
+    for place in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if f"{TAG}={tag}".encode() in (place / "environ").read_bytes().split(b"\0"):
+                found[int(place.name)] = (place / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return found
+
+
+@pytest.fixture
+def demo(tmp_path):
+    """Starts the demo with its temporary files in a folder of its own; kills whatever is left at the end."""
+    tag = f"{os.getpid()}-{tmp_path.name}"
+    # Short: sockets are put there.
+    scratch = Path(tempfile.mkdtemp(prefix="demo-", dir="/tmp"))
+    environment = {
+        key: value for key, value in os.environ.items() if key not in ("ROS_DOMAIN_ID", "SPACEARM_RUNTIME_DIR")
+    }
+    environment |= {TAG: tag, "PYTHONPATH": str(ROOT), "TMPDIR": str(scratch)}
+
+    def start() -> subprocess.Popen[str]:
+        code = "import sys; from spacearm_ident.cli.main import main; sys.exit(main())"
+        return subprocess.Popen(
+            [sys.executable, "-c", code, "demo", "--fast", "--quiet", "--out", str(tmp_path / "result")],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    start.tag, start.scratch = tag, scratch
+    yield start
+    for pid in marked(tag):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    shutil.rmtree(scratch)
+
+
+def nothing_left(demo) -> None:
+    assert marked(demo.tag) == {}
+    assert list(demo.scratch.iterdir()) == []
+
+
+def test_the_demo_identifies_validates_and_leaves_nothing_running(demo, tmp_path):
+    process = demo()
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors + output
+    result = tmp_path / "result"
+    for name in ("model.yaml", "parameters.csv", "identified.urdf", "validation.json", "report.html"):
+        assert (result / name).stat().st_size > 0
+    joints = json.loads((result / "validation.json").read_text())["joints"]
+    assert list(joints) == [f"joint_{k}" for k in range(1, 7)]
+    assert all(figures["r"] > 0.97 and figures["relative_rms"] < 0.2 for figures in joints.values())
+    assert load_model(result / "model.yaml").parameters.size > 0
+    (bag,) = (result / "recordings").iterdir()
+    # Both runs, of 15 s and 10 s, and the way there and back.
+    assert read_recording(bag).time[-1] > 25.0
+    assert "joint_6" in output and "report.html" in output
+    nothing_left(demo)
+
+
+@pytest.mark.parametrize(
+    "moment, number",
+    [("starting", signal.SIGINT), ("moving", signal.SIGINT), ("moving", signal.SIGTERM)],
+    ids=["starting", "moving", "terminated"],
+)
+def test_a_signal_ends_every_process(demo, tmp_path, moment, number):
+    process = demo()
+    end = time.monotonic() + PATIENCE_S
+
+    def reached() -> bool:
+        if moment == "starting":
+            return len(marked(demo.tag)) > len(NODES)
+        return any(bag.stat().st_size > 1_000_000 for bag in (tmp_path / "result").glob("recordings/*/*.mcap"))
+
+    while not reached():
+        assert process.poll() is None and time.monotonic() < end
+        time.sleep(0.05)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode not in (0, None)
+    assert "Traceback" not in errors
+    nothing_left(demo)
+
+
+def test_a_killed_demo_takes_its_nodes_with_it(demo):
+    process = demo()
+    end = time.monotonic() + PATIENCE_S
+    while len(marked(demo.tag)) <= len(NODES):
+        assert process.poll() is None and time.monotonic() < end
+        time.sleep(0.05)
+    process.kill()
+    process.communicate()
+    while marked(demo.tag):
+        assert time.monotonic() < end, marked(demo.tag)
+        time.sleep(0.1)
