@@ -98,7 +98,7 @@ def run_trials(options: argparse.Namespace) -> None:
     finished = [n for n in numbers if went_well(folder(options.out, n))]
     todo = [n for n in numbers if n not in finished]
     print(f"{len(finished)} trials finished, {len(todo)} to do", flush=True)
-    with ProcessPoolExecutor(options.jobs, max_tasks_per_child=20) as pool:
+    with ProcessPoolExecutor(options.jobs) as pool:
         jobs = [
             pool.submit(one_trial, options.out, n, options.seed, options.form, options.keep, options.draw_only)
             for n in todo

@@ -194,24 +194,24 @@ class _FreeBase:
         self.qdd[:, 6:] = motion.acceleration[some]
         # (N, 6, count) rows of the base in the inertia matrix: symmetric, so columns will do.
         self.rows = np.stack([self._column(k) for k in range(6)], axis=1)
-        self.fixed = self._torque(self.qd)
+        self.fixed = rigid_torque(self.arm, self.inertials, self.q, self.qd, self.qdd)
 
     def _column(self, axis: int) -> FloatArray:
         unit = np.zeros_like(self.q)
         unit[:, axis] = 1.0
         return rigid_torque(self.arm, self.inertials, self.q, None, unit)
 
-    def _torque(self, velocity: FloatArray) -> FloatArray:
-        return rigid_torque(self.arm, self.inertials, self.q, velocity, self.qdd)
-
     def change(self, mass: float, radius: float) -> FloatArray:
         """(N, n) torque of the free arm less that of the fixed one, N·m."""
-        own = np.diag([mass] * 3 + [mass * radius**2] * 3)
+        turn = mass * radius**2
+        own = np.diag([mass] * 3 + [turn] * 3)
+        inertials = self.inertials.copy()
+        inertials[5] = mass, 0.0, 0.0, 0.0, turn, 0.0, turn, 0.0, 0.0, turn
         inertia = self.rows[:, :, :6] + own
         momentum = np.einsum("nij,nj->ni", self.rows[:, :, 6:], self.qd[:, 6:])
         velocity = self.qd.copy()
         velocity[:, :6] = -np.linalg.solve(inertia, momentum[..., None])[..., 0]
-        torque = self._torque(velocity)
+        torque = rigid_torque(self.arm, inertials, self.q, velocity, self.qdd)
         base = -np.linalg.solve(inertia, torque[:, :6, None])[..., 0]
         free = torque[:, 6:] + np.einsum("nij,ni->nj", self.rows[:, :, 6:], base)
         return _interpolate(free - self.fixed[:, 6:], np.arange(len(self.motion.position)) / self.step)

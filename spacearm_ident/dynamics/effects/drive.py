@@ -10,10 +10,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ...recording.motion import Motion
-from ..arm import Arm
+from ..arm import Arm, FloatArray
 from ..background import Background
 from ..term import Columns, Constant, Parameter
-from .effect import Effect, Options, each, known_joint, known_joints, nothing, own
+from .effect import Effect, Options, Shown, each, known_joint, known_joints, nothing, own
 from .friction import WARM_FROM
 
 
@@ -47,6 +47,12 @@ class TorqueConstant(Effect):
     def needs_temperature(self) -> bool:
         """Only where it follows it."""
         return bool(self.place.get("of") == "temperature")
+
+    def shown(self, values: FloatArray) -> Shown:
+        """The factor between recorded and true torque."""
+        name = self.parameters[0].symbol
+        shown = {name: (float(values[0]), self.parameters[0].unit)}
+        return shown if self.needs_temperature else {"scale": (1.0 + float(values[0]), "1"), **shown}
 
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """The model's torque."""
@@ -177,6 +183,10 @@ class FilterLag(_Late):
         grid = (5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 40e-3)
         share = Parameter("share", name, "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("lag", name, "s", grid),), place=place)
+
+    def shown(self, values: FloatArray) -> Shown:
+        """Time constant and corner frequency."""
+        return {"lag": (float(values[1]), "s"), "corner": (float(1 / (2 * np.pi * values[1])), "Hz")}
 
     def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
         """Filtered."""

@@ -88,8 +88,13 @@ class Effect(Term):
 
     def shown(self, values: FloatArray) -> Shown:
         """What a person wants to know of its values: parameters, then constants, in its own order."""
-        names = [*self.parameters, *self.constants]
-        return {item.symbol: (float(value), item.unit) for item, value in zip(names, values)}
+        shown = {}
+        for parameter, value in zip(self.parameters, values):
+            if parameter.scale != 0.0:
+                shown[parameter.symbol] = (float(value), parameter.unit)
+        for constant, value in zip(self.constants, values[len(self.parameters) :]):
+            shown[constant.symbol] = (float(value), constant.unit)
+        return shown
 
     def where(self, values: FloatArray) -> str:
         """Where and when it acts, in words."""
