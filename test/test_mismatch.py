@@ -1,0 +1,388 @@
+"""The mismatch engine: its algebra against brute force, and planted physics found again from end to end."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planted_arm import TWO_LINKS, Friction, two_link_run, urdf_of
+from scipy.signal import lfilter
+
+from spacearm_ident.dynamics.arm import arm_from_urdf
+from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.dynamics.model_file import load_model, save_model
+from spacearm_ident.identification.prior import make_prior
+from spacearm_ident.mismatch.competition import penalty
+from spacearm_ident.mismatch.document import EXTENDED_MODEL, to_document
+from spacearm_ident.mismatch.evidence import NUISANCE, base_columns, stacked_effect
+from spacearm_ident.mismatch.explain import explain
+from spacearm_ident.mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH
+from spacearm_ident.mismatch.integrity import faults
+from spacearm_ident.mismatch.preparation import prepare_evidence
+from spacearm_ident.mismatch.rivals import UNKNOWN, Rival, rivals
+from spacearm_ident.mismatch.scene import Whitener, coarse, fit_whitener
+from spacearm_ident.recording.signals import prepare
+
+LAWS = (
+    Friction(f_c=3.0, k_v1=2.0, k_v2=0.0, k_v3=0.0, J_m=0.4),
+    Friction(f_c=1.5, k_v1=0.8, k_v2=0.0, k_v3=0.0, J_m=0.1),
+)
+ARM = arm_from_urdf(urdf_of(TWO_LINKS))
+NOISE = (0.3, 0.15)
+
+
+def run(seed, extra=None, seconds=16.0):
+    """A recording of the planar arm with white torque noise; `extra` adds torque (N, 2) to what it needs."""
+    planted = two_link_run(LAWS, seconds=seconds, rate_hz=250.0, seed=seed, speed=1.0)
+    if extra is not None:
+        planted = replace(planted, torque=planted.torque + extra(planted))
+    return planted.recording(noise=NOISE, seed=seed + 100)
+
+
+def ripple(planted):
+    return np.outer(0.8 * np.sin(20.0 * planted.q[:, 1] + 0.4), [0.0, 1.0])
+
+
+def more_friction(planted):
+    return np.outer(0.9 * np.sign(planted.qd[:, 0]), [1.0, 0.0])
+
+
+def late(planted):
+    """All recorded torque is 12 ms old."""
+    return np.stack([np.roll(column, 3) - column for column in planted.torque.T], axis=1)
+
+
+HEALTHY = run(1)
+
+
+def explained(extra, *excluded):
+    return explain(ARM, [HEALTHY], [run(2, extra)], [run(3, extra)], excluded)
+
+
+# --- rows -----------------------------------------------------------------------------------------------------------
+
+
+def test_after_its_whitener_coloured_noise_is_white_with_variance_one():
+    rng = np.random.default_rng(0)
+    noise = [0.3 * lfilter([1.0], [1.0, -1.2, 0.5], rng.standard_normal(4000)) for _ in range(2)]
+    whitener = fit_whitener(noise, [np.ones(4000, bool)] * 2, 4, 1e-6)
+    np.testing.assert_allclose(whitener.coefficients, [1.2, -0.5, 0.0, 0.0], atol=0.06)
+    assert whitener.sigma_Nm == pytest.approx(0.3, rel=0.04)
+    white = whitener.apply(noise[0][:, None])[:, 0]
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.08)
+    lags = [np.mean(white[lag:] * white[:-lag]) for lag in range(1, 8)]
+    assert np.abs(lags).max() < 4 / np.sqrt(len(white))
+
+
+def test_outliers_do_not_define_the_noise_and_few_rows_make_it_plain():
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal(4000)
+    noise[1000:1010] += 500.0
+    assert fit_whitener([noise], [np.ones(4000, bool)], 2, 1e-6).sigma_Nm == pytest.approx(1.0, rel=0.1)
+    few = fit_whitener([noise[:7]], [np.ones(7, bool)], 6, 1e-6)
+    assert few.order == 0 and few.sigma_Nm == pytest.approx(np.sqrt(np.mean(noise[:7] ** 2)))
+    assert fit_whitener([np.zeros(7)], [np.zeros(7, bool)], 6, 0.25).sigma_Nm == 0.25
+
+
+def test_a_whitened_row_counts_only_if_all_it_is_made_of_does():
+    moving = np.ones(10, bool)
+    moving[4] = False
+    np.testing.assert_array_equal(
+        Whitener(np.array([0.5, 0.1]), 1.0).keep(moving), [True, True, False, False, False, True, True, True]
+    )
+
+
+def test_slow_rows_count_for_less():
+    whitener = Whitener(np.zeros(0), 1.0, (16.0, 4.0, 1.0, 1.0, 1.0))
+    np.testing.assert_allclose(whitener.weight(np.array([0.001, -0.004, 0.01, 1.0])), [0.25, 0.5, 1.0, 1.0])
+
+
+def test_a_coarse_motion_is_the_mean_of_its_samples_at_their_middle():
+    (motion,), _ = prepare([HEALTHY], ARM.joint_names, 40.0, average=False)
+    fine = replace(motion, rate_hz=1000.0)
+    slow = coarse(fine, 20.0)
+    assert slow.rate_hz == 250.0
+    assert slow.start_s == pytest.approx(fine.start_s + 1.5e-3)
+    np.testing.assert_allclose(slow.velocity[7], fine.velocity[28:32].mean(axis=0))
+    np.testing.assert_allclose(slow.torque[7], fine.torque[28:32].mean(axis=0))
+
+
+# --- evidence against brute force -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    return prepare_evidence(ARM, [HEALTHY], [run(2, ripple)], [run(3, ripple)])
+
+
+def candidates_of(evidence):
+    """Free and held parameters, one joint and both, constants and none."""
+    effects = [
+        (EFFECTS["torque_ripple"], {"joint": "elbow"}, [20.0]),
+        (EFFECTS["friction_drift"], {"joint": "shoulder", "of": ["f_c", "k_v1"]}, []),
+        (EFFECTS["joint_elasticity"], {"joint": "elbow"}, [3000.0]),
+        (EFFECTS["payload"], {"joint": "elbow"}, []),
+    ]
+    return [evidence.candidate(kind.at(ARM, place), constants) for kind, place, constants in effects]
+
+
+class Brute:
+    """Everything in one least-squares problem of all rows, base and effects side by side."""
+
+    def __init__(self, evidence):
+        scenes = [evidence.field, evidence.reference]
+        base = np.concatenate([base_columns(evidence.base, scene, ()) for scene in scenes])
+        prior = make_prior(evidence.base.model, [motion for scene in scenes for motion in scene.motions])
+        known, beside = prior.rows.shape[1], NUISANCE * len(ARM.joints)
+        belief = np.zeros((len(prior.rows) + beside, base.shape[1]))
+        belief[: len(prior.rows), :known] = prior.rows
+        belief[len(prior.rows) :, known:] = 1e-3 * np.eye(beside)
+        self.columns = np.concatenate([base, belief])
+        self.torque = np.concatenate([*(scene.torque() for scene in scenes), prior.target, np.zeros(beside)])
+        self.used = np.any(self.columns != 0, axis=0)
+        self.rows = len(evidence.field)
+
+    def solve(self, candidates):
+        """Chi-square, base's parameters, effects' values."""
+        target, free = self.torque.copy(), [self.columns[:, self.used]]
+        held = []
+        for candidate in candidates:
+            whole = np.zeros((len(target), len(candidate.effect.parameters)))
+            whole[: self.rows][candidate.stacked.rows] = candidate.stacked.columns
+            for k, parameter in enumerate(candidate.effect.parameters):
+                held.append(parameter.scale == 0.0)
+                if held[-1]:
+                    target = target - whole[:, k] * parameter.prior
+                else:
+                    free.append(whole[:, [k]])
+        columns = np.concatenate(free, axis=1)
+        size = np.linalg.norm(columns, axis=0)
+        solution = np.linalg.lstsq(columns / size, target, rcond=1e-14)[0] / size
+        residual = target - columns @ solution
+        base = np.zeros(len(self.used))
+        base[self.used] = solution[: self.used.sum()]
+        values = np.array([p.prior for c in candidates for p in c.effect.parameters])
+        values[~np.array(held, bool)] = solution[self.used.sum() :]
+        return float(residual @ residual), residual[: self.rows], base, values
+
+
+SETS = [(0,), (1,), (2,), (3,), (0, 1), (0, 2, 3), (0, 1, 2, 3)]
+
+
+@pytest.mark.parametrize("chosen", SETS)
+def test_a_gain_is_the_drop_of_the_sum_of_squares_of_everything_fitted_together(prepared, chosen):
+    evidence = prepared.evidence
+    candidates = [candidates_of(evidence)[k] for k in chosen]
+    brute = Brute(evidence)
+    without, *_ = brute.solve([])
+    squares, residual, _, values = brute.solve(candidates)
+    found = evidence.refit(candidates)
+    assert found.gain == pytest.approx(without - squares, rel=1e-6, abs=1e-5 * without)
+    np.testing.assert_allclose(found.values, values, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(evidence.residual_beside(candidates), residual, atol=1e-5 * np.abs(residual).max())
+    assert np.all((found.visibility >= 0) & (found.visibility <= 1 + 1e-9))
+
+
+@pytest.mark.parametrize("chosen", [(), (0,), (0, 1, 2, 3)])
+def test_unseen_residuals_are_those_of_the_fitted_model_on_other_rows(prepared, chosen):
+    evidence, unseen = prepared.evidence, prepared.unseen
+    candidates = [candidates_of(evidence)[k] for k in chosen]
+    _, _, base, values = Brute(evidence).solve(candidates)
+    want = unseen.scene.torque() - base_columns(evidence.base, unseen.scene, ()) @ base
+    first = 0
+    for candidate in candidates:
+        own = values[first : first + len(candidate.effect.parameters)]
+        first += len(own)
+        stacked = stacked_effect(unseen.scene, candidate.effect, candidate.constants)
+        want[stacked.rows] -= stacked.columns @ own
+    found = unseen.residual(candidates, evidence.refit(candidates).values)
+    np.testing.assert_allclose(found, want, atol=1e-5 * np.abs(want).max())
+
+
+def test_stacked_rows_are_reduced_filtered_and_weighted_columns(prepared):
+    """An independent filter on each motion's rows, joint by joint."""
+    scene = prepared.evidence.field
+    effect = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
+    stacked = stacked_effect(scene, effect, [20.0])
+    motion, whitener = scene.motions[0], scene.whiteners[1]
+    reduced = motion.reduce(np.cos(20.0 * motion.position[:, 1]))
+    white = lfilter([1.0, *-whitener.coefficients], [whitener.sigma_Nm], reduced)
+    weighted = white * whitener.weight(motion.velocity_rows[:, 1])
+    slot = scene.slot(1, 0)
+    assert (stacked.rows.start, stacked.rows.stop) == (slot.start, slot.stop)
+    np.testing.assert_allclose(stacked.columns[:, 1], weighted[scene.place[slot]], atol=1e-9)
+
+
+def test_a_healthy_arm_leaves_white_noise_of_variance_one(prepared):
+    healthy = prepare_evidence(ARM, [HEALTHY], [run(2)], [run(3)])
+    residual = healthy.evidence.residual
+    assert np.mean(residual**2) == pytest.approx(1.0, abs=0.35)
+    assert np.mean(prepared.evidence.residual**2) > 10.0
+
+
+def test_freedom_costs():
+    drift, both = ({"joint": "elbow", "of": of} for of in (["f_c"], ["f_c", "k_v1"]))
+    one, two = (penalty(EFFECTS["friction_drift"].at(ARM, place), 1000) for place in (drift, both))
+    assert two == pytest.approx(2 * one) == pytest.approx(2 * np.log(1000))
+    searched = penalty(EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"}), 1000)
+    assert searched > 3 * np.log(1000)
+    held = penalty(EFFECTS["base_flexibility"].at(ARM, {"axis": [1, 0, 0]}), 1000)
+    assert held == pytest.approx(np.log(1000) + 2 * np.log(20))
+
+
+def test_rivals_cover_every_joint_and_are_finite(prepared):
+    motions = prepared.evidence.field.motions
+    places = list(rivals(motions))
+    assert {place["joint"] for place in places} == set(ARM.joint_names)
+    for place in places:
+        rival = Rival.at(ARM, place)
+        constants = [constant.grid[len(constant.grid) // 2] for constant in rival.constants]
+        for row, (_, columns) in rival.columns(motions[0], constants, None).items():
+            assert ARM.joint_names[row] == place["joint"] and np.isfinite(columns).all()
+
+
+# --- data that cannot carry the question ----------------------------------------------------------------------------
+
+
+def saturated():
+    whole = run(2)
+    level = 0.5 * np.abs(whole.effort[:, 0]).max()
+    return replace(whole, effort=np.clip(whole.effort, -level, level))
+
+
+def torn():
+    whole = run(2)
+    half = len(whole.time) // 2
+    time = whole.time.copy()
+    time[half:] += 10.0
+    return replace(whole, time=time, segments=(slice(0, half), slice(half, len(time))))
+
+
+def resting():
+    whole = run(2)
+    return replace(whole, position=np.tile(whole.position[:1], (len(whole.time), 1)))
+
+
+def torqueless():
+    whole = run(2)
+    return replace(whole, effort=whole.effort * [1.0, 0.0])
+
+
+UNFIT = [
+    (saturated, "torque of shoulder stands at .* saturated"),
+    (torn, "missing: its time stamps are broken or samples were lost"),
+    (resting, "no joint moves"),
+    (torqueless, "torque of elbow is zero throughout"),
+    (lambda: run(2, seconds=1.5), "too short"),
+]
+
+
+@pytest.mark.parametrize(("made", "reason"), UNFIT)
+def test_unfit_data_get_a_reason_and_no_finding(made, reason):
+    broken = made()
+    for reference, field, unseen in (
+        ([HEALTHY], [broken], []),
+        ([broken], [HEALTHY], []),
+        ([], [HEALTHY], [broken]),
+    ):
+        answer = explain(ARM, reference, field, unseen)
+        assert answer.verdict == DATA_UNFIT and answer.findings == () and answer.model is None
+        assert any(re.search(reason, text) for text in answer.reasons)
+    document = to_document(answer)
+    json.dumps(document, allow_nan=False)
+    assert document["noise_floor_Nm"] == {"shoulder": None, "elbow": None}
+
+
+def test_sound_data_have_no_faults():
+    assert faults([HEALTHY, run(2, ripple)], ARM.joint_names) == []
+
+
+# --- end to end -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rippled():
+    return explained(ripple)
+
+
+def test_a_healthy_arm_has_no_mismatch():
+    answer = explained(None)
+    assert answer.verdict == NO_MISMATCH and answer.findings == () and answer.model is None
+    np.testing.assert_allclose(answer.after_Nm, answer.noise_floor_Nm, rtol=0.35)
+    assert to_document(answer)["model"] is None and to_document(answer)["next_experiment"] is None
+
+
+def test_ripple_is_found_where_it_is_as_large_as_it_is(rippled):
+    assert rippled.verdict == MISMATCH
+    (finding,) = rippled.findings
+    assert finding.effect == "torque_ripple" and finding.joints == ("elbow",)
+    for name, truth in (("amplitude", 0.8), ("cycles", 20.0), ("phase", 0.4)):
+        quantity = finding.parameters[name]
+        reach = 1.5 * (quantity.high - quantity.low) / 2
+        assert abs(quantity.value - truth) < reach, name
+    assert finding.parameters["amplitude"].value == pytest.approx(0.8, rel=0.05)
+    assert finding.confidence > 0.9 and finding.explained > 0.9
+    assert finding.after_Nm["elbow"] < 0.3 * finding.before_Nm["elbow"]
+
+
+def test_more_friction_is_friction_drift():
+    answer = explained(more_friction)
+    assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
+    change = answer.findings[0].parameters["df_c"]
+    assert change.value == pytest.approx(0.9, abs=0.1) and change.low > 0.5
+
+
+def test_torque_that_is_late_is_late_by_so_much():
+    answer = explained(late)
+    assert [f.effect for f in answer.findings] == ["time_delay"]
+    assert answer.findings[0].parameters["delay"].value == pytest.approx(0.012, rel=0.1)
+
+
+def test_what_is_not_in_the_catalogue_is_called_unknown():
+    answer = explained(ripple, "torque_ripple")
+    assert {finding.effect for finding in answer.findings} <= {UNKNOWN}
+    assert {joint for finding in answer.findings for joint in finding.joints} <= {"elbow"}
+    assert answer.findings or answer.unexplained
+
+
+def test_the_document_is_that_of_the_contract(rippled):
+    document = json.loads(json.dumps(to_document(rippled), allow_nan=False))
+    assert document["schema"] == "spacearm_ident/mismatch/1"
+    assert document["verdict"] == "mismatch" and document["model"] == EXTENDED_MODEL == "extended_model.yaml"
+    for key in ("noise_floor_Nm", "residual_before_Nm", "residual_after_Nm"):
+        assert set(document[key]) == {"shoulder", "elbow"} and all(v > 0 for v in document[key].values())
+    assert document["residual_before_Nm"]["elbow"] > 3 * document["residual_after_Nm"]["elbow"]
+    assert isinstance(document["unexplained"], list) and "next_experiment" in document
+    (finding,) = document["findings"]
+    assert finding["effect"] == "torque_ripple" and finding["joints"] == ["elbow"] and finding["where"]
+    for quantity in finding["parameters"].values():
+        low, high = quantity["ci95"]
+        assert low <= quantity["value"] <= high and quantity["unit"]
+    assert 0 <= finding["confidence"] <= 1
+    assert all({"effect", "score", "why_not"} <= set(one) for one in finding["alternatives"])
+    assert set(finding["validation"]) == {"rms_before_Nm", "rms_after_Nm", "explained_fraction"}
+    assert list(finding["validation"]["rms_before_Nm"]) == ["elbow"]
+    assert 0.9 < finding["validation"]["explained_fraction"] <= 1
+
+
+def test_the_extended_model_predicts_a_fresh_run_to_its_noise(rippled, tmp_path):
+    save_model(rippled.model, tmp_path / EXTENDED_MODEL)
+    model = load_model(tmp_path / EXTENDED_MODEL)
+    (motion,), _ = prepare([run(7, ripple)], ARM.joint_names, 20.0, average=False)
+    base = [kind for kind in model.model.structure if kind not in EFFECTS]
+
+    def left(torque):
+        residual = motion.reduce(motion.torque - torque)
+        return np.sqrt(np.mean(residual[motion.moving[:, 1], 1] ** 2))
+
+    assert left(model.torque(motion)) < 1.6 * rippled.noise_floor_Nm[1]
+    assert left(model.torque(motion, base)) > 5 * rippled.noise_floor_Nm[1]
+
+
+def test_without_a_reference_what_the_structure_leaves_over_is_explained():
+    answer = explain(ARM, [], [run(2, ripple, 24.0)], [])
+    assert [(f.effect, f.joints) for f in answer.findings] == [("torque_ripple", ("elbow",))]
+    assert "held out" in answer.judged_on
