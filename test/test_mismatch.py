@@ -14,6 +14,8 @@ from scipy.signal import lfilter
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model_file import load_model, save_model
+from spacearm_ident.errors import UserError
+from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.prior import make_prior
 from spacearm_ident.mismatch.competition import penalty
 from spacearm_ident.mismatch.document import EXTENDED_MODEL, to_document
@@ -56,6 +58,8 @@ def late(planted):
 
 
 HEALTHY = run(1)
+SLOW_ONES = ("joint_elasticity", "backlash", "link_flexibility", "base_flexibility", "floating_base")
+"""Left out where they are not the point, to be quick."""
 
 
 def explained(extra, *excluded):
@@ -160,6 +164,7 @@ class Brute:
                     free.append(whole[:, [k]])
         columns = np.concatenate(free, axis=1)
         size = np.linalg.norm(columns, axis=0)
+        size[size == 0.0] = 1.0
         solution = np.linalg.lstsq(columns / size, target, rcond=1e-14)[0] / size
         residual = target - columns @ solution
         base = np.zeros(len(self.used))
@@ -300,6 +305,11 @@ def test_sound_data_have_no_faults():
     assert faults([HEALTHY, run(2, ripple)], ARM.joint_names) == []
 
 
+def test_a_recording_of_another_arm_is_refused():
+    with pytest.raises(UserError, match="shoulder"):
+        explain(ARM, [replace(HEALTHY, joints=("a", "b"))], [run(2)], [])
+
+
 # --- end to end -----------------------------------------------------------------------------------------------------
 
 
@@ -329,20 +339,20 @@ def test_ripple_is_found_where_it_is_as_large_as_it_is(rippled):
 
 
 def test_more_friction_is_friction_drift():
-    answer = explained(more_friction)
+    answer = explained(more_friction, *SLOW_ONES)
     assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
     change = answer.findings[0].parameters["df_c"]
     assert change.value == pytest.approx(0.9, abs=0.1) and change.low > 0.5
 
 
 def test_torque_that_is_late_is_late_by_so_much():
-    answer = explained(late)
+    answer = explained(late, *SLOW_ONES)
     assert [f.effect for f in answer.findings] == ["time_delay"]
     assert answer.findings[0].parameters["delay"].value == pytest.approx(0.012, rel=0.1)
 
 
 def test_what_is_not_in_the_catalogue_is_called_unknown():
-    answer = explained(ripple, "torque_ripple")
+    answer = explained(ripple, "torque_ripple", *SLOW_ONES)
     assert {finding.effect for finding in answer.findings} <= {UNKNOWN}
     assert {joint for finding in answer.findings for joint in finding.joints} <= {"elbow"}
     assert answer.findings or answer.unexplained
@@ -382,7 +392,43 @@ def test_the_extended_model_predicts_a_fresh_run_to_its_noise(rippled, tmp_path)
     assert left(model.torque(motion, base)) > 5 * rippled.noise_floor_Nm[1]
 
 
+@pytest.fixture(scope="module")
+def healthy_model():
+    return identify([HEALTHY], ARM, Settings(cutoff_hz=20.0)).model
+
+
+def test_a_model_as_reference_holds_the_field_to_its_values(healthy_model):
+    """What the structure could take over is still a change from the model."""
+    answer = explain(ARM, healthy_model, [run(2, more_friction)], [run(3, more_friction)], SLOW_ONES)
+    assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
+    assert answer.findings[0].parameters["df_c"].value == pytest.approx(0.9, abs=0.1)
+    assert answer.before_Nm[0] > 5 * answer.noise_floor_Nm[0]
+    assert explain(ARM, healthy_model, [run(2)], [run(3)], SLOW_ONES).verdict == NO_MISMATCH
+
+
+def test_an_extended_model_is_extended_once_more(rippled, healthy_model):
+    """Effects that the reference model has stay, before and beside further ones of the same kind."""
+    first = rippled.model
+    kinds = {kind: options for kind, options in first.model.structure.items() if kind in EFFECTS}
+    both = {**first.model.structure, "current_offset": {"at": [{"joint": "elbow"}]}}
+    known = replace(first, model=replace(first.model, structure=both), parameters=np.append(first.parameters, 0.0))
+
+    def again(planted):
+        return ripple(planted) + np.outer(1.5 * np.sin(31.0 * planted.q[:, 0]), [1.0, 0.0])
+
+    excluded = [kind for kind in EFFECTS if kind not in ("torque_ripple", "friction_drift")]
+    answer = explain(ARM, known, [run(2, again)], [run(3, again)], excluded)
+    assert [(f.effect, f.joints) for f in answer.findings] == [("torque_ripple", ("shoulder",))]
+    places = answer.model.model.structure["torque_ripple"]["at"]
+    assert [place["joint"] for place in places] == ["elbow", "shoulder"]
+    assert known.model.structure == both and kinds["torque_ripple"]["at"] == places[:1]
+    assert answer.model.value("cycles", "elbow") == pytest.approx(20.0, abs=0.1)
+    assert answer.model.value("cycles", "shoulder") == pytest.approx(31.0, abs=0.1)
+    assert answer.model.value("sin", "shoulder") == pytest.approx(1.5, abs=0.1)
+    assert abs(answer.model.value("offset", "elbow")) < 0.1
+
+
 def test_without_a_reference_what_the_structure_leaves_over_is_explained():
-    answer = explain(ARM, [], [run(2, ripple, 24.0)], [])
+    answer = explain(ARM, [], [run(2, ripple, 24.0)], [], SLOW_ONES)
     assert [(f.effect, f.joints) for f in answer.findings] == [("torque_ripple", ("elbow",))]
     assert "held out" in answer.judged_on

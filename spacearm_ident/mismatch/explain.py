@@ -98,7 +98,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     joints = evidence.base.model.arm.joint_names
     accepted = outcome.accepted
     residuals = Residuals(evidence, unseen.scene)
-    alone, floor = _healthy(evidence, prepared.noise_floor_Nm)
+    alone, floor = _healthy(evidence, prepared)
     before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     cards = Cards(evidence, residuals, outcome, floor)
@@ -141,15 +141,18 @@ def _shows(finding: Finding) -> bool:
     return not (lasting and finding.explained < SHOWS)
 
 
-def _healthy(evidence: Evidence, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _healthy(evidence: Evidence, prepared: Prepared) -> tuple[FloatArray, FloatArray]:
     """The base's parameters from the reference alone, and what it leaves there by joint, N·m.
 
-    Without a reference: from the field, and the noise as it was estimated there.
+    Without a recorded reference: the noise as it was estimated in the field, and without any its parameters too.
     """
+    noise = prepared.noise_floor_Nm
     if evidence.reference is None:
         return evidence.base_parameters([], np.zeros(0)), noise
     alone = Evidence(evidence.base, evidence.reference, None, evidence.common)
     parameters = alone.base_parameters([], np.zeros(0))
+    if prepared.modelled:
+        return parameters, noise
     residuals = Residuals(alone, evidence.reference)
     left = residuals.rms(residuals.of(parameters, [], np.zeros(0)))
     return parameters, np.where(np.isfinite(left), left, noise)

@@ -43,14 +43,21 @@ def extended_model(evidence: Evidence, accepted: Sequence[Candidate], values: Fl
         first += len(effect.parameters)
         if effect.kind != UNKNOWN:
             found.append((effect, own, constants))
-    for effect, _, _ in found:
-        structure.setdefault(effect.kind, {"at": []})["at"].append(dict(effect.place))
-    # Terms of a kind stand together, in the order in which their places were named.
-    found.sort(key=lambda item: list(structure).index(item[0].kind))
+    # Terms of a kind stand together: those of the base model first, whose own effects may be of the same kind.
+    values_of: dict[str, list[FloatArray]] = {kind: [] for kind in structure}
+    constants_of: dict[str, list[FloatArray]] = {kind: [] for kind in structure}
+    for term, first, first_constant in base.model.numbered():
+        values_of[term.kind].append(parameters[first : first + len(term.parameters)])
+        constants_of[term.kind].append(base.constants[first_constant : first_constant + len(term.constants)])
+    for effect, own, constants in found:
+        known = structure.get(effect.kind, {"at": []})
+        structure[effect.kind] = {**known, "at": [*known["at"], dict(effect.place)]}
+        values_of.setdefault(effect.kind, []).append(own)
+        constants_of.setdefault(effect.kind, []).append(np.array(constants))
     return IdentifiedModel(
         TorqueModel(base.model.arm, structure),
-        np.concatenate([parameters, *(own for _, own, _ in found)]),
-        np.concatenate([base.constants, *(np.array(constants) for _, _, constants in found)]),
+        np.concatenate([part for kind in structure for part in values_of[kind]]),
+        np.concatenate([part for kind in structure for part in constants_of[kind]]),
         base.cutoff_hz,
         base.provenance,
     )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..recording.recording import Recording
+from ..recording.signals import require_joints
 
 SATURATED_SHARE = 0.02
 """A joint whose torque stands at its extreme for this share of the samples is clipped."""
@@ -16,10 +17,15 @@ FEWEST_MOVING_S = 2.0
 
 
 def faults(recordings: Sequence[Recording], joints: Sequence[str]) -> list[str]:
-    """Reasons not to explain anything with these recordings, in words; empty where they are sound."""
+    """Reasons not to explain anything with these recordings, in words; empty where they are sound.
+
+    Raises:
+        UserError: A recording lacks a joint of the arm.
+    """
     found = []
     for recording in recordings:
         where = recording.sources[0].path if recording.sources else "a recording"
+        require_joints(recording, joints)
         ordered = recording.in_order(tuple(joints))
         found += [f"{where}: {text}" for text in (*_clock(ordered), *_torque(ordered), *_motion(ordered))]
     return found

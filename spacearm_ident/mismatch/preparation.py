@@ -37,6 +37,7 @@ class Prepared:
         unseen: Recordings that no fit sees; None where there are none.
         noise_floor_Nm: (n,) standard deviation of a reduced torque row that a right model would leave.
         cutoff_hz: Bandwidth that was looked at.
+        modelled: Whether the reference's torque is a model's, without noise, not a recording's.
     """
 
     base: IdentifiedModel
@@ -44,6 +45,7 @@ class Prepared:
     unseen: Unseen | None
     noise_floor_Nm: FloatArray
     cutoff_hz: float
+    modelled: bool = False
 
 
 def prepare_evidence(
@@ -79,10 +81,13 @@ def prepare_evidence(
 
     referred, examined, judged = motions(healthy), motions(field), motions(validation)
     whiteners = _whiteners(base, referred or examined)
+    if known is not None:
+        # A model pins itself down as a recording of the healthy arm on the same motion would.
+        referred = [replace(motion, torque=known.torque(motion)) for motion in examined]
     scene = Scene(base, examined, whiteners)
     evidence = Evidence(base, scene, Scene(base, referred, whiteners) if referred else None)
     unseen = Unseen(evidence, Scene(base, judged, whiteners)) if judged else None
-    return Prepared(base, evidence, unseen, _floor(whiteners), cutoff)
+    return Prepared(base, evidence, unseen, _floor(whiteners), cutoff, known is not None)
 
 
 def _whiteners(base: IdentifiedModel, motions: Sequence[Motion]) -> list[Whitener]:

@@ -110,16 +110,20 @@ def _told_apart(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     named = []
     for effect in effects:
         number, one = 1, effect
-        while taken & {item.name for item in (*one.parameters, *one.constants)}:
+        while taken & _names(one):
             number += 1
             one = replace(
                 effect,
                 parameters=tuple(replace(p, symbol=f"{p.symbol}_{number}") for p in effect.parameters),
                 constants=tuple(replace(c, symbol=f"{c.symbol}_{number}") for c in effect.constants),
             )
-        taken |= {item.name for item in (*one.parameters, *one.constants)}
+        taken |= _names(one)
         named.append(one)
     return tuple(named)
+
+
+def _names(effect: Effect) -> set[str]:
+    return {parameter.name for parameter in effect.parameters} | {constant.name for constant in effect.constants}
 
 
 def own(row: int, *columns: FloatArray) -> Columns:

@@ -39,7 +39,7 @@ Values = dict[str, Any]
 LARGEST_CORNER_HZ = 450.0
 """A filter above this cannot be seen in a recording at 1 kHz."""
 LEFT_OUT_INERTIA = 0.1
-"""Share of a joint's rotor inertia that a wrist's gear stage may have without its being simulated."""
+"""Share of a joint's inertia that a wrist's gear stage may have without its being simulated."""
 LEAST_RADIUS = 0.01
 
 
@@ -108,6 +108,12 @@ class _Found:
         """A number of the arm at the effect's joint."""
         return float(getattr(self.plant, parameter)[self.plant.joints.index(self.joints[0])])
 
+    def inertia(self, joint: str) -> float:
+        """Of a joint and all it carries, rotor included, with the arm at zero, kg·m²."""
+        model = rigid_body_model(self.plant)
+        whole = pin.crba(model, model.createData(), pin.neutral(model))
+        return float(np.diag(whole)[self.plant.joints.index(joint)])
+
     def refused(self, why: str) -> UserError:
         """The one line that says so."""
         where = f" at {', '.join(self.joints)}" if self.joints else ""
@@ -171,8 +177,7 @@ def _presliding(found: _Found) -> Values:
 def _wrist_coupling(found: _Found) -> Values:
     if "ratio" not in found.place:
         raise found.refused("only a gear stage that both joints feel is (ratio 1 or -1)")
-    rotor = max(float(found.plant.rotor_inertia[found.plant.joints.index(joint)]) for joint in found.joints)
-    if abs(found["J"]) > LEFT_OUT_INERTIA * rotor:
+    if abs(found["J"]) > LEFT_OUT_INERTIA * max(found.inertia(joint) for joint in found.joints):
         raise found.refused(f"the inertia of its gear stage, {found['J']:.3g} kg m^2, is too large to be left out")
     joints = (found.place["with"], found.place["joint"])
     return {"joints": joints, "coulomb": found["f"], "viscous": found["k"], "ratio": float(found.place["ratio"])}
@@ -232,10 +237,8 @@ def _lag(found: _Found) -> Values:
 
 def _elasticity(found: _Found) -> Values:
     stiffness = found["stiffness"] / found.share
-    model = rigid_body_model(found.plant)
-    joint = found.plant.joints.index(found.joints[0])
-    inertia = float(np.diag(pin.crba(model, model.createData(), pin.neutral(model)))[joint]) - model.armature[joint]
-    return {"stiffness": stiffness, "damping": 2.0 * DAMPING_RATIO * float(np.sqrt(stiffness * inertia))}
+    link = found.inertia(found.joints[0]) - found.of_joint("rotor_inertia")
+    return {"stiffness": stiffness, "damping": 2.0 * DAMPING_RATIO * float(np.sqrt(stiffness * link))}
 
 
 def _harness(found: _Found) -> Values:

@@ -1,0 +1,199 @@
+"""`spacearm mismatch` as a user meets it: which file is what, exit codes, one-line errors, folder, JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planted_arm import TWO_LINKS, Friction, two_link_run
+
+from spacearm_ident.cli.main import main
+from spacearm_ident.cli.mismatch import sort_bags
+from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.dynamics.model_file import load_model, save_model
+from spacearm_ident.errors import UserError
+from spacearm_ident.recording import read_recording, write_recording
+from spacearm_ident.recording.signals import prepare
+
+LAWS = (Friction(k_v2=0.0, k_v3=0.0), Friction(f_c=1.5, k_v1=0.8, k_v2=0.0, k_v3=0.0, J_m=0.1))
+FEW = ["--without", *(kind for kind in EFFECTS if kind not in ("torque_ripple", "friction_drift", "current_offset"))]
+"""A catalogue of three, to be quick."""
+
+
+def offset(planted):
+    return np.tile([0.0, 1.5], (len(planted.q), 1))
+
+
+def recording(seed, extra=None, seconds=14.0):
+    planted = two_link_run(LAWS, seconds=seconds, rate_hz=250.0, seed=seed, speed=1.0)
+    if extra is not None:
+        planted = replace(planted, torque=planted.torque + extra(planted))
+    return planted.recording(noise=[0.3, 0.15], seed=seed + 100)
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("bags")
+    field = recording(2, offset)
+    made = {
+        "reference": recording(1),
+        "field": field,
+        "unseen": recording(3, offset),
+        "still": replace(field, position=np.tile(field.position[:1], (len(field.time), 1))),
+        "stranger": replace(field, joints=("a", "b")),
+        "no_urdf": replace(field, urdf=None),
+    }
+    paths = {name: folder / f"{name}.mcap" for name in made}
+    for name, one in made.items():
+        write_recording(paths[name], one)
+    paths["missing"], paths["text"] = folder / "missing.mcap", folder / "text.mcap"
+    paths["text"].write_text("this is not a bag")
+    return paths
+
+
+def run(*words, expect, capsys):
+    code = main(["mismatch", *(str(word) for word in words)])
+    out, err = capsys.readouterr()
+    assert code == expect, err
+    return out, err
+
+
+# --- which file is what ---------------------------------------------------------------------------------------------
+
+R, V, A, B = (Path(name) for name in "rvab")
+
+
+@pytest.mark.parametrize(
+    ("bags", "reference", "validate", "want"),
+    [
+        ([A], [], [], ([A], [], [])),
+        ([A, B], [[R]], [[V]], ([A, B], [R], [V])),
+        ([A], [[R], [B]], [], ([A], [R, B], [])),
+        ([A], [[R, B]], [], ([A], [R, B], [])),
+        ([], [[R, A]], [], ([A], [R], [])),
+        ([], [[R, A, B]], [], ([A, B], [R], [])),
+        ([], [[R, A, B]], [[V]], ([A, B], [R], [V])),
+        ([], [[R]], [[V, A]], ([A], [R], [V])),
+        ([], [[B], [R, A]], [], ([A], [B, R], [])),
+    ],
+)
+def test_what_the_options_swallowed_is_given_back(bags, reference, validate, want):
+    assert sort_bags(bags, reference, validate) == want
+
+
+@pytest.mark.parametrize(("reference", "validate"), [([], []), ([[R]], []), ([[R]], [[V]]), ([], [[V]])])
+def test_nothing_to_explain_is_an_error(reference, validate):
+    with pytest.raises(UserError, match="no bag to explain"):
+        sort_bags([], reference, validate)
+
+
+# --- the folder -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def answered(bags, tmp_path_factory):
+    """The contract's own order of words: --reference R BAG --validate V."""
+    folder = tmp_path_factory.mktemp("why") / "out"
+    words = ["mismatch", "--reference", bags["reference"], bags["field"], "--validate", bags["unseen"], "--out", folder]
+    assert main([str(word) for word in [*words, "--quiet", *FEW]]) == 0
+    return folder
+
+
+def test_the_folder_has_what_the_contract_names(answered, bags):
+    assert {"mismatch.json", "extended_model.yaml", "report.html"} <= {path.name for path in answered.iterdir()}
+    document = json.loads((answered / "mismatch.json").read_text())
+    assert document["verdict"] == "mismatch" and document["model"] == "extended_model.yaml"
+    assert [(f["effect"], f["joints"]) for f in document["findings"]] == [("current_offset", ["elbow"])]
+    found = document["findings"][0]["parameters"]["offset"]
+    assert found["value"] == pytest.approx(1.5, abs=0.1)
+    sources = document["provenance"]
+    assert [entry["path"] for entry in sources["reference"]] == [str(bags["reference"])]
+    assert "current_offset" in (answered / "report.html").read_text()
+
+
+def test_the_extended_model_loads_and_predicts_what_the_base_does_not(answered, bags):
+    model = load_model(answered / "extended_model.yaml")
+    (motion,), _ = prepare([read_recording(bags["unseen"])], ("shoulder", "elbow"), 20.0, average=False)
+    whole = model.torque(motion)
+    base = model.torque(motion, [kind for kind in model.model.structure if kind not in EFFECTS])
+    assert np.isfinite(whole).all()
+    np.testing.assert_allclose((whole - base)[:, 1], model.value("offset", "elbow"))
+    left = [
+        np.sqrt(np.mean(motion.reduce(motion.torque - torque)[motion.moving[:, 1], 1] ** 2)) for torque in (whole, base)
+    ]
+    assert left[0] < 0.2 * left[1]
+
+
+def test_json_is_all_there_is_on_standard_output(bags, tmp_path, capsys):
+    model = tmp_path / "model.yaml"
+    words = (bags["field"], "--out", tmp_path / "why", "--json", *FEW)
+    out, _ = run(*words, "--reference", bags["reference"], "--validate", bags["unseen"], expect=0, capsys=capsys)
+    first = json.loads(out)
+    written = json.loads((tmp_path / "why" / "mismatch.json").read_text())
+    assert first == {key: value for key, value in written.items() if key != "provenance"}
+    # The same with the reference as a model file.
+    extended = load_model(tmp_path / "why" / "extended_model.yaml")
+    healthy = {kind: options for kind, options in extended.model.structure.items() if kind not in EFFECTS}
+    count = len(extended.model.parameters) - 1
+    bare = replace(extended, model=replace(extended.model, structure=healthy), parameters=extended.parameters[:count])
+    save_model(bare, model)
+    out, _ = run(*words, "--reference", model, "--validate", bags["unseen"], expect=0, capsys=capsys)
+    assert [f["effect"] for f in json.loads(out)["findings"]] == ["current_offset"]
+
+
+def test_a_person_reads_a_summary_and_where_the_page_is(bags, tmp_path, capsys):
+    words = (bags["unseen"], "--reference", bags["reference"], "--validate", bags["field"], "--out", tmp_path / "why")
+    out, _ = run(*words, *FEW, expect=0, capsys=capsys)
+    assert out.startswith("mismatch\n") and "current_offset at elbow" in out
+    assert f"report: {tmp_path / 'why' / 'report.html'}" in out
+
+
+def test_a_healthy_arm_is_no_mismatch_and_has_no_extended_model(bags, tmp_path, capsys):
+    write_recording(tmp_path / "healthy.mcap", recording(4))
+    words = (tmp_path / "healthy.mcap", "--reference", bags["reference"], "--out", tmp_path / "why", "--json", *FEW)
+    out, _ = run(*words, expect=0, capsys=capsys)
+    document = json.loads(out)
+    assert document["verdict"] == "no_mismatch" and document["findings"] == [] and document["model"] is None
+    assert not (tmp_path / "why" / "extended_model.yaml").exists()
+    assert (tmp_path / "why" / "report.html").exists()
+
+
+# --- what goes wrong ------------------------------------------------------------------------------------------------
+
+
+def test_data_that_cannot_carry_the_question_end_with_one_and_a_reason(bags, tmp_path, capsys):
+    words = (bags["still"], "--reference", bags["reference"], "--out", tmp_path / "why")
+    out, _ = run(*words, expect=1, capsys=capsys)
+    assert "data unfit" in out and f"{bags['still']}: no joint moves" in out
+    document = json.loads((tmp_path / "why" / "mismatch.json").read_text())
+    assert document["verdict"] == "data_unfit" and document["findings"] == []
+    assert not (tmp_path / "why" / "extended_model.yaml").exists()
+    assert "no joint moves" in (tmp_path / "why" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("--out OUT", "no bag to explain"),
+        ("--reference reference --out OUT", "no bag to explain"),
+        ("field --out OUT --without gremlins", "no effect 'gremlins'"),
+        ("missing --out OUT", "missing.mcap"),
+        ("text --out OUT", "text.mcap"),
+        ("no_urdf --out OUT", "--arm"),
+        ("field --reference stranger --out OUT", "shoulder"),
+        ("field --reference reference nowhere.yaml --out OUT", "not both"),
+        ("field --reference nowhere.yaml --out OUT", "nowhere.yaml"),
+    ],
+)
+def test_errors_are_one_line_and_leave_no_folder(words, complaint, bags, tmp_path, capsys):
+    named = [bags.get(word, tmp_path / "out" if word == "OUT" else word) for word in words.split()]
+    out, err = run(*named, expect=2, capsys=capsys)
+    assert complaint in err and err.count("\n") == 1 and "Traceback" not in err
+    assert out == "" and not (tmp_path / "out").exists()
+
+
+def test_the_arm_of_the_planted_runs_is_the_one_in_their_bags(bags):
+    assert tuple(link.name for link in TWO_LINKS) == read_recording(bags["field"]).joints
