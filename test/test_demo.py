@@ -66,6 +66,15 @@ def demo(tmp_path):
     shutil.rmtree(scratch)
 
 
+def wait_until(reached, process: subprocess.Popen[str]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not reached():
+        if process.poll() is not None:
+            pytest.fail("the demo ended by itself: " + "".join(process.communicate()))
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
 def nothing_left(demo) -> None:
     assert marked(demo.tag) == {}
     assert list(demo.scratch.iterdir()) == []
@@ -96,16 +105,13 @@ def test_the_demo_identifies_validates_and_leaves_nothing_running(demo, tmp_path
 )
 def test_a_signal_ends_every_process(demo, tmp_path, moment, number):
     process = demo()
-    end = time.monotonic() + PATIENCE_S
 
     def reached() -> bool:
         if moment == "starting":
             return len(marked(demo.tag)) > len(NODES)
         return any(bag.stat().st_size > 1_000_000 for bag in (tmp_path / "result").glob("recordings/*/*.mcap"))
 
-    while not reached():
-        assert process.poll() is None and time.monotonic() < end
-        time.sleep(0.05)
+    wait_until(reached, process)
     process.send_signal(number)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode not in (0, None)
@@ -115,12 +121,10 @@ def test_a_signal_ends_every_process(demo, tmp_path, moment, number):
 
 def test_a_killed_demo_takes_its_nodes_with_it(demo):
     process = demo()
-    end = time.monotonic() + PATIENCE_S
-    while len(marked(demo.tag)) <= len(NODES):
-        assert process.poll() is None and time.monotonic() < end
-        time.sleep(0.05)
+    wait_until(lambda: len(marked(demo.tag)) > len(NODES), process)
     process.kill()
     process.communicate()
+    end = time.monotonic() + PATIENCE_S
     while marked(demo.tag):
         assert time.monotonic() < end, marked(demo.tag)
         time.sleep(0.1)

@@ -9,7 +9,7 @@ and so on until nothing scores above the gate.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
@@ -234,6 +234,17 @@ class Competition:
         """What is accepted competes no more; a further one of its kind may."""
         again = effect.again(self.evidence.base.model.arm)
         self._pool = [other for other in self._pool if other is not effect] + ([again] if again else [])
+
+    def without(self, outcome: Outcome, dropped: Sequence[int]) -> Outcome:
+        """An outcome less some of its effects, refitted."""
+        kept = [k for k in range(len(outcome.accepted)) if k not in dropped]
+        accepted = tuple(outcome.accepted[k] for k in kept)
+        return replace(
+            outcome,
+            rounds=tuple(outcome.rounds[k] for k in kept),
+            accepted=accepted,
+            refit=self.evidence.refit(accepted),
+        )
 
     def _was_there_before(self, winner: Scored) -> bool:
         """Whether the reference shows the same, so that it is no change but what the base model always lacked."""

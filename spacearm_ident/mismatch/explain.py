@@ -33,6 +33,8 @@ LEFT_OVER = 2.0
 """A joint whose residual variance is so many times the noise's has something unexplained."""
 SHOWS = 0.1
 """A finding beside the first that removes less than this share of what is above the noise on unseen data is not one."""
+HARM = 1.02
+"""A finding with which the mean square on unseen data is this many times larger is a false one."""
 CLOSE = 0.7
 """Another explanation with this share of the score cannot be told apart."""
 
@@ -96,15 +98,19 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     evidence, unseen = competition.evidence, competition.unseen
     assert unseen is not None
     joints = evidence.base.model.arm.joint_names
-    accepted = outcome.accepted
     residuals = Residuals(evidence, unseen.scene)
     alone, floor = _healthy(evidence, prepared)
+    cards = Cards(evidence, residuals, outcome, floor)
+    made = [cards.finding(k) for k in range(len(outcome.accepted))]
+    idle = [k for k, finding in enumerate(made) if _harms(finding) or (k > 0 and not _shows(finding))]
+    if idle:
+        outcome = competition.without(outcome, idle)
+        cards = Cards(evidence, residuals, outcome, floor)
+        made = [cards.finding(k) for k in range(len(outcome.accepted))]
+    findings = _by_cause(made, joints)
+    accepted = outcome.accepted
     before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
-    cards = Cards(evidence, residuals, outcome, floor)
-    made = [cards.finding(k) for k in range(len(accepted))]
-    shown = [finding for finding in made if finding is made[0] or _shows(finding)]
-    findings = _by_cause(shown, joints)
     rms_before, rms_after = residuals.rms(before), residuals.rms(after)
     return Explanation(
         verdict=MISMATCH if findings else NO_MISMATCH,
@@ -133,6 +139,12 @@ def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Findi
             key = (UNKNOWN, finding.joints)
         causes.setdefault(key, []).append(finding)
     return tuple(joined(group, joints) for group in causes.values())
+
+
+def _harms(finding: Finding) -> bool:
+    """Whether the residual of unseen data, every row counted alike, is larger with a finding than without."""
+    before, after = (sum(rms**2 for rms in by.values()) for by in (finding.before_Nm, finding.after_Nm))
+    return finding.effect != ExternalContact.kind and after > HARM * before
 
 
 def _shows(finding: Finding) -> bool:

@@ -67,7 +67,7 @@ class MessageBuffer:
 
     Args:
         topic: Its name.
-        limit: How many messages are kept; up to one block of `BLOCK_MESSAGES` more, never fewer while messages
+        limit: How many messages are kept; less than two blocks of `BLOCK_MESSAGES` more, never fewer while messages
             are no larger than the first. The bytes are bounded by the blocks for that many of the first's size.
 
     Attributes:

@@ -34,9 +34,10 @@ class Payload(Effect):
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
         """On the last link, as a point or with inertia of its own; on any other that moves against gravity."""
-        for joint in reversed(arm.joint_names):
+        yield {"joint": arm.joint_names[-1], "last": True}
+        yield {"joint": arm.joint_names[-1], "last": True, "inertia": True}
+        for joint in reversed(arm.joint_names[:-1]):
             yield {"joint": joint}
-        yield {"joint": arm.joint_names[-1], "inertia": True}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -50,9 +51,11 @@ class Payload(Effect):
         return cls(tuple(parameters), place=place)
 
     def plausible(self, parameters: FloatArray, constants: Sequence[float]) -> bool:
-        """A mass within reach of its link: a centre of mass metres away, or no mass at all, is something else."""
-        mass, moment = abs(float(parameters[0])), float(np.linalg.norm(parameters[1:4]))
-        return bool(mass < HEAVIEST_KG and moment < LONGEST_M * mass)
+        """A mass within reach of its link; a negative one only where a tool was taken off, at the last link."""
+        mass, moment = float(parameters[0]), float(np.linalg.norm(parameters[1:4]))
+        if mass < 0 and not self.place.get("last"):
+            return False
+        return abs(mass) < HEAVIEST_KG and moment < LONGEST_M * abs(mass)
 
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """The regressor's columns of that link."""

@@ -64,7 +64,7 @@ def simulated_arm(identified: IdentifiedModel, urdf: str) -> tuple[PlantParamete
             where = [parameter.joint for parameter in term.parameters]
             effects.append(make_effect(plant.joints, "current_offset", where, offsets))
         elif isinstance(term, EffectTerm):
-            symbols = [item.symbol for item in (*term.parameters, *term.constants)]
+            symbols = [*(item.symbol for item in term.parameters), *(item.symbol for item in term.constants)]
             constants = identified.constants[constant : constant + len(term.constants)]
             values = dict(zip(symbols, map(float, (*own, *constants)), strict=True))
             effects.append(_convert(_Found(term, values, plant, identified.model.arm)))
