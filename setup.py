@@ -35,7 +35,7 @@ setup(
     extras_require={
         # A ROS 2 Jazzy machine has these from its own packages; elsewhere they come from wheels.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "test": ["pytest", "hypothesis", "rosbags", "mcap-ros2-support", "ruff"],
+        "test": ["pytest", "pytest-rerunfailures", "hypothesis", "rosbags", "mcap-ros2-support", "ruff"],
     },
     zip_safe=False,
     maintainer="spacearm_ident maintainers",

@@ -1,5 +1,6 @@
 """Helper of the tests: simulated arm and driver as processes, and a probe that streams, listens and injects faults."""
 
+import math
 import os
 import struct
 import threading
@@ -44,7 +45,7 @@ class BusWatch:
 
     def __enter__(self):
         self._frames = [[] for _ in CHANNELS]
-        self._stop = threading.Event()
+        self._until_s = math.inf
         self._buses = [LocalBus(channel) for channel in CHANNELS]
         self._threads = [threading.Thread(target=self._read, args=(k,)) for k in range(len(CHANNELS))]
         for thread in self._threads:
@@ -52,15 +53,18 @@ class BusWatch:
         return self
 
     def __exit__(self, *_):
-        self._stop.set()
+        # Threads that are behind read on to this moment.
+        self._until_s = time.time()
         for thread, bus in zip(self._threads, self._buses):
             thread.join()
             bus.shutdown()
 
     def _read(self, number):
         bus, frames = self._buses[number], self._frames[number]
-        while not self._stop.is_set():
+        while True:
             message = bus.recv(0.05)
+            if (time.time() if message is None else message.timestamp) > self._until_s:
+                return
             if message is not None and not message.is_error_frame:
                 frames.append((message.timestamp, message.arbitration_id, bytes(message.data)))
 
@@ -148,6 +152,10 @@ class DrivenArm:
 
     def healthy(self):
         """Out of whatever the last test left, enabled."""
+        if self.arm.poll() is not None:
+            self.start_arm()
+        if self.driver.poll() is not None:
+            self.start_driver()
         self.wait_for(lambda: self.values.get("connection") == "connected", "a connection")
         if self.fault:
             done, message = self.call("/driver/recover")

@@ -9,10 +9,12 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2 (pip install '.[ros]')")
 
 from driven_arm import CORRUPT, EMERGENCY, FREEZE, JOINTS, BusWatch, DrivenArm, smooth
-from live_nodes import PATIENCE_S, output
+from live_nodes import LIVE, PATIENCE_S, output
 
 from spacearm_ident.config import config_path
 from spacearm_ident.driver.arm_can import load_arm_can
+
+pytestmark = LIVE
 
 STOPPED = {"quick stop active", "fault", "switch on disabled"}
 

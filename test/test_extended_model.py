@@ -17,7 +17,7 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.trajectory import FourierTrajectory, random_feasible
 from spacearm_ident.excitation.trajectory_file import save_trajectory
 from spacearm_ident.identification.identify import identify
-from spacearm_ident.nodes.identify_worker import Job
+from spacearm_ident.nodes.jobs import IdentifyJob
 from spacearm_ident.recording.motion import Motion
 from spacearm_ident.session import settings_for
 from spacearm_ident.simulation.closed_loop import Truth, simulate_truth
@@ -252,5 +252,5 @@ def test_a_structure_that_does_not_fit_is_refused_in_one_line(tmp_path):
 
 
 def test_the_identifiers_job_says_the_command_with_its_structure(tmp_path):
-    job = Job((tmp_path / "a.mcap",), (), tmp_path, structure=tmp_path / "extended_model.yaml")
+    job = IdentifyJob((tmp_path / "a.mcap",), (), tmp_path, structure=tmp_path / "extended_model.yaml")
     assert f"--structure {tmp_path}/extended_model.yaml" in job.command

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +17,15 @@ import small_arm
 pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
 
 from diagnostic_msgs.msg import DiagnosticArray
-from live_nodes import Probe, Processes, end, output
+from live_nodes import LIVE, Probe, Processes, end, output
 from sensor_msgs.msg import JointState
 
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.nodes.message_buffer import BLOCK_MESSAGES
 from spacearm_ident.nodes.runtime import LATCHED, STREAM
 from spacearm_ident.recording import read_recording, write_recording
+
+pytestmark = LIVE
 
 QUICK = ("friction:=coulomb-viscous", "bandwidth_hz:=5.0")
 AS_QUICK = ("--friction", "coulomb-viscous", "--bandwidth", "5.0")
@@ -185,6 +189,33 @@ def test_two_runs_give_parameters_residuals_and_a_result_folder(bags, processes,
         assert np.sqrt(np.mean(column**2)) < 2.0 * float(figures[f"rmse_Nm[{joint}]"])
         assert float(figures[f"r[{joint}]"]) > 0.999
     assert 0.3 < float(live["delay_s"]) < 0.6
+
+
+def test_a_field_run_is_explained_where_asked(bags, processes, graph, tmp_path):
+    for name, seed in (("field", 3), ("unseen", 4)):
+        run = small_arm.recording(seed=seed)
+        write_recording(tmp_path / f"{name}.mcap", replace(run, effort=run.effort + np.array([0.0, 2.0])))
+    out, by_command = tmp_path / "live", tmp_path / "offline"
+    node = graph.identifier(f"result_directory:={out}", f"mismatch_reference:={bags['first']}", *QUICK)
+    graph.tell(f"run 1 {tmp_path / 'field.mcap'}")
+    graph.wait_for(graph.said("identifier: mismatch", "current_offset at elbow"), "the verdict on the run")
+    assert graph.values("identifier: mismatch")["judged_on"].startswith("the last third")
+    graph.tell(f"run 2 {tmp_path / 'unseen.mcap'}")
+    graph.wait_for(
+        lambda: graph.values("identifier: mismatch")["judged_on"] == "recordings the fit has not seen", "the second"
+    )
+    figures = graph.values("identifier: mismatch")
+    assert figures["verdict"] == "mismatch" and graph.level("identifier: mismatch") == 1
+    assert end(node) == 0 and "Traceback" not in output(node)
+
+    words = [tmp_path / "field.mcap", "--reference", bags["first"], "--validate", tmp_path / "unseen.mcap"]
+    command = processes.python("-m", "spacearm_ident.cli.main", "mismatch", *map(str, words), "--out", str(by_command))
+    assert command.wait(PATIENCE_S) == 0, output(command)
+    live, offline = (json.loads((place / "mismatch.json").read_text()) for place in (out / "mismatch", by_command))
+    live.pop("provenance"), offline.pop("provenance")
+    assert live == offline
+    found = offline["findings"][0]["parameters"]["offset"]["value"]
+    assert f"{found:.4g}" in figures["current_offset[elbow]"] and abs(found - 2.0) < 0.1
 
 
 def test_replay_is_the_command(bags, processes, tmp_path):

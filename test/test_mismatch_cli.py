@@ -153,6 +153,8 @@ def test_a_person_reads_a_summary_and_where_the_page_is(bags, tmp_path, capsys):
 
 def test_a_healthy_arm_is_no_mismatch_and_has_no_extended_model(bags, tmp_path, capsys):
     write_recording(tmp_path / "healthy.mcap", recording(4))
+    (tmp_path / "why").mkdir()
+    (tmp_path / "why" / "extended_model.yaml").write_text("of another run")
     words = (tmp_path / "healthy.mcap", "--reference", bags["reference"], "--out", tmp_path / "why", "--json", *FEW)
     out, _ = run(*words, expect=0, capsys=capsys)
     document = json.loads(out)

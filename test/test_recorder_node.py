@@ -12,7 +12,7 @@ import small_arm
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from live_nodes import Probe, Processes, end, output
+from live_nodes import LIVE, Probe, Processes, end, output
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -25,6 +25,8 @@ from spacearm_ident.recording import cdr, read_recording, write_recording
 from spacearm_ident.recording.background import BackgroundWriter, Topic
 from spacearm_ident.recording.definitions import definition_text
 from spacearm_ident.recording.messages import JOINT_STATE, STRING, MessageType
+
+pytestmark = LIVE
 
 URDF = "<robot name='r'/>"
 

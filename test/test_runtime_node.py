@@ -8,9 +8,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from live_nodes import Probe, Processes, output, wait_for
+from live_nodes import LIVE, Probe, Processes, output, wait_for
 
 from spacearm_ident.nodes import main as entry
+
+pytestmark = LIVE
 
 NODE = """
 import sys, time

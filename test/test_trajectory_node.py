@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 import rclpy
-from live_nodes import Probe, Processes, end, output
+from live_nodes import LIVE, Probe, Processes, end, output
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from simulated_arm import CONFIG, paper_limits
 
@@ -22,6 +22,8 @@ from spacearm_ident.excitation.trajectory_file import save_trajectory
 from spacearm_ident.nodes.runtime import STREAM
 from spacearm_ident.nodes.set_point_stream import SetPointMessage
 from spacearm_ident.recording import cdr
+
+pytestmark = LIVE
 
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 LIMITS = paper_limits()

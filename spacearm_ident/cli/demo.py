@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import signal
+import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +33,9 @@ coefficients to validate, then the report. Everything is written to DIR: result,
 """
 ARM = "paper_arm.yaml"
 IDENTIFIED_S = 120.0
+ATTEMPTS = 3
+"""How often a run is begun before the demo gives up."""
+REASON_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -124,34 +129,61 @@ def begin(chain: Chain) -> None:
         return all(map(chain.status, NODES)) and chain.values("canopen_driver").get("connection") == "connected"
 
     chain.wait(ready, "all nodes and the drives", STARTED_S)
-    # Starting five nodes at once may hold up the driver for longer than the drives forgive.
-    if chain.values("canopen_driver")["fault"]:
-        chain.call("/driver/recover")
     chain.call("/recorder/start")
+    enable(chain)
+
+
+def enable(chain: Chain) -> None:
+    """Enable the drives."""
+    from ..nodes.chain import STARTED_S
+
+    def enabled() -> bool:
+        return chain.values("canopen_driver").get("operation_enabled") == "true"
+
+    # Starting five nodes at once may hold up the driver for longer than the drives forgive.
+    chain.call("/driver/recover")
     chain.call("/driver/enable", True)
-    chain.wait(lambda: chain.values("canopen_driver").get("operation_enabled") == "true", "enabled drives", STARTED_S)
+    chain.wait(enabled, "enabled drives", STARTED_S)
 
 
 def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None:
-    """Run an excitation; returns when the arm has been identified from it, or validated on it."""
+    """Run an excitation; returns when the arm has been identified from it, or validated on it.
+
+    A run that breaks off, on a machine too busy for the cycle, is told and begun again: `ATTEMPTS` times in all.
+    """
     chain.set_parameter("trajectory", "trajectory_file", str(file.resolve()))
-    run_id = chain.call("/excitation/start").partition(":")[0].removeprefix("run ")
-    _follow(chain, plan, run_id, report)
+    for _ in range(ATTEMPTS):
+        run_id = chain.call("/excitation/start").partition(":")[0].removeprefix("run ")
+        reason = _moved(chain, plan, run_id, report)
+        complete = chain.excitation["complete"]
+        if reason:
+            print(f"spacearm: the {plan.name} run was stopped: {reason}", file=sys.stderr)
+            enable(chain)
+        if complete:
+            _identified(chain, plan, report)
+            return
+    raise UserError(f"the {plan.name} run was stopped {ATTEMPTS} times: is this machine too busy?")
 
 
-def _follow(chain: Chain, plan: Plan, run_id: str, report: common.Report) -> None:
-    """Wait until a run is done and identified (or validated)."""
-    bag = f"{plan.name}.mcap"
+def _moved(chain: Chain, plan: Plan, run_id: str, report: common.Report) -> str:
+    """Wait until a run is over; returns why it was stopped, or nothing."""
 
-    def moving() -> bool:
+    def over() -> bool:
         state = chain.excitation
         if state.get("run") != run_id:
             return False
-        if state.get("reason"):
-            raise UserError(f"the {plan.name} run was stopped: {state['reason']}{_why(chain)}")
         done = state.get("period", 0) / plan.periods if state.get("state") == "running" else 0.0
         report(0.8 * done, f"{plan.name}: {state.get('state', 'starting')}")
         return state.get("state") == "done"
+
+    chain.wait(over, f"the end of the {plan.name} run", 60.0 + plan.periods / plan.fundamental_hz)
+    reason = chain.excitation["reason"]
+    return f"{reason}{_why(chain)}" if reason else ""
+
+
+def _identified(chain: Chain, plan: Plan, report: common.Report) -> None:
+    """Wait until the arm has been identified from a run, or validated on it."""
+    bag = f"{plan.name}.mcap"
 
     def identified() -> bool:
         status, values = chain.status("identifier: identification"), chain.values("identifier: identification")
@@ -160,11 +192,15 @@ def _follow(chain: Chain, plan: Plan, run_id: str, report: common.Report) -> Non
             raise UserError(f"the identification failed: {status}")
         return values.get("bags", "").endswith(bag)
 
-    chain.wait(moving, f"the end of the {plan.name} run", 60.0 + plan.periods / plan.fundamental_hz)
     chain.wait(identified, f"the identification from the {plan.name} run", IDENTIFIED_S)
 
 
 def _why(chain: Chain) -> str:
-    """The driver's reason, where it stopped the arm."""
-    fault = chain.values("canopen_driver").get("fault")
-    return f" ({fault})" if fault else ""
+    """The driver's reason, where it stopped the arm; it may be known only a little later."""
+    end = time.monotonic() + REASON_S
+
+    def fault() -> str:
+        return chain.values("canopen_driver").get("fault", "")
+
+    chain.wait(lambda: fault() or time.monotonic() > end, "the driver's reason", 2 * REASON_S)
+    return f" ({fault()})" if fault() else ""

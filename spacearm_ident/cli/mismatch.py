@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
-from ..dynamics.model import IdentifiedModel
-from ..dynamics.model_file import load_model
 from ..errors import UserError
 from ..mismatch.document import to_document
-from ..mismatch.explain import explain
 from ..mismatch.finding import DATA_UNFIT, Explanation, Finding
-from ..recording import Recording
-from ..report.mismatch_folder import write_mismatch
+from ..mismatch_session import explain_session
 from . import common
 
 DESCRIPTION = """
@@ -66,20 +60,23 @@ def run(options: argparse.Namespace) -> int:
             raise UserError(f"no effect {name!r}: there are {', '.join(EFFECTS)}")
     bags, references, judges = sort_bags(options.bags, options.reference, options.validate)
     with common.progress(options) as report:
-        reading = common.within(report, 0.0, 0.1)
-        reference = _reference(references, reading)
-        field, judged = common.read_bags(bags, reading), common.read_bags(judges, reading)
-        healthy = [] if isinstance(reference, IdentifiedModel) else list(reference)
-        recordings = [*field, *healthy, *judged]
-        arm = _arm(options, reference, recordings)
-        explanation = explain(arm, reference, field, judged, options.without, progress=common.within(report, 0.1, 0.95))
-        page = write_mismatch(explanation, arm, field, judged, healthy, options.out, options.command_line)
-    common.note_findings(options, recordings)
+        session = explain_session(
+            bags,
+            references,
+            judges,
+            options.out,
+            arm=options.arm,
+            gravity=options.gravity,
+            excluded=options.without,
+            command=options.command_line,
+            progress=report,
+        )
+    common.note_findings(options, session.recordings)
     if options.json:
-        print(json.dumps(to_document(explanation), indent=2, allow_nan=False))
+        print(json.dumps(to_document(session.explanation), indent=2, allow_nan=False))
     else:
-        print(summary(explanation, page))
-    return 1 if explanation.verdict == DATA_UNFIT else 0
+        print(summary(session.explanation, session.page))
+    return 1 if session.explanation.verdict == DATA_UNFIT else 0
 
 
 def sort_bags(
@@ -101,24 +98,6 @@ def sort_bags(
         else:
             raise UserError("no bag to explain: name at least one, as in 'spacearm mismatch BAG --reference BAG'")
     return bags, [path for group in reference for path in group], [path for group in validate for path in group]
-
-
-def _reference(paths: Sequence[Path], progress: common.Report) -> list[Recording] | IdentifiedModel:
-    """Bags, or the one model file."""
-    models = [path for path in paths if path.suffix in (".yaml", ".yml")]
-    if not models:
-        return common.read_bags(paths, progress)
-    if len(paths) > 1:
-        raise UserError("give bags of the healthy arm or one model file as --reference, not both")
-    return load_model(models[0])
-
-
-def _arm(
-    options: argparse.Namespace, reference: list[Recording] | IdentifiedModel, recordings: Sequence[Recording]
-) -> Arm:
-    if isinstance(reference, IdentifiedModel) and options.arm is None and options.gravity is None:
-        return reference.model.arm
-    return common.arm_of(options, recordings)
 
 
 def summary(explanation: Explanation, page: Path) -> str:

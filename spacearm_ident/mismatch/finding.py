@@ -166,6 +166,12 @@ class Explanation:
     judged_on: str = ""
     cutoff_hz: float = float("nan")
 
+    @property
+    def headline(self) -> str:
+        """The verdict in one line."""
+        names = [f"{f.effect} at {', '.join(f.joints)} (confidence {f.confidence:.2f})" for f in self.findings]
+        return ": ".join([self.verdict.replace("_", " "), *filter(None, ["; ".join(names or self.reasons)])])
+
 
 def unfit(joints: tuple[str, ...], reasons: tuple[str, ...]) -> Explanation:
     """The answer where the data cannot carry the question."""

@@ -4,7 +4,9 @@
 the excitation: the arm is identified from it, its parameters are published (latched) and the residual is live from
 then on. Every later run, with other coefficients, validates that model and completes the result folder, where the
 runs lie as bags, too. `/identifier/identify` starts over from all that is buffered, as `spacearm identify` would
-from a bag of it: the last third is held out. All of it runs in a process of its own (`identify_worker`).
+from a bag of it: the last third is held out. With `mismatch_reference` every run is compared with the healthy arm as
+well, as `spacearm mismatch` would, and the verdict is on `/diagnostics`. All of it runs in a process of its own
+(`worker`).
 """
 
 from __future__ import annotations
@@ -25,13 +27,15 @@ from ..dynamics.model import FRICTION_LAWS, IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..errors import UserError
 from ..identification.identified import Identified
+from ..mismatch.finding import NO_MISMATCH
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
 from ..session import AUTO
-from .identifier_messages import parameters_message, residual_messages, validation_figures
-from .identify_worker import Done, Failed, Job, Step, Worker
+from .identifier_messages import mismatch_figures, parameters_message, residual_messages, validation_figures
+from .jobs import Done, Explained, ExplainJob, IdentifyJob, Job
 from .message_buffer import Capture, MessageBuffer
 from .residual_stream import ResidualStream
 from .runtime import LATCHED, STREAM, Level, LiveNode, Status, run
+from .worker import Failed, Step, Worker
 
 RATE_HZ = 1000.0
 """Rate for which `buffer_s` is meant: slower joint states are kept for longer."""
@@ -41,6 +45,8 @@ RESIDUAL_S = 0.2
 UNDER_WAY = frozenset({"approach", "running", "returning", "stopping"})
 SHORTEST_S = 2.0
 LONGEST_PENDING = 4
+MISMATCH_FOLDER = "mismatch"
+"""Within the result folder."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,8 @@ class Identifier(LiveNode):
         self._known: Identified | None = None
         self._fitted: tuple[Path, ...] = ()
         self._last = Status(Level.OK, "nothing identified yet", part="identification")
+        self._to_explain: ExplainJob | None = None
+        self._verdict = Status(Level.OK, "nothing compared yet", part="mismatch")
         self._stream: ResidualStream | None = None
         self._seen = 0
         self._parameters = self.create_publisher(DiagnosticArray, "/identifier/parameters", LATCHED)
@@ -112,10 +120,18 @@ class Identifier(LiveNode):
         validate = _path(self.parameter("replay_validate", "", "Bag to validate the replay on; empty: hold-out"))
         self._replay_validate = (validate,) if validate else ()
         self._exit_after = self.parameter("exit_after_replay", False, "End when the replay is done")
-        for file in filter(None, (self._arm, self._structure, self._replay, validate)):
+        self._reference = _path(
+            self.parameter(
+                "mismatch_reference",
+                "",
+                "Bag or model.yaml of the healthy arm, to explain every run; empty: not",
+            )
+        )
+        for file in filter(None, (self._arm, self._structure, self._replay, validate, self._reference)):
             if not file.exists():
                 raise UserError(
-                    f"{file}: no such file or folder: correct the parameter arm, structure, replay or replay_validate"
+                    f"{file}: no such file or folder: correct the parameter arm, structure, replay, replay_validate or "
+                    "mismatch_reference"
                 )
 
     def _subscribe(self) -> None:
@@ -164,8 +180,13 @@ class Identifier(LiveNode):
         """Twenty times a second: what has arrived, news of the worker, the next run."""
         self._take_states()
         self._hear()
-        if self._worker is None and self._pending:
+        if self._worker is not None:
+            return
+        if self._pending:
             self._start_run(self._pending.popleft())
+        elif self._to_explain is not None:
+            job, self._to_explain = self._to_explain, None
+            self._start(job)
 
     def _start_run(self, mark: RunMark) -> None:
         """Identify from a finished run, or validate on it."""
@@ -213,8 +234,8 @@ class Identifier(LiveNode):
         captures: tuple[Capture, ...] = (),
         bag: Path | None = None,
         known: Identified | None = None,
-    ) -> Job:
-        return Job(
+    ) -> IdentifyJob:
+        return IdentifyJob(
             fitted=fitted,
             validated=validated,
             directory=self._directory,
@@ -228,11 +249,11 @@ class Identifier(LiveNode):
             known=known,
         )
 
-    def _start(self, job: Job) -> None:
+    def _start(self, job: IdentifyJob | ExplainJob) -> None:
         self._step = Step(0.0, "starting")
-        self._job = replace(job, captures=())
+        self._job = replace(job, captures=()) if isinstance(job, IdentifyJob) else job
         self._worker = Worker(job)
-        self.get_logger().info(f"identifying, as {job.command}")
+        self.get_logger().info(f"{job.name}, as {job.command}")
         self.publish_diagnostics()
 
     def _hear(self) -> None:
@@ -243,22 +264,30 @@ class Identifier(LiveNode):
                 continue
             job, self._job, self._worker = self._job, None, None
             assert job is not None
-            if isinstance(event, Done):
+            if isinstance(event, Failed):
+                self._fail(job, event)
+            elif isinstance(event, Explained):
+                self._report(job, event)
+            elif isinstance(job, IdentifyJob):
                 self._finish(job, event)
-            else:
-                self._last = Status(Level.ERROR, event.reason, {"bags": _names(job)}, "identification")
-                self.get_logger().error(event.reason)
             self.publish_diagnostics()
-            if self._replay is not None and self._replay in job.fitted and self._exit_after:
+            if self._replay is not None and self._replay in job.bags and self._exit_after and not self._to_explain:
                 self.exit_code = event.code if isinstance(event, Failed) else 0
 
-    def _finish(self, job: Job, done: Done) -> None:
+    def _fail(self, job: Job, event: Failed) -> None:
+        status = Status(Level.ERROR, event.reason, {"bags": _names(job)}, job.name)
+        if isinstance(job, IdentifyJob):
+            self._last = status
+        else:
+            self._verdict = status
+        self.get_logger().error(event.reason)
+
+    def _finish(self, job: IdentifyJob, done: Done) -> None:
         """Publish a result and go on with its model."""
         session = done.session
         if job.known is None:
             # Runs of a fit with a hold-out are not validated further: the fit has not seen all of its bag.
-            whole = job.validated == job.fitted
-            self._known, self._fitted = (session.identified, job.fitted) if whole else (None, ())
+            self._known, self._fitted = (session.identified, job.fitted) if job.holds_nothing_out else (None, ())
             self._use(session.identified.model, session.identified)
         for line in done.findings:
             self.get_logger().info(line)
@@ -266,6 +295,19 @@ class Identifier(LiveNode):
         message = f"identified and validated {session.validation.what}"
         self._last = Status(Level.OK, message, figures, "identification")
         self.get_logger().info(f"{message}; report: {session.page}")
+        if self._reference is not None:
+            judged = () if job.holds_nothing_out else job.validated
+            folder = self._directory / MISMATCH_FOLDER
+            self._to_explain = ExplainJob(job.fitted, judged, (self._reference,), folder, self._arm, self._gravity)
+
+    def _report(self, job: Job, explained: Explained) -> None:
+        """Publish a verdict."""
+        explanation = explained.explanation
+        figures = {"report": explained.page, "bags": _names(job), "reference": self._reference}
+        level = Level.OK if explanation.verdict == NO_MISMATCH else Level.WARN
+        message = explanation.headline
+        self._verdict = Status(level, message, {**figures, **mismatch_figures(explanation)}, job.name)
+        self.get_logger().info(f"{message}; report: {explained.page}")
 
     def _use(self, model: IdentifiedModel, identified: Identified | None) -> None:
         """Publish a model's parameters; from now on the residual is its."""
@@ -287,6 +329,8 @@ class Identifier(LiveNode):
     def diagnose(self) -> Sequence[Status]:
         """The buffer, the last identification, the residual."""
         statuses = [self._buffer_status(), self._last]
+        if self._reference is not None:
+            statuses.append(self._verdict)
         if self._stream is not None:
             figures = self._stream.figures()
             message = "live" if figures else "waiting for joint states"
@@ -298,7 +342,7 @@ class Identifier(LiveNode):
         first, last = buffer.span_ns()
         level, message = Level.OK, "waiting for a run"
         if self._worker is not None:
-            message = f"identifying, {self._step.share:.0%}: {self._step.what}"
+            message = f"{self._job.name if self._job else ''}, {self._step.share:.0%}: {self._step.what}"
         elif self._under_way is not None:
             message = f"run {self._under_way.name} is under way"
         elif not buffer.stored:
@@ -330,7 +374,7 @@ def _path(text: str) -> Path | None:
 
 def _names(job: Job) -> str:
     """The bags of a job, each once."""
-    return ", ".join(dict.fromkeys(str(path) for path in (*job.fitted, *job.validated)))
+    return ", ".join(map(str, job.bags))
 
 
 def _gravity(values: list[float]) -> tuple[float, float, float] | None:

@@ -11,6 +11,7 @@ from sensor_msgs.msg import JointState
 
 from ..dynamics.model import IdentifiedModel
 from ..identification.identified import Identified, Validation
+from ..mismatch.finding import Explanation
 from .residual_stream import Row
 
 FROM_FILE = "from a model file"
@@ -92,4 +93,20 @@ def validation_figures(validation: Validation) -> dict[str, object]:
         figures[f"max_Nm[{joint}]"] = fit.largest
         figures[f"r[{joint}]"] = fit.correlation
         figures[f"moving_relative_rms[{joint}]"] = judged.moving.relative_rms
+    return figures
+
+
+def mismatch_figures(explanation: Explanation) -> dict[str, object]:
+    """What `mismatch.json` says, as far as a person watches it."""
+    figures: dict[str, object] = {"verdict": explanation.verdict, "judged_on": explanation.judged_on}
+    for finding in explanation.findings:
+        name = f"{finding.effect}[{', '.join(finding.joints)}]"
+        figures[name] = "; ".join(f"{key} {value.value:.4g} {value.unit}" for key, value in finding.parameters.items())
+        figures[f"confidence of {name}"] = finding.confidence
+        figures[f"explained by {name}"] = finding.explained
+    for left in explanation.unexplained:
+        figures[f"unexplained[{', '.join(left.joints)}]"] = left.fraction
+    by_joint = (explanation.noise_floor_Nm, explanation.before_Nm, explanation.after_Nm)
+    for joint, *rms in zip(explanation.joints, *by_joint):
+        figures |= {f"{what}_Nm[{joint}]": value for what, value in zip(("noise", "before", "after"), rms)}
     return figures

@@ -117,11 +117,17 @@ class SetPointStream:
 
     @property
     def phase(self) -> Phase:
-        """Where the stream is; `done` from when the arm is at rest."""
-        if not self.moving:
+        """Where the stream is.
+
+        `done` from when the arm is at rest; where it was stopped, not before the last set-point: drives that are
+        enabled again must not meet it.
+        """
+        if not self._thread.is_alive():
             return Phase("done", 0)
         if self._stop.is_set():
             return Phase("stopping", 0)
+        if self._at_rest:
+            return Phase("done", 0)
         return self._run.phase(self._slot * self._period_s)
 
     def stop(self, reason: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -61,8 +61,10 @@ def rewrite_report(directory: Path) -> Path:
 
 
 @contextmanager
-def replacing(directory: Path) -> Iterator[Path]:
+def replacing(directory: Path, optional: Sequence[str] = ()) -> Iterator[Path]:
     """A folder to write into, whose files replace those of `directory` once the block has ended well.
+
+    Of the `optional` ones, those that are not written this time are removed: no two results are mixed.
 
     It lies inside `directory`, which may be a mount point: files then move without being copied. An error or a
     crash before the end changes nothing. Moving takes one rename a file; the file that makes the folder a result
@@ -80,6 +82,8 @@ def replacing(directory: Path) -> Iterator[Path]:
                     raise UserError(f"{directory / name} is a folder: move it away, or choose another --out")
             if FIGURES in names:
                 (directory / FIGURES).unlink(missing_ok=True)
+            for name in set(optional).difference(names):
+                (directory / name).unlink(missing_ok=True)
             for name in names:
                 os.replace(staging / name, directory / name)
     except OSError as error:

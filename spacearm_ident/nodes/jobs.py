@@ -1,0 +1,199 @@
+"""What the identifier has done by its worker: an identification, or the explanation of a mismatch.
+
+A job is what an offline command does, in words that cross to another process; it says which command.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from ..identification.identified import Identified
+from ..identification.identify import Progress
+from ..mismatch.finding import Explanation
+from ..mismatch_session import explain_session
+from ..recording import Recording, describe
+from ..session import AUTO, Session, find_arm, identify_session, read_bags, settings_for, within
+from .message_buffer import Capture, write_captures
+
+
+@dataclass(frozen=True)
+class Done:
+    """An identification, and what was found in the recordings, a line each."""
+
+    session: Session
+    findings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A mismatch explained (or none), and the page to open."""
+
+    explanation: Explanation
+    page: Path
+
+
+class Job(Protocol):
+    """Something to do."""
+
+    @property
+    def command(self) -> str:
+        """The offline command that does the same."""
+
+    @property
+    def bags(self) -> tuple[Path, ...]:
+        """The bags it is about, each once."""
+
+    @property
+    def name(self) -> str:
+        """What it is, a noun."""
+
+    def perform(self, progress: Progress) -> Done | Explained:
+        """Do it.
+
+        Raises:
+            UserError: The data or the folder do not allow it.
+        """
+
+
+@dataclass(frozen=True)
+class IdentifyJob:
+    """An identification; what `spacearm identify` does, from the same bags.
+
+    Attributes:
+        fitted, validated: Bags; `validated` may be empty (hold-out) or `fitted` again (no hold-out).
+        directory: Result folder.
+        arm: URDF or arm YAML; None: of the bags' `/robot_description`.
+        gravity: (3,) m/s^2 instead of the arm's; None: the arm's.
+        friction, cutoff_hz, structure: As `session.settings_for`.
+        captures: Written to `bag` before anything else.
+        bag: Where to.
+        known: Identification of `fitted`, where there is one.
+    """
+
+    fitted: tuple[Path, ...]
+    validated: tuple[Path, ...]
+    directory: Path
+    arm: Path | None = None
+    gravity: tuple[float, float, float] | None = None
+    friction: str = AUTO
+    cutoff_hz: float | None = None
+    structure: Path | None = None
+    captures: tuple[Capture, ...] = ()
+    bag: Path | None = None
+    known: Identified | None = None
+
+    name = "identification"
+
+    @property
+    def command(self) -> str:
+        """The offline command that does the same."""
+        words = ["spacearm", "identify", *map(str, self.fitted)]
+        if self.validated:
+            words += ["--validate", *map(str, self.validated)]
+        words += _arm_words(self.arm, self.gravity)
+        if self.friction != AUTO:
+            words += ["--friction", self.friction]
+        if self.structure is not None:
+            words += ["--structure", str(self.structure)]
+        if self.cutoff_hz is not None:
+            words += ["--bandwidth", f"{self.cutoff_hz:g}"]
+        return shlex.join([*words, "--out", str(self.directory)])
+
+    @property
+    def bags(self) -> tuple[Path, ...]:
+        """Fitted, then validated."""
+        return tuple(dict.fromkeys((*self.fitted, *self.validated)))
+
+    @property
+    def holds_nothing_out(self) -> bool:
+        """Whether the fit sees all of its bags."""
+        return self.validated == self.fitted
+
+    def perform(self, progress: Progress) -> Done:
+        """Write the captures, identify or validate, write the result.
+
+        Raises:
+            UserError: As `identify_session`.
+        """
+        if self.bag is not None:
+            progress(0.0, "writing the recording")
+            write_captures(self.bag, self.captures)
+        fitted = read_bags(self.fitted, within(progress, 0.05, 0.2))
+        again = self.holds_nothing_out
+        validated = fitted if again else read_bags(self.validated, within(progress, 0.2, 0.3))
+        recordings: list[Recording] = [*fitted, *(() if again else validated)]
+        arm = find_arm(self.arm, self.gravity, recordings)
+        session = identify_session(
+            fitted,
+            validated,
+            arm,
+            settings_for(arm, self.friction, self.cutoff_hz, self.structure),
+            self.directory,
+            command=self.command,
+            known=self.known,
+            progress=within(progress, 0.3, 1.0),
+        )
+        return Done(session, tuple(line for recording in recordings for line in describe(recording)))
+
+
+@dataclass(frozen=True)
+class ExplainJob:
+    """The explanation of a mismatch; what `spacearm mismatch` does, from the same bags.
+
+    Attributes:
+        field: Bags to explain.
+        judged: Bags to judge on; empty: the last third of `field`.
+        reference: Bags of the healthy arm, or one model file.
+        directory: Result folder.
+        arm, gravity: As `explain_session`.
+    """
+
+    field: tuple[Path, ...]
+    judged: tuple[Path, ...]
+    reference: tuple[Path, ...]
+    directory: Path
+    arm: Path | None = None
+    gravity: tuple[float, float, float] | None = None
+
+    name = "mismatch"
+
+    @property
+    def command(self) -> str:
+        """The offline command that does the same."""
+        words = ["spacearm", "mismatch", *map(str, self.field), "--reference", *map(str, self.reference)]
+        if self.judged:
+            words += ["--validate", *map(str, self.judged)]
+        words += _arm_words(self.arm, self.gravity)
+        return shlex.join([*words, "--out", str(self.directory)])
+
+    @property
+    def bags(self) -> tuple[Path, ...]:
+        """Explained, then judged on."""
+        return (*self.field, *self.judged)
+
+    def perform(self, progress: Progress) -> Explained:
+        """Explain, write the result.
+
+        Raises:
+            UserError: As `explain_session`.
+        """
+        session = explain_session(
+            self.field,
+            self.reference,
+            self.judged,
+            self.directory,
+            arm=self.arm,
+            gravity=self.gravity,
+            command=self.command,
+            progress=progress,
+        )
+        return Explained(session.explanation, session.page)
+
+
+def _arm_words(arm: Path | None, gravity: Sequence[float] | None) -> list[str]:
+    words = [] if arm is None else ["--arm", str(arm)]
+    return words if gravity is None else [*words, "--gravity", *(f"{value:g}" for value in gravity)]
