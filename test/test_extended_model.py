@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import small_arm
+from planted_arm import Friction, two_link_run
 from simulated_arm import CONFIG, paper_drives, paper_limits
 
 from spacearm_ident.cli.main import main
@@ -16,7 +17,7 @@ from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.trajectory import FourierTrajectory, random_feasible
 from spacearm_ident.excitation.trajectory_file import save_trajectory
-from spacearm_ident.identification.identify import identify
+from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.nodes.jobs import IdentifyJob
 from spacearm_ident.recording.motion import Motion
 from spacearm_ident.session import settings_for
@@ -235,6 +236,36 @@ def test_an_effect_is_identified_beside_the_base_model(tmp_path):
     assert found.value("preload", "elbow") == pytest.approx(0.5, abs=0.05)
     # The paper's joint spring and the harness's are one column: only their sum is known.
     assert found.value("stiffness", "elbow") + found.value("k_1", "elbow") == pytest.approx(3.0, abs=0.2)
+
+
+def late(torque: np.ndarray, rate_hz: float, seconds: float) -> np.ndarray:
+    samples = round(seconds * rate_hz)
+    return np.concatenate([np.repeat(torque[:1], samples, axis=0), torque[:-samples]])
+
+
+def filtered(torque: np.ndarray, rate_hz: float, seconds: float) -> np.ndarray:
+    # The exact step response between samples, held linear.
+    times = np.arange(8 * round(seconds * rate_hz)) / rate_hz
+    weights = np.exp(-times / seconds)
+    return np.stack([np.convolve(np.r_[np.full(len(times), c[0]), c], weights / weights.sum())[len(times) :][: len(c)]
+                     for c in torque.T], axis=1)  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "symbol", "spoilt"), [("time_delay", "delay", late), ("filter_lag", "lag", filtered)])
+def test_torque_that_is_late_does_not_pass_for_viscous_friction(kind, symbol, spoilt):
+    """A delay looks much like less viscous friction: the two are told apart, and neither is biased."""
+    laws = (Friction(k_v2=0.0, k_v3=0.0), Friction(f_c=1.5, k_v1=0.8, k_v2=0.0, k_v3=0.0, J_m=0.1))
+    planted = two_link_run(laws, seconds=20.0, rate_hz=500.0, seed=1, speed=1.0)
+    planted = replace(planted, torque=spoilt(planted.torque, 500.0, 0.008))
+    arm = arm_from_urdf(planted.urdf)
+    structure = {**structure_of(arm), kind: {"at": [{"joints": list(arm.joint_names)}]}}
+    result = identify([planted.recording(noise=[0.1, 0.05], seed=3)], arm, Settings(structure=structure))
+    found = {(item.symbol, item.joint): item for item in result.estimates}
+    wanted = {(symbol, "all"): 0.008, ("k_v1", "shoulder"): 4.0, ("k_v1", "elbow"): 0.8, ("J_m", "elbow"): 0.1}
+    for key, value in wanted.items():
+        assert found[key].determination.value == "determined by the data"
+        assert abs(found[key].value - value) < 3.5 * found[key].standard_error + 1e-3 * (symbol == "lag"), key
+    assert found[symbol, "all"].standard_error < 0.001
 
 
 def test_a_structure_that_does_not_fit_is_refused_in_one_line(tmp_path):

@@ -39,6 +39,11 @@ class Prior:
     held: FloatArray
     free: np.ndarray
 
+    def fixed_part(self, matrix: FloatArray) -> FloatArray:
+        """(r,) what the parameters that are not estimated contribute to a system's rows (r, p or more)."""
+        fixed = np.setdiff1d(np.arange(len(self.held)), self.free)
+        return np.asarray(matrix[:, fixed] @ self.held[fixed])
+
 
 def make_prior(model: TorqueModel, motions: Sequence[Motion]) -> Prior:
     """The prior of a model for data of this size."""

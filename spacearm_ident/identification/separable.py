@@ -65,6 +65,10 @@ def solve(
         start: (c,) constants to begin from; a grid search where None.
         gate: What a constant that may be absent must gain in that search.
     """
+    if start is None and regression.model.depends and regression.background[0] is None:
+        # What follows from the rest of the torque can be searched for only once there is a rest.
+        first = without_constants(regression, prior)
+        regression.update_background(first.parameters, first.constants)
     constants = grid_search(regression, gate) if start is None else start.copy()
     return levenberg_marquardt(regression, prior, constants)
 
@@ -77,7 +81,8 @@ def grid_search(regression: Regression, gate: float = PRESENCE_GATE) -> FloatArr
     constants = np.array([_first_value(grid) for grid in regression.grids])
     for term, first, count in regression.shaped_terms():
         grids = regression.grids[first : first + count]
-        best = _local_cost(regression, term, constants[first : first + count])
+        local = _Local(regression, term, constants)
+        best = local.cost(constants[first : first + count])
         for _ in range(SWEEPS):
             before = constants[first : first + count].copy()
             for k, grid in enumerate(grids):
@@ -86,7 +91,7 @@ def grid_search(regression: Regression, gate: float = PRESENCE_GATE) -> FloatArr
                     if value == trial[k]:
                         continue
                     trial[k] = value
-                    cost = _local_cost(regression, term, trial)
+                    cost = local.cost(trial)
                     if cost < best + gate * (float(value == 0.0) - float(constants[first + k] == 0.0)):
                         best = cost
                         constants[first + k] = value
@@ -107,26 +112,59 @@ def _first_value(grid: FloatArray) -> float:
     return 0.0 if grid[0] == 0 else float(grid[len(grid) // 2])
 
 
-def _local_cost(regression: Regression, term: int, constants: FloatArray) -> float:
-    """Weighted squares left in the term's rows when each joint is fitted by itself; infinite where implausible."""
-    cost = 0.0
-    for joint, (_, columns) in regression.shaped(term, constants).items():
-        rows = regression.rows[joint]
-        tail = np.column_stack([columns, rows.torque]) * rows.weight[:, None]
-        tail -= rows.basis @ (rows.basis.T @ tail)
-        if len(tail):
-            parameters = np.linalg.lstsq(tail[:, :-1], tail[:, -1], rcond=1e-8)[0]
-            if not regression.term(term).plausible(parameters, constants):
+class _Local:
+    """A term's rows, each joint fitted by itself beside what the other terms have there."""
+
+    def __init__(self, regression: Regression, term: int, constants: FloatArray) -> None:
+        """Project out the joint's other columns; those that constants shape as they are at `constants`."""
+        self._regression, self._term = regression, term
+        self._others: dict[int, FloatArray] = {}
+        middle = constants[:0]
+        for other, first, count in regression.shaped_terms():
+            values = constants[first : first + count]
+            if other == term:
+                middle = values
+                continue
+            for joint, (_, columns) in regression.shaped(other, values).items():
+                known = self._others.get(joint, np.empty((len(columns), 0)))
+                self._others[joint] = np.column_stack([known, columns])
+        joints = regression.shaped(term, middle)
+        self._basis = {joint: self._outside(joint) for joint in self._others if joint in joints}
+
+    def _outside(self, joint: int) -> FloatArray:
+        """Orthonormal basis of what the other terms' columns add to the fixed ones."""
+        rows = self._regression.rows[joint]
+        columns = self._others[joint] * rows.weight[:, None]
+        left, size, _ = np.linalg.svd(columns - rows.basis @ (rows.basis.T @ columns), full_matrices=False)
+        return np.asarray(left[:, size > 1e-8 * max(1e-12, size.max(initial=0.0))])
+
+    def cost(self, constants: FloatArray) -> float:
+        """Weighted squares left at these constants of the term; infinite where they are implausible."""
+        total, known = 0.0, self._regression.model.parameters
+        for joint, (indices, shaped) in self._regression.shaped(self._term, constants).items():
+            rows = self._regression.rows[joint]
+            if not len(rows.torque):
+                continue
+            held = np.array([known[index].scale == 0.0 for index in indices])
+            parameters = np.array([known[index].prior for index in indices])
+            torque = rows.torque - shaped[:, held] @ parameters[held]
+            tail = np.column_stack([shaped[:, ~held], torque]) * rows.weight[:, None]
+            tail -= rows.basis @ (rows.basis.T @ tail)
+            if joint in self._basis:
+                tail -= self._basis[joint] @ (self._basis[joint].T @ tail)
+            parameters[~held] = np.linalg.lstsq(tail[:, :-1], tail[:, -1], rcond=1e-8)[0]
+            if not self._regression.term(self._term).plausible(parameters, constants):
                 return float("inf")
-            cost += float(np.sum((tail[:, -1] - tail[:, :-1] @ parameters) ** 2))
-    return cost
+            total += float(np.sum((tail[:, -1] - tail[:, :-1] @ parameters[~held]) ** 2))
+        return total
 
 
 def solve_linear(regression: Regression, prior: Prior, constants: FloatArray) -> tuple[FloatArray, float]:
     """The exact parameters for given constants, and the cost."""
     matrix, vector = system(regression, prior, constants)
     parameters = prior.held.copy()
-    parameters[prior.free] = lstsq(matrix[:, prior.free], vector, lapack_driver="gelsy")[0]
+    known = prior.fixed_part(matrix)
+    parameters[prior.free] = lstsq(matrix[:, prior.free], vector - known, lapack_driver="gelsy")[0]
     return parameters, float(np.sum((matrix @ parameters - vector) ** 2))
 
 
@@ -219,7 +257,7 @@ def _step(matrix: FloatArray, vector: FloatArray, prior: Prior, searched: int, d
     damp[:, len(prior.free) :] = np.diag(np.sqrt(damping) * scale)
     solution = lstsq(
         np.concatenate([matrix[:, used], damp]),
-        np.concatenate([vector, np.zeros(searched)]),
+        np.concatenate([vector - prior.fixed_part(matrix), np.zeros(searched)]),
         lapack_driver="gelsy",
     )[0]
     return np.asarray(solution[len(prior.free) :])
