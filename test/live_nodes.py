@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from spacearm_ident.canbus.realtime import come_first
+
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(50 + os.getpid() % 20)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
@@ -50,7 +52,9 @@ class Processes:
         """A node by the name of its executable; each argument is what follows `-p`, such as `rate_hz:=100`."""
         parameters = [word for argument in ros_arguments for word in ("-p", argument)]
         code = f"import sys; from spacearm_ident.nodes.main import start; sys.exit(start({name!r}, sys.argv[1:]))"
-        return self.python("-c", code, *(["--ros-args", *parameters] if parameters else []), **options)
+        process = self.python("-c", code, *(["--ros-args", *parameters] if parameters else []), **options)
+        come_first(process.pid)
+        return process
 
     def python(self, *arguments: str, **options) -> subprocess.Popen:
         """A Python process; its output goes to `output`."""

@@ -31,6 +31,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from ..canbus.realtime import come_first
 from ..errors import UserError
 from .runtime import LATCHED
 
@@ -42,6 +43,8 @@ DOMAINS = range(1, 30)
 LONGEST_FOLDER = 60
 STOP_ORDER = ("trajectory", "identifier", "recorder", "canopen_driver", "simulated_arm")
 """Who moves the arm goes first, the arm itself last."""
+IN_TIME = frozenset(STOP_ORDER) - {"identifier"}
+"""Who must keep time on a machine that is busy with other things."""
 
 _LIBC = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
@@ -107,7 +110,7 @@ class Chain:
         words = [word for key, value in parameters.items() for word in ("-p", f"{key}:={_yaml(value)}")]
         command = [sys.executable, "-m", "spacearm_ident.cli.main", "node", name, "--ros-args", *words]
         with (self._logs / f"{name}.log").open("wb") as log:
-            return subprocess.Popen(
+            process = subprocess.Popen(
                 command,
                 env=self._environment,
                 stdin=subprocess.DEVNULL,
@@ -116,6 +119,9 @@ class Chain:
                 start_new_session=True,
                 preexec_fn=_end_with_parent,
             )
+        if name in IN_TIME:
+            come_first(process.pid)
+        return process
 
     def __enter__(self) -> Chain:
         """The chain."""
