@@ -69,8 +69,9 @@ def run(options: argparse.Namespace) -> int:
         raise UserError(
             "the demo needs ROS 2 (rclpy): source a Jazzy setup file, or install spacearm_ident with its extra 'ros'"
         )
-    # However it is ended, the nodes end first.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # However it is ended, the nodes end first (a shell's background job begins with SIGINT ignored).
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     options.out.mkdir(parents=True, exist_ok=True)
     plans = FAST_PLANS if options.fast else PLANS
     files = [write_trajectory(plan, options.out) for plan in plans]
