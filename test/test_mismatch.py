@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planted_arm import TWO_LINKS, Friction, two_link_run, urdf_of
+from planted_arm import TWO_LINKS, Friction, incommensurate, plant, two_link_run, urdf_of
 from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
@@ -349,6 +349,34 @@ def test_torque_that_is_late_is_late_by_so_much():
     answer = explained(late, *SLOW_ONES)
     assert [f.effect for f in answer.findings] == ["time_delay"]
     assert answer.findings[0].parameters["delay"].value == pytest.approx(0.012, rel=0.1)
+
+
+def carrying(seed, com):
+    """A run with 0.7 kg on the last link, at `com` (m) in its axes."""
+    elbow = TWO_LINKS[1]
+    mass = elbow.mass + 0.7
+    whole = (np.array(elbow.com) * elbow.mass + 0.7 * np.array(com)) / mass
+    parts = [(elbow.mass, np.array(elbow.com) - whole), (0.7, np.array(com) - whole)]
+    ixx, iyy, izz = (sum(m * (d @ d - d[k] ** 2) for m, d in parts) + elbow.inertia[j] for k, j in enumerate((0, 3, 5)))
+    ixz = elbow.inertia[2] - sum(m * d[0] * d[2] for m, d in parts)
+    heavier = replace(elbow, mass=mass, com=tuple(whole), inertia=tuple(map(float, (ixx, 0, ixz, iyy, 0, izz))))
+    time = np.arange(0.0, 16.0, 1 / 250.0)
+    motion = incommensurate(time, 2, seed, 1.0)
+    planted = plant(TWO_LINKS, LAWS, motion, 250.0, true_links=(TWO_LINKS[0], heavier))
+    return planted.recording(noise=NOISE, seed=seed + 100)
+
+
+@pytest.mark.parametrize("there", [(0.05, 0.0, 0.3), (-0.25, 0.0, 0.1)], ids=["held alike", "held elsewhere"])
+def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
+    here = (0.05, 0.0, 0.3)
+    answer = explain(ARM, [HEALTHY], [carrying(2, here)], [carrying(3, there)], SLOW_ONES)
+    (finding,) = answer.findings
+    assert finding.effect == "payload" and finding.joints == ("elbow",)
+    assert finding.parameters["mass"].value == pytest.approx(0.7, rel=0.1)
+    for axis, place in zip("xz", (here[0], here[2])):
+        assert finding.parameters[f"moment_{axis}"].value == pytest.approx(0.7 * place, abs=0.02)
+    assert ("held elsewhere" in finding.where) == (there != here)
+    assert finding.explained > 0.9
 
 
 def test_what_is_not_in_the_catalogue_is_called_unknown():

@@ -360,7 +360,7 @@ class Competition:
 
 def penalty(effect: Effect, rows: int) -> float:
     """What freedom costs, in chi-square: ln N a parameter (BIC), and as much a constant and its grid."""
-    free = sum(parameter.scale != 0.0 for parameter in effect.parameters)
+    free = sum(parameter.scale != 0.0 for parameter in effect.parameters) + len(effect.anew)
     searched = sum(np.log(rows) + 2 * np.log(len(constant.grid)) for constant in effect.constants)
     return float(free * np.log(rows) + searched)
 

@@ -8,7 +8,7 @@ chi-square. Nothing of that needs a row again: Gram matrices of a few columns do
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,8 @@ SHARP_SPEEDS = (2e-3, 8e-3, 0.025, 0.08)
 speed, rad/s, that make up any even curve there. What they are is the same in reference and field."""
 NUISANCE = 1 + len(SHARP_SPEEDS)
 """Columns a joint."""
+INVISIBLE = 1e-12
+"""Share of its energy below which what the base leaves of a column is rounding."""
 
 
 @dataclass(frozen=True)
@@ -176,16 +178,17 @@ class Evidence:
         held = np.concatenate([c.held for c in candidates])
         prior = np.array([p.prior for c in candidates for p in c.effect.parameters])
         values = np.where(held, prior, 0.0)
-        free = np.flatnonzero(~held)
+        energy = np.concatenate([np.sum(c.stacked.columns**2, axis=0) for c in candidates])
+        # What moves no torque, or none that the base could not, stays where it is.
+        free = np.flatnonzero(~held & (np.diag(gram) > INVISIBLE * energy))
         covariance = np.zeros_like(gram)
         if len(free):
-            unit = np.sqrt(np.maximum(np.diag(gram)[free], 1e-300))
+            unit = np.sqrt(np.diag(gram)[free])
             scaled = gram[np.ix_(free, free)] / np.outer(unit, unit)
             inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
             values[free] = inverse @ ((slope - gram @ values)[free] / unit) / unit
             covariance[np.ix_(free, free)] = inverse / np.outer(unit, unit)
         gain = float(2 * slope @ values - values @ gram @ values)
-        energy = np.concatenate([np.sum(c.stacked.columns**2, axis=0) for c in candidates])
         return Refit(values, gain, covariance, np.diag(gram) / np.maximum(energy, 1e-300))
 
     def residual_beside(self, candidates: Sequence[Candidate]) -> FloatArray:
@@ -245,19 +248,34 @@ class Unseen:
     def residual(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(V,) whitened residual with these effects in the model."""
         residual = self.torque - self.columns @ self.evidence.base_parameters(candidates, values)
-        first = 0
-        for candidate in candidates:
-            count = len(candidate.effect.parameters)
-            stacked = self._effect(candidate)
-            residual[stacked.rows] -= stacked.columns @ values[first : first + count]
-            first += count
-        return np.asarray(residual)
+        return without_effects(residual, candidates, values, self._effect)
 
     def _effect(self, candidate: Candidate) -> Stacked:
         key = id(candidate.effect), candidate.constants
         if key not in self._kept:
             self._kept[key] = candidate.effect, stacked_effect(self.scene, candidate.effect, candidate.constants)
         return self._kept[key][1]
+
+
+def without_effects(
+    residual: FloatArray,
+    candidates: Sequence[Candidate],
+    values: FloatArray,
+    stack: Callable[[Candidate], Stacked],
+) -> FloatArray:
+    """A residual (V,) less what effects of these values add; what belongs to a recording is fitted to this one."""
+    residual = residual.copy()
+    stacks = [stack(candidate) for candidate in candidates]
+    first = 0
+    for candidate, stacked in zip(candidates, stacks):
+        count = len(candidate.effect.parameters)
+        residual[stacked.rows] -= stacked.columns @ values[first : first + count]
+        first += count
+    for candidate, stacked in zip(candidates, stacks):
+        if candidate.effect.anew:
+            own = stacked.columns[:, candidate.effect.anew]
+            residual[stacked.rows] -= own @ np.linalg.lstsq(own, residual[stacked.rows], rcond=1e-9)[0]
+    return residual
 
 
 def stacked_effect(scene: Scene, effect: Effect, constants: Sequence[float]) -> Stacked:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from .evidence import Candidate, Evidence, base_columns, stacked_effect
+from .evidence import Candidate, Evidence, base_columns, stacked_effect, without_effects
 from .finding import Trace
 from .scene import Scene, Whitener
 
@@ -27,14 +27,12 @@ class Residuals:
 
     def of(self, base: FloatArray, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(V,) measured minus predicted, N·m."""
-        residual = self._torque - self._columns @ base
-        first = 0
-        for candidate in candidates:
-            count = len(candidate.effect.parameters)
-            stacked = stacked_effect(self.scene, candidate.effect, candidate.constants)
-            residual[stacked.rows] -= stacked.columns @ values[first : first + count]
-            first += count
-        return np.asarray(residual)
+        return without_effects(
+            self._torque - self._columns @ base,
+            candidates,
+            values,
+            lambda candidate: stacked_effect(self.scene, candidate.effect, candidate.constants),
+        )
 
     def rms(self, residual: FloatArray) -> FloatArray:
         """(n,) RMS by joint; NaN where a joint has no rows."""

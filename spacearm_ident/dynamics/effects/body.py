@@ -33,9 +33,14 @@ class Payload(Effect):
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """On the last link, as a point or with inertia of its own; on any other that moves against gravity."""
-        yield {"joint": arm.joint_names[-1], "last": True}
-        yield {"joint": arm.joint_names[-1], "last": True, "inertia": True}
+        """On the last link, as a point or with inertia of its own; on any other that moves against gravity.
+
+        A gripper may hold the same body elsewhere in another recording (`regripped`): the mass stays.
+        """
+        last = {"joint": arm.joint_names[-1], "last": True}
+        yield last
+        yield {**last, "inertia": True}
+        yield {**last, "inertia": True, "regripped": True}
         for joint in reversed(arm.joint_names[:-1]):
             yield {"joint": joint}
 
@@ -49,6 +54,11 @@ class Payload(Effect):
         if place.get("inertia"):
             parameters += [Parameter(f"dI{axis}{axis}", joint, "kg m^2", scale=0.2) for axis in "xyz"]
         return cls(tuple(parameters), place=place)
+
+    @property
+    def anew(self) -> tuple[int, ...]:
+        """Where it is held."""
+        return tuple(range(1, len(self.parameters))) if self.place.get("regripped") else ()
 
     def plausible(self, parameters: FloatArray, constants: Sequence[float]) -> bool:
         """A mass within reach of its link; a negative one only where a tool was taken off, at the last link."""
@@ -78,7 +88,8 @@ class Payload(Effect):
 
     def where(self, values: FloatArray) -> str:
         """On which link."""
-        return f"{values[0]:.3g} kg on the link of {self.place['joint']}"
+        held = ", held elsewhere in the recordings that were judged on" if self.anew else ""
+        return f"{values[0]:.3g} kg on the link of {self.place['joint']}{held}"
 
 
 @dataclass(frozen=True)

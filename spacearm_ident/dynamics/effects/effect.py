@@ -82,6 +82,11 @@ class Effect(Term):
         """Whether it cannot be told without recorded temperatures."""
         return False
 
+    @property
+    def anew(self) -> tuple[int, ...]:
+        """Numbers of the parameters that belong to a recording, not to the arm: another recording has its own."""
+        return ()
+
     def again(self, arm: Arm) -> Effect | None:
         """A further one of the same kind at the same place (another harmonic), once this one is known."""
         return None
