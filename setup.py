@@ -35,6 +35,8 @@ setup(
     extras_require={
         # A ROS 2 Jazzy machine has these from its own packages; elsewhere they come from wheels.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        # The neural network of bench/figure2.py; everything else runs without.
+        "bench": ["scikit-learn"],
         "test": ["pytest", "pytest-rerunfailures", "hypothesis", "rosbags", "mcap-ros2-support", "ruff"],
     },
     zip_safe=False,

@@ -19,6 +19,7 @@ from .dynamics.model_file import load_model
 from .errors import UserError
 from .identification.identified import Identified, Validation
 from .identification.identify import Progress, Settings, identify, with_provenance
+from .identification.solvers import SEPARABLE, require_solver
 from .identification.validation import split, validate
 from .recording import Recording, read_recording
 from .report.folder import write_result
@@ -129,7 +130,12 @@ def find_arm(file: Path | None, gravity: Sequence[float] | None, recordings: Seq
 
 
 def settings_for(
-    arm: Arm, friction: str = AUTO, cutoff_hz: float | None = None, structure: Path | None = None
+    arm: Arm,
+    friction: str = AUTO,
+    cutoff_hz: float | None = None,
+    structure: Path | None = None,
+    solver: str = SEPARABLE,
+    seed: int = 0,
 ) -> Settings:
     """Settings from the words of a user.
 
@@ -138,15 +144,21 @@ def settings_for(
         friction: `auto` (the paper's law, and what else the data demand), or one of `FRICTION_LAWS`.
         cutoff_hz: Bandwidth; None: chosen from the data.
         structure: Model file whose terms are identified, effects included; its values do not count.
+        solver: One of `SOLVERS`.
+        seed: Of its particle swarm, where it has one.
 
     Raises:
-        UserError: No friction law of that name, one beside a structure, or a structure that is not of this arm.
+        UserError: No friction law or solver of that name, a negative seed, a law beside a structure, or a structure
+            that is not of this arm.
     """
+    require_solver(solver)
+    if seed < 0:
+        raise UserError(f"seed {seed}: a seed is a whole number from 0 on")
     if structure is None:
-        return Settings(cutoff_hz, None if friction == AUTO else structure_of(arm, friction))
+        return Settings(cutoff_hz, None if friction == AUTO else structure_of(arm, friction), solver, seed)
     if friction != AUTO:
         raise UserError(f"a structure has its own friction law: leave out friction {friction} or {structure}")
-    return Settings(cutoff_hz, structure_of_file(structure, arm))
+    return Settings(cutoff_hz, structure_of_file(structure, arm), solver, seed)
 
 
 def structure_of_file(path: Path, arm: Arm) -> Structure:

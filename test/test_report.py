@@ -51,7 +51,7 @@ from spacearm_ident.report.verdict import judge_result
 
 FILES = {
     *("model.yaml", "parameters.csv", "base_parameters.csv", "identified.urdf"),
-    *("validation.json", "report.html", "result.json", "result.npz"),
+    *("validation.json", "covariance.json", "report.html", "result.json", "result.npz"),
 }
 STRUCTURE = {
     "rigid_body": {},

@@ -8,6 +8,7 @@ from typing import Any
 
 from ..dynamics.model import FRICTION_LAWS
 from ..identification.identified import Identified, Validation
+from ..identification.solvers import SEPARABLE, SOLVERS
 from ..report.tables import validation_dict
 from ..session import AUTO, identify_session, settings_for
 from . import common
@@ -48,6 +49,15 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="identify the terms of this model file, its effects (extended_model.yaml) included; instead of --friction",
     )
+    command.add_argument(
+        "--solver",
+        choices=SOLVERS,
+        default=SEPARABLE,
+        help="separable (default): grid, then Levenberg-Marquardt; pso-separable: a particle swarm in place of the "
+        "grid; pso-lm: the paper's, over all its parameters, to compare with; idim-iv: instrumental variables, to see "
+        "whether noise in the positions biases least squares",
+    )
+    command.add_argument("--seed", type=int, default=0, metavar="N", help="of the particle swarms (default 0)")
     common.add_output_options(command)
     command.set_defaults(run=run)
 
@@ -62,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
             fitted,
             validated,
             arm,
-            settings_for(arm, options.friction, options.bandwidth, options.structure),
+            settings_for(arm, options.friction, options.bandwidth, options.structure, options.solver, options.seed),
             options.out,
             command=options.command_line,
             progress=common.within(report, 0.3, 1.0),
@@ -80,6 +90,7 @@ def summary(identified: Identified, validation: Validation, page: Path) -> str:
     """The result on a terminal."""
     bandwidth = identified.bandwidth
     lines = [
+        f"solver {identified.solver}",
         f"bandwidth {bandwidth.cutoff_hz:.3g} Hz: {bandwidth.reason}",
         *identified.notes,
         *(f"added to the model: {choice.term}" for choice in identified.choices if choice.accepted),

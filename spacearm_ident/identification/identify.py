@@ -1,7 +1,8 @@
 """From recordings to an `Identified` model: the one pass every front end calls.
 
-Recordings -> motions -> regression -> separable solution, reweighted by its own residual -> structure -> standard
-errors -> physically consistent full set -> what determined each of the parameters.
+Recordings -> motions -> regression -> solution, reweighted by its own residual -> structure -> standard errors ->
+physically consistent full set -> what determined each of the parameters. The solver is the separable one unless
+another of `solvers` is asked for.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from ..errors import UnfitDataError, UserError
 from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare, require_joints
+from . import instrumental, pso_lm
 from .consistency import make_consistent
 from .determination import judge, open_ended
 from .identified import Choice, Identified
 from .prior import Prior, make_prior
 from .regression import Regression
-from .separable import Solution, solve, system, without_constants
+from .separable import PRESENCE_GATE, Solution, solve, system, without_constants
+from .solution_columns import all_columns, residuals_of
+from .solvers import IDIM_IV, PSO_LM, SEEDED, SEPARABLE, Search, require_solver, search_of
 from .structure import choose_structure
 from .uncertainty import covariance
 from .weights import Noise, reweight
@@ -40,21 +44,26 @@ class Settings:
     Attributes:
         cutoff_hz: Low-pass cut-off; chosen from the data where None.
         structure: Terms and options; None: the paper's, and what of `structure.OPTIONAL` the data demand.
+        solver: One of `solvers.SOLVERS`. `pso-lm` takes the paper's unknowns, and nothing the data might demand.
+        seed: Of the particle swarms: the same seed gives the same result.
     """
 
     cutoff_hz: float | None = None
     structure: Structure | None = None
+    solver: str = SEPARABLE
+    seed: int = 0
 
 
 @dataclass
 class _Fit:
-    """A regression, its solution and the noise its residual shows."""
+    """A regression, its solution and the noise its residual shows; how the solver worked, in words."""
 
     regression: Regression
     prior: Prior
     solution: Solution
     residuals: list[FloatArray]
     noise: list[list[Noise]]
+    stages: tuple[str, ...] = ()
 
 
 def identify(
@@ -75,23 +84,32 @@ def identify(
 
     Raises:
         UnfitDataError: No motion, no torque, or too short.
-        UserError: A joint of the arm that a recording does not have.
+        UserError: A joint of the arm that a recording does not have, or no solver of that name.
     """
     settings = settings or Settings()
+    require_solver(settings.solver)
     report = progress or (lambda share, what: None)
     _check(recordings, arm)
     report(0.0, "filtering")
     motions, bandwidth = prepare(recordings, arm.joint_names, settings.cutoff_hz)
     report(0.2, "searching the friction constants")
     choices: tuple[Choice, ...] = ()
-    fit = _fit(TorqueModel(arm, settings.structure or structure_of(arm)), motions)
-    if settings.structure is None:
-        report(0.5, "testing what else the data demand")
-        structure, choices = choose_structure(fit.regression, fit.solution)
-        if structure != fit.regression.model.structure:
-            fit = _fit(TorqueModel(arm, structure), motions, fit)
+    model = TorqueModel(arm, settings.structure or structure_of(arm))
+    if settings.solver == PSO_LM:
+        fit = _fit_as_published(TorqueModel(arm, pso_lm.as_published(model.structure)), motions, settings.seed)
+    else:
+        search = search_of(settings.solver, settings.seed)
+        fit = _fit(model, motions, search)
+        if settings.structure is None:
+            report(0.5, "testing what else the data demand")
+            structure, choices = choose_structure(fit.regression, fit.solution)
+            if structure != fit.regression.model.structure:
+                fit = _fit(TorqueModel(arm, structure), motions, search, fit)
+    if settings.solver == IDIM_IV:
+        report(0.7, "comparing with instrumental variables")
+        fit = _fit_instrumental(fit, recordings, bandwidth.cutoff_hz)
     report(0.8, "standard errors and physical consistency")
-    result = _conclude(fit, provenance or {}, choices, bandwidth)
+    result = _conclude(fit, provenance or {}, choices, bandwidth, _solver_words(settings, fit.solution))
     report(1.0, "done")
     return result
 
@@ -108,32 +126,85 @@ def _check(recordings: Sequence[Recording], arm: Arm) -> None:
             )
 
 
-def _fit(model: TorqueModel, motions: list[Motion], start: _Fit | None = None) -> _Fit:
+def _fit(model: TorqueModel, motions: list[Motion], search: Search, start: _Fit | None = None) -> _Fit:
     """Solve, weight the rows by what the residual shows, solve again."""
     regression = Regression(model, motions, start.regression if start else None)
     prior = make_prior(model, motions)
     if start is None:
-        _first_weights(regression)
-        reweight(regression, residuals_of(regression, without_constants(regression, prior)))
-        # What a model leaves out makes its residual loud and slow, and a test under its weights blind. So the search is
-        # first free to take what helps, and what then is left weighs the rows of the search that counts.
-        flexible = solve(regression, prior, gate=0.0)
-        for _ in range(REWEIGHTINGS):
-            reweight(regression, residuals_of(regression, flexible))
-            flexible = solve(regression, prior, flexible.constants)
-        reweight(regression, residuals_of(regression, flexible))
-        solution = solve(regression, prior)
+        solution = searched(regression, prior, search)
     else:
         for rows, known in zip(regression.rows, start.regression.rows):
             rows.set_weight(known.weight)
         solution = solve(regression, prior, start.solution.constants)
-    residuals = residuals_of(regression, solution)
+    solution, noise = reweighted(regression, prior, solution)
+    return _Fit(regression, prior, solution, residuals_of(regression, solution), noise)
+
+
+def searched(regression: Regression, prior: Prior, search: Search) -> Solution:
+    """What a search over the constants finds, under weights that a more flexible one's residual shows."""
+    _first_weights(regression)
+    reweight(regression, residuals_of(regression, without_constants(regression, prior)))
+    # What a model leaves out makes its residual loud and slow, and a test under its weights blind. So the search is
+    # first free to take what helps, and what then is left weighs the rows of the search that counts.
+    flexible = solve(regression, prior, search(regression, prior, 0.0), gate=0.0)
+    for _ in range(REWEIGHTINGS):
+        reweight(regression, residuals_of(regression, flexible))
+        flexible = solve(regression, prior, flexible.constants)
+    reweight(regression, residuals_of(regression, flexible))
+    return solve(regression, prior, search(regression, prior, PRESENCE_GATE))
+
+
+def reweighted(regression: Regression, prior: Prior, solution: Solution) -> tuple[Solution, list[list[Noise]]]:
+    """A solution refined under the weights that its own residual shows, and that noise."""
     noise: list[list[Noise]] = []
     for _ in range(REWEIGHTINGS):
-        noise = reweight(regression, residuals)
+        noise = reweight(regression, residuals_of(regression, solution))
         solution = solve(regression, prior, solution.constants)
-        residuals = residuals_of(regression, solution)
-    return _Fit(regression, prior, solution, residuals, noise)
+    return solution, noise
+
+
+def _fit_as_published(model: TorqueModel, motions: list[Motion], seed: int) -> _Fit:
+    """PSO-LM on rows of equal weight; what its residual shows is for the standard errors only."""
+    regression = Regression(model, motions)
+    prior = make_prior(model, motions)
+    solution, found = pso_lm.solve(regression, prior, seed)
+    excess = pso_lm.gap(regression, prior, solution)
+    stages = [f"round {number}: {part.words}" for number, part in enumerate(found.rounds, start=1)]
+    stages.append(f"its residual is {excess:.4g} times what exact parameters leave beside its Stribeck velocities")
+    residuals = residuals_of(regression, solution)
+    noise = reweight(regression, residuals)
+    matrix, vector = system(regression, prior, solution.constants)
+    solution = replace(solution, cost=float(np.sum((matrix @ solution.parameters - vector) ** 2)))
+    return _Fit(regression, prior, solution, residuals, noise, tuple(stages))
+
+
+def _fit_instrumental(known: _Fit, recordings: Sequence[Recording], cutoff_hz: float) -> _Fit:
+    """Instrumental variables in the structure that least squares chose, and the verdict on how far apart they are."""
+    model = known.regression.model
+    plain, first, second = instrumental.split_motions(recordings, model.arm.joint_names, cutoff_hz)
+    regression = Regression(model, plain)
+    prior = make_prior(model, plain)
+    _first_weights(regression)
+    solution, noise = reweighted(regression, prior, solve(regression, prior, known.solution.constants))
+    parameters = instrumental.instrumental(
+        regression, Regression(model, first), Regression(model, second), prior, solution
+    )
+    residuals = residuals_of(regression, solution)
+    base = base_parameters(model)
+    fit = _Fit(regression, prior, replace(solution, parameters=parameters), residuals, noise)
+    errors = _base_errors(base, _covariance(fit), len(parameters))
+    verdict = instrumental.compare(base, parameters, solution.parameters, errors)
+    return replace(fit, stages=(verdict.words,))
+
+
+def _base_errors(base: BaseParameters, spread: FloatArray, count: int) -> FloatArray:
+    """(b,) standard errors of the base parameters."""
+    return np.sqrt(np.maximum(np.diag(base.regrouping @ spread[:count, :count] @ base.regrouping.T), 0.0))
+
+
+def _solver_words(settings: Settings, solution: Solution) -> str:
+    seed = f" (seed {settings.seed})" if settings.solver in SEEDED else ""
+    return f"{settings.solver}{seed}, Levenberg-Marquardt on all: {solution.status} after {solution.iterations} steps"
 
 
 def _first_weights(regression: Regression) -> None:
@@ -144,27 +215,9 @@ def _first_weights(regression: Regression) -> None:
             rows.set_weight(np.full(len(rows.torque), 10.0 / size))
 
 
-def residuals_of(regression: Regression, solution: Solution) -> list[FloatArray]:
-    """Per joint, (M,) measured minus predicted torque on the regression's rows, N·m."""
-    columns, numbers = all_columns(regression, solution)
-    return [
-        rows.torque - block @ solution.parameters[number]
-        for rows, block, number in zip(regression.rows, columns, numbers)
-    ]
-
-
-def all_columns(regression: Regression, solution: Solution) -> tuple[list[FloatArray], list[list[int]]]:
-    """Per joint, all unweighted columns (M, k) at the solution, and the parameters they belong to."""
-    columns = [[rows.fixed] for rows in regression.rows]
-    numbers = [list(rows.indices) for rows in regression.rows]
-    for term, first, count in regression.shaped_terms():
-        for joint, (indices, shaped) in regression.shaped(term, solution.constants[first : first + count]).items():
-            columns[joint].append(shaped)
-            numbers[joint].extend(indices)
-    return [np.concatenate(parts, axis=1) for parts in columns], numbers
-
-
-def _conclude(fit: _Fit, provenance: Mapping[str, Any], choices: tuple[Choice, ...], bandwidth: Any) -> Identified:
+def _conclude(
+    fit: _Fit, provenance: Mapping[str, Any], choices: tuple[Choice, ...], bandwidth: Any, solver: str
+) -> Identified:
     regression, prior, solution = fit.regression, fit.prior, fit.solution
     model = regression.model
     spread = _covariance(fit)
@@ -173,7 +226,7 @@ def _conclude(fit: _Fit, provenance: Mapping[str, Any], choices: tuple[Choice, .
     base = base_parameters(model)
     values = base.regrouping @ solution.parameters
     count = len(model.parameters)
-    errors = np.sqrt(np.maximum(np.diag(base.regrouping @ spread[:count, :count] @ base.regrouping.T), 0.0))
+    errors = _base_errors(base, spread, count)
     at_rest = tuple(
         joint
         for k, joint in enumerate(model.arm.joint_names)
@@ -194,9 +247,9 @@ def _conclude(fit: _Fit, provenance: Mapping[str, Any], choices: tuple[Choice, .
         rows=np.array([len(r) for r in fit.residuals]),
         bandwidth=bandwidth,
         choices=choices,
-        solver=f"separable, Levenberg-Marquardt on all: {solution.status} after {solution.iterations} steps",
+        solver=solver,
         joints_at_rest=at_rest,
-        notes=_notes(regression.motions, at_rest),
+        notes=(*_notes(regression.motions, at_rest), *fit.stages),
     )
 
 

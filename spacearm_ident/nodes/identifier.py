@@ -27,6 +27,7 @@ from ..dynamics.model import FRICTION_LAWS, IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..errors import UserError
 from ..identification.identified import Identified
+from ..identification.solvers import SEPARABLE, require_solver
 from ..mismatch.finding import NO_MISMATCH
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
 from ..session import AUTO
@@ -105,6 +106,8 @@ class Identifier(LiveNode):
         )
         if self._structure and self._friction != AUTO:
             raise UserError(f"parameter structure: it has its own friction law: leave friction at {AUTO}")
+        self._solver = require_solver(self.parameter("solver", SEPARABLE, "Solver, as spacearm identify --solver"))
+        self._seed = self.parameter("seed", 0, "Of the solver's particle swarm", low=0)
         bandwidth = self.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
         self._bandwidth = bandwidth or None
         self._buffer_s = self.parameter(
@@ -244,6 +247,8 @@ class Identifier(LiveNode):
             friction=self._friction,
             cutoff_hz=self._bandwidth,
             structure=self._structure,
+            solver=self._solver,
+            seed=self._seed,
             captures=captures,
             bag=bag,
             known=known,

@@ -13,6 +13,7 @@ from typing import Protocol
 
 from ..identification.identified import Identified
 from ..identification.identify import Progress
+from ..identification.solvers import SEPARABLE
 from ..mismatch.finding import Explanation
 from ..mismatch_session import explain_session
 from ..recording import Recording, describe
@@ -68,7 +69,7 @@ class IdentifyJob:
         directory: Result folder.
         arm: URDF or arm YAML; None: of the bags' `/robot_description`.
         gravity: (3,) m/s^2 instead of the arm's; None: the arm's.
-        friction, cutoff_hz, structure: As `session.settings_for`.
+        friction, cutoff_hz, structure, solver, seed: As `session.settings_for`.
         captures: Written to `bag` before anything else.
         bag: Where to.
         known: Identification of `fitted`, where there is one.
@@ -82,6 +83,8 @@ class IdentifyJob:
     friction: str = AUTO
     cutoff_hz: float | None = None
     structure: Path | None = None
+    solver: str = SEPARABLE
+    seed: int = 0
     captures: tuple[Capture, ...] = ()
     bag: Path | None = None
     known: Identified | None = None
@@ -99,6 +102,8 @@ class IdentifyJob:
             words += ["--friction", self.friction]
         if self.structure is not None:
             words += ["--structure", str(self.structure)]
+        if self.solver != SEPARABLE:
+            words += ["--solver", self.solver, "--seed", str(self.seed)]
         if self.cutoff_hz is not None:
             words += ["--bandwidth", f"{self.cutoff_hz:g}"]
         return shlex.join([*words, "--out", str(self.directory)])
@@ -131,7 +136,7 @@ class IdentifyJob:
             fitted,
             validated,
             arm,
-            settings_for(arm, self.friction, self.cutoff_hz, self.structure),
+            settings_for(arm, self.friction, self.cutoff_hz, self.structure, self.solver, self.seed),
             self.directory,
             command=self.command,
             known=self.known,

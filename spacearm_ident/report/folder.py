@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 from ..errors import UserError
 from ..identification.identified import Identified, Validation
+from .covariance_file import covariance_dict
 from .html import report_html
 from .store import FIGURES, Result, load_result, save_result
 from .tables import base_parameters_csv, parameters_csv, validation_dict
@@ -42,6 +43,8 @@ def write_result(identified: Identified, validation: Validation, directory: Path
         (staging / "parameters.csv").write_text(parameters_csv(identified), encoding="utf-8")
         (staging / "base_parameters.csv").write_text(base_parameters_csv(identified), encoding="utf-8")
         (staging / "identified.urdf").write_text(identified_urdf(identified.model), encoding="utf-8")
+        spread = json.dumps(covariance_dict(identified), indent=1, allow_nan=False)
+        (staging / "covariance.json").write_text(spread + "\n", encoding="utf-8")
         figures = json.dumps(validation_dict(identified, validation), indent=2, allow_nan=False)
         (staging / "validation.json").write_text(figures + "\n", encoding="utf-8")
         (staging / REPORT).write_text(report_html(result), encoding="utf-8")

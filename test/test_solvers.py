@@ -1,0 +1,165 @@
+"""Every solver goes from a bag to a result folder; the separable ones agree, and chance repeats itself."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pytest
+import small_arm
+from planted_arm import Friction, two_link_run
+
+from spacearm_ident.cli.main import main
+from spacearm_ident.dynamics.arm import arm_from_urdf
+from spacearm_ident.dynamics.model import TorqueModel, structure_of
+from spacearm_ident.errors import UserError
+from spacearm_ident.identification.identified import Determination, Identified
+from spacearm_ident.identification.identify import Settings, identify
+from spacearm_ident.identification.prior import make_prior
+from spacearm_ident.identification.pso import SwarmSettings
+from spacearm_ident.identification.pso_separable import search
+from spacearm_ident.identification.regression import Regression
+from spacearm_ident.identification.separable import levenberg_marquardt, solve
+from spacearm_ident.identification.solvers import SOLVERS
+from spacearm_ident.nodes.jobs import IdentifyJob
+from spacearm_ident.recording import write_recording
+from spacearm_ident.recording.signals import prepare
+from spacearm_ident.report.covariance_file import covariance_dict
+from spacearm_ident.session import settings_for
+
+ARM = arm_from_urdf(small_arm.URDF)
+PLANTED = two_link_run((Friction(f_c=5.0, f_b=8.0, v_b=0.1), Friction(f_c=3.0, J_m=0.2)))
+
+
+def planted_problem() -> Regression:
+    arm = arm_from_urdf(PLANTED.urdf)
+    motions, _ = prepare([PLANTED.recording(noise=0.05)], arm.joint_names)
+    regression = Regression(TorqueModel(arm, structure_of(arm)), motions)
+    for rows in regression.rows:
+        rows.set_weight(np.full(len(rows.torque), 20.0))
+    return regression
+
+
+def test_a_swarm_over_the_constants_ends_where_the_grid_does():
+    regression = planted_problem()
+    prior = make_prior(regression.model, regression.motions)
+    by_grid = solve(regression, prior)
+    start = search(regression, prior, 10.0, np.random.default_rng(0))
+    by_swarm = levenberg_marquardt(regression, prior, start)
+    assert by_swarm.cost < by_grid.cost + 20.0  # a gate or two; the wrong minimum is thousands above
+    names = [constant.name for constant in regression.model.constants]
+    assert by_swarm.constants[names.index("v_b[shoulder]")] == pytest.approx(0.1, rel=0.03)
+
+
+def test_the_swarm_s_best_place_is_kept_however_few_it_sees():
+    regression = planted_problem()
+    prior = make_prior(regression.model, regression.motions)
+    # One particle that never moves stands where all that may be absent is.
+    found = search(regression, prior, 10.0, np.random.default_rng(0), SwarmSettings(1, 0))
+    assert np.array_equal(found, np.zeros(len(regression.grids)))
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, Identified]:
+    recording = small_arm.recording()
+    return {
+        solver: identify([recording], ARM, Settings(5.0, structure_of(ARM, "coulomb-viscous"), solver, 4))
+        for solver in SOLVERS
+    }
+
+
+def value(result: Identified, name: str) -> float:
+    return next(estimate.value for estimate in result.estimates if estimate.name == name)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_each_solver_identifies_a_small_arm(results, solver):
+    result = results[solver]
+    assert result.solver.startswith(solver)
+    assert ("seed 4" in result.solver) == solver.startswith("pso")
+    for name, truth in (("f_c[shoulder]", 3.0), ("k_v1[shoulder]", 2.0), ("f_c[elbow]", 1.5), ("k_v1[elbow]", 0.8)):
+        assert value(result, name) == pytest.approx(truth, rel=0.1), name
+    # A spring that is held at zero has no error; everything else has.
+    assert np.isfinite(result.base_errors).all() and (result.base_errors > 0).sum() >= len(result.base_errors) - 2
+    assert any(estimate.determination is Determination.DATA for estimate in result.estimates)
+    assert any(estimate.determination is Determination.COMBINED for estimate in result.estimates)
+
+
+def test_without_a_constant_to_search_the_separable_ones_are_the_same(results):
+    assert np.array_equal(results["separable"].base_values, results["pso-separable"].base_values)
+
+
+def test_pso_lm_takes_the_paper_s_unknowns_and_tells_both_stages(results):
+    result = results["pso-lm"]
+    assert any(estimate.name == "k_1[elbow]" and estimate.value != 0.0 for estimate in result.estimates)
+    assert any("PSO F" in note and "LM ->" in note for note in result.notes)
+    assert any("times what exact parameters leave" in note for note in result.notes)
+
+
+def test_the_same_seed_gives_the_same_result_and_another_another(results):
+    recording, structure = small_arm.recording(), structure_of(ARM, "coulomb-viscous")
+    again, other = (identify([recording], ARM, Settings(5.0, structure, "pso-lm", seed)) for seed in (4, 5))
+    assert np.array_equal(results["pso-lm"].model.parameters, again.model.parameters)
+    assert not np.array_equal(again.model.parameters, other.model.parameters)
+
+
+def test_an_unknown_solver_is_refused_with_those_there_are():
+    with pytest.raises(UserError, match=r"no solver 'magic': choose one of separable, pso-lm, pso-separable, idim-iv"):
+        settings_for(ARM, solver="magic")
+    with pytest.raises(UserError, match="no solver 'magic'"):
+        identify([small_arm.recording(duration_s=4.0)], ARM, Settings(solver="magic"))
+
+
+def test_a_negative_seed_is_refused():
+    with pytest.raises(UserError, match="seed -1: a seed is a whole number from 0 on"):
+        settings_for(ARM, solver="pso-lm", seed=-1)
+
+
+def test_the_command_passes_solver_and_seed_on(tmp_path, capsys):
+    bag = tmp_path / "run.mcap"
+    write_recording(bag, small_arm.recording())
+    words = ["identify", bag, "--out", tmp_path / "out", "--friction", "coulomb-viscous", "--bandwidth", 5]
+    assert main([str(word) for word in [*words, "--solver", "pso-lm", "--seed", 7]]) == 0
+    assert "solver pso-lm (seed 7)" in capsys.readouterr().out
+    assert "pso-lm (seed 7)" in (tmp_path / "out" / "report.html").read_text()
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in [*words, "--solver", "magic"]])
+    assert ended.value.code == 2 and "magic" in capsys.readouterr().err
+
+
+def test_the_job_of_the_node_says_which_command_does_the_same(tmp_path):
+    job = IdentifyJob((tmp_path / "a.mcap",), (), tmp_path, solver="pso-separable", seed=3)
+    assert "--solver pso-separable --seed 3" in job.command
+    assert "--solver" not in IdentifyJob((tmp_path / "a.mcap",), (), tmp_path).command
+
+
+def test_the_covariance_of_what_is_determined_is_exported(results):
+    result = results["separable"]
+    exported = json.loads(json.dumps(covariance_dict(result)))
+    names = [item["name"] for item in exported["unknowns"]]
+    spread, mean = np.array(exported["covariance"]), np.array(exported["mean"])
+    assert spread.shape == (len(names),) * 2 and np.array_equal(spread, spread.T)
+    assert np.linalg.eigvalsh(spread / np.outer(*[np.sqrt(np.diag(spread))] * 2))[0] > -1e-9
+    known = [k for k, error in enumerate(result.base_errors) if error > 0]
+    assert names == [result.base.names[k] for k in known]
+    assert np.sqrt(np.diag(spread)) == pytest.approx(result.base_errors[known])
+    assert mean == pytest.approx(result.base_values[known])
+    # The map, applied to the parameters of model.yaml by name, gives the model's base values.
+    values = {item.name: value for item, value in zip(result.model.model.parameters, result.model.parameters)}
+    for name, value in zip(names, exported["model"]):
+        assert sum(factor * values[part] for part, factor in exported["map"][name].items()) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(("parameter", "words"), [("solver:=magic", "no solver 'magic'"), ("seed:=-1", "seed")])
+def test_a_node_with_a_parameter_that_cannot_be_says_so_and_ends(tmp_path, monkeypatch, parameter, words):
+    pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
+    live_nodes = pytest.importorskip("live_nodes")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(70 + os.getpid() % 20))
+    processes = live_nodes.Processes(tmp_path)
+    try:
+        node = processes.node("identifier", parameter, f"result_directory:={tmp_path / 'result'}")
+        assert node.wait(120.0) == 2, live_nodes.output(node)
+        assert words in live_nodes.output(node) and "Traceback" not in live_nodes.output(node)
+    finally:
+        processes.end()
