@@ -10,7 +10,9 @@ venv: .venv/.ready
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "Python 3.11 or newer is needed: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[ros,test]'
+	# An older pip would follow setup.cfg, as colcon must, and put the commands where no shell looks.
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 -c constraints.txt -e '.[ros,test]'
+	@$(BIN)/spacearm --version
 	@touch $@
 
 demo: venv
