@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import UnfitDataError, UserError
-from . import demo, identify, later, mismatch, node, report, simulate
+from . import demo, excite, identify, mismatch, node, report, simulate
 
-COMMANDS = (demo, identify, simulate, report, mismatch, later.EXCITE, node)
+COMMANDS = (demo, excite, identify, simulate, report, mismatch, node)
 
 
 def parser() -> argparse.ArgumentParser:

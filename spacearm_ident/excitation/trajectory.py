@@ -1,7 +1,7 @@
 """Trajectories: a run is a list of segments (rest, quintic, Fourier series) that join without a jump.
 
-A segment is anything with a duration that can be evaluated analytically (`Segment`); new kinds (sweeps,
-slow reversals, chirps) are one class here and one entry in `trajectory_file`.
+A segment is anything with a duration that can be evaluated analytically (`segments.Segment`); a new kind is one
+class and one entry in `trajectory_file`.
 """
 
 from __future__ import annotations
@@ -10,131 +10,33 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spacearm_ident.errors import UserError
 
-FloatArray = NDArray[np.float64]
+from .segments import FloatArray, Motion, MotionLimits, Quintic, Rest, Segment, still
+
+__all__ = [
+    "FloatArray",
+    "FourierTrajectory",
+    "Motion",
+    "MotionLimits",
+    "Quintic",
+    "Rest",
+    "Segment",
+    "Trajectory",
+    "draw_coefficients",
+    "random_feasible",
+]
 
 _GRID_S = 0.002
 """Step of the grid on which limits are verified: at 5 Hz, far above any excitation here, it misses 5e-4."""
-_LONGEST_MOVE_S = 120.0
-_MOVE_POINTS = 401
-"""Between these a fifth-order polynomial's extremes exceed the sampled ones by less than 1e-4."""
 _JOIN_TOLERANCE = 1e-6
 _PHASES = 40
 _BRAKES_S = (2.0, 1.5, 1.1, 0.8, 0.6, 0.4, 0.3)
 _PAUSE_S = 0.2
-
-
-class Motion(NamedTuple):
-    """Position, velocity, acceleration, (T, n) each; rad, rad/s, rad/s²."""
-
-    q: FloatArray
-    qd: FloatArray
-    qdd: FloatArray
-
-    def at(self, row: int) -> Motion:
-        """The state at one instant, three (n,) arrays."""
-        return Motion(self.q[row], self.qd[row], self.qdd[row])
-
-
-class Segment(Protocol):
-    """A piece of a run: analytic motion on [0, `duration_s`]."""
-
-    @property
-    def duration_s(self) -> float:
-        """How long the segment lasts, s."""
-
-    def evaluate(self, t: ArrayLike) -> Motion:
-        """Motion at the times `t` (T,), seconds from the start of the segment."""
-
-
-@dataclass(frozen=True, eq=False)
-class MotionLimits:
-    """What the arm may do: positions in [lower, upper], |velocity|, |acceleration|, (n,) each, SI."""
-
-    lower: FloatArray
-    upper: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-
-    def usage(self, motion: Motion) -> FloatArray:
-        """Largest share of each joint's limits a motion (T, n) uses, (n,); above 1 it breaks one.
-
-        Position counts as the distance from the middle of the range over half the range.
-        """
-        middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
-        shares = (
-            np.abs(motion.q - middle) / half,
-            np.abs(motion.qd) / self.velocity,
-            np.abs(motion.qdd) / self.acceleration,
-        )
-        return np.max([share.max(axis=0) for share in shares], axis=0)
-
-
-@dataclass(frozen=True, eq=False)
-class Rest:
-    """Standing still at `position` (n,)."""
-
-    position: FloatArray
-    duration_s: float
-
-    def evaluate(self, t: ArrayLike) -> Motion:
-        """Motion at `t` (T,): constant position."""
-        q = np.tile(self.position, (np.atleast_1d(t).size, 1))
-        return Motion(q, np.zeros_like(q), np.zeros_like(q))
-
-
-@dataclass(frozen=True, eq=False)
-class Quintic:
-    """The fifth-order polynomial from one state (q, qd, qdd; (n,) each) to another in `duration_s`."""
-
-    start: Motion
-    end: Motion
-    duration_s: float
-
-    def evaluate(self, t: ArrayLike) -> Motion:
-        """Motion at `t` (T,), s."""
-        T = self.duration_s
-        s = (np.atleast_1d(np.asarray(t, dtype=float)) / T)[:, None]
-        # In s = t/T the first three coefficients are the start state; the rest close on the end state.
-        c0, c1, c2 = self.start.q, T * self.start.qd, T**2 * self.start.qdd / 2
-        dq = self.end.q - (c0 + c1 + c2)
-        dv = T * self.end.qd - (c1 + 2 * c2)
-        da = T**2 * self.end.qdd - 2 * c2
-        c3, c4, c5 = 10 * dq - 4 * dv + da / 2, -15 * dq + 7 * dv - da, 6 * dq - 3 * dv + da / 2
-        return Motion(
-            c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5)))),
-            (c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / T,
-            (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / T**2,
-        )
-
-    def keeps(self, limits: MotionLimits) -> bool:
-        """Whether the move stays within the limits."""
-        return bool(limits.usage(self.evaluate(np.linspace(0.0, self.duration_s, _MOVE_POINTS))).max() <= 1.0)
-
-    @classmethod
-    def within(cls, limits: MotionLimits, start: Motion, end: Motion, shortest_s: float = 1.0) -> Quintic:
-        """The quickest such move, in steps of some 10 % from `shortest_s`, that keeps the limits.
-
-        Raises:
-            UserError: No duration up to two minutes does.
-        """
-        duration = shortest_s
-        while duration < _LONGEST_MOVE_S:
-            move = cls(start, end, duration)
-            if move.keeps(limits):
-                return move
-            # Whole tenths, so that what follows starts on a sample at any usual rate.
-            duration = math.ceil(11.0 * duration) / 10.0
-        raise UserError(
-            "no smooth move joins the start posture and the trajectory within the limits; "
-            "choose a start posture inside the position limits, or a trajectory that begins farther from them"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,10 +131,10 @@ class FourierTrajectory:
         """
         home = np.zeros(len(self.joints)) if start is None else np.asarray(start, dtype=float)
         first = self.evaluate(0.0).at(0)
-        still = [Rest(home, rest_s)] if rest_s > 0 else []
+        rest = [Rest(home, rest_s)] if rest_s > 0 else []
         away = _departure(limits, home, Motion(first.q, -first.qd, first.qdd))
         approach = [_backwards(segment) for segment in reversed(away)]
-        segments = [*still, *approach, self, *_departure(limits, home, first), *still]
+        segments = [*rest, *approach, self, *_departure(limits, home, first), *rest]
         return Trajectory(self.joints, tuple(segments))
 
 
@@ -295,21 +197,17 @@ def _departure(limits: MotionLimits, home: FloatArray, state: Motion) -> list[Re
     Raises:
         UserError: Neither keeps the limits.
     """
-    end = _still(home)
+    end = still(home)
     try:
         return [Quintic.within(limits, state, end)]
     except UserError as error:
         for brake_s in _BRAKES_S:
             # Where braking at a falling speed without turning round comes to a stop.
             stop = state.q + state.qd * brake_s / 2 + state.qdd * brake_s**2 / 12
-            brake = Quintic(state, _still(stop), brake_s)
+            brake = Quintic(state, still(stop), brake_s)
             if brake.keeps(limits):
-                return [brake, Rest(stop, _PAUSE_S), Quintic.within(limits, _still(stop), end)]
+                return [brake, Rest(stop, _PAUSE_S), Quintic.within(limits, still(stop), end)]
         raise error
-
-
-def _still(position: FloatArray) -> Motion:
-    return Motion(position, np.zeros_like(position), np.zeros_like(position))
 
 
 def _backwards(segment: Rest | Quintic) -> Rest | Quintic:
@@ -353,19 +251,22 @@ def random_feasible(
     """
     names = tuple(joints)
     rng = np.random.default_rng(seed)
-    a, b, centre = _draw(rng, limits, fundamental_hz, harmonics, (smallest_usage, usage))
+    a, b, centre = draw_coefficients(rng, limits, fundamental_hz, harmonics, (smallest_usage, usage))
     series = FourierTrajectory(names, centre, a, b, fundamental_hz, periods)
     return series.begun_where_joinable(limits, start)
 
 
-def _draw(
+def draw_coefficients(
     rng: np.random.Generator,
     limits: MotionLimits,
     fundamental_hz: float,
     harmonics: int,
     usage: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coefficients a, b (n, N_h) and centre (n,) of one random series within the limits."""
+    """Coefficients a, b (n, N_h) and centre (n,) of one random series within the limits (jerk apart).
+
+    `usage` is the smallest and the largest share of a limit a joint may use.
+    """
     n = len(limits.lower)
     # Coefficients are velocities (eq. 10), so every harmonic gets the same share of speed.
     a, b = rng.standard_normal((2, n, harmonics))

@@ -12,6 +12,10 @@ segments:
   a: [[0.1, 0.2], [0.3, 0.1]]         # rad/s, one row a joint, one column a harmonic
   b: [[0.0, 0.1], [0.2, 0.1]]
 - {kind: quintic, duration_s: 3.0}
+- {kind: cruise, duration_s: 2.0, position: [0.5, 0.0], velocity: [0.01, 0.0]}   # constant speed from there
+- {kind: quintic, duration_s: 3.0}
+- {kind: chirp, duration_s: 20.0, centre: [0.0, 0.0], amplitude: [0.01, 0.0], start_hz: 0.5, end_hz: 15.0}
+- {kind: quintic, duration_s: 3.0}
 - {kind: rest, duration_s: 1.0, position: [0.0, 0.0]}
 """
 
@@ -25,15 +29,8 @@ import numpy as np
 import yaml
 
 from spacearm_ident.errors import UserError
-from spacearm_ident.excitation.trajectory import (
-    FloatArray,
-    FourierTrajectory,
-    Motion,
-    Quintic,
-    Rest,
-    Segment,
-    Trajectory,
-)
+from spacearm_ident.excitation.segments import Chirp, Cruise, FloatArray, Motion, Quintic, Rest, Segment
+from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
 
 SCHEMA = "spacearm_ident/trajectory/1"
 
@@ -139,10 +136,34 @@ def _read_fourier(entry: object, where: str, joints: tuple[str, ...]) -> Fourier
     )
 
 
+def _read_cruise(entry: object, where: str, joints: tuple[str, ...]) -> Cruise:
+    fields = _fields(entry, where, ("kind", "duration_s", "position", "velocity"))
+    shape = (len(joints),)
+    return Cruise(
+        _array(fields, "position", where, shape),
+        _array(fields, "velocity", where, shape),
+        _positive(fields, "duration_s", where),
+    )
+
+
+def _read_chirp(entry: object, where: str, joints: tuple[str, ...]) -> Chirp:
+    fields = _fields(entry, where, ("kind", "duration_s", "centre", "amplitude", "start_hz", "end_hz"))
+    shape = (len(joints),)
+    return Chirp(
+        centre=_array(fields, "centre", where, shape),
+        amplitude=_array(fields, "amplitude", where, shape),
+        start_hz=_positive(fields, "start_hz", where),
+        end_hz=_positive(fields, "end_hz", where),
+        duration_s=_positive(fields, "duration_s", where),
+    )
+
+
 _READERS: dict[str, Callable[[object, str, tuple[str, ...]], Segment | float]] = {
     "rest": _read_rest,
     "quintic": _read_quintic,
     "fourier": _read_fourier,
+    "cruise": _read_cruise,
+    "chirp": _read_chirp,
 }
 
 
@@ -167,17 +188,33 @@ def _state_at_start(segment: Segment) -> Motion:
 def _segment_to_dict(segment: Segment) -> Entry:
     match segment:
         case Rest():
-            return {"kind": "rest", "duration_s": segment.duration_s, "position": segment.position.tolist()}
+            return {"kind": "rest", "duration_s": float(segment.duration_s), "position": segment.position.tolist()}
         case Quintic():
-            return {"kind": "quintic", "duration_s": segment.duration_s}
+            return {"kind": "quintic", "duration_s": float(segment.duration_s)}
         case FourierTrajectory():
             return {
                 "kind": "fourier",
-                "fundamental_hz": segment.fundamental_hz,
+                "fundamental_hz": float(segment.fundamental_hz),
                 "periods": segment.periods,
                 "q0": segment.q0.tolist(),
                 "a": segment.a.tolist(),
                 "b": segment.b.tolist(),
+            }
+        case Cruise():
+            return {
+                "kind": "cruise",
+                "duration_s": float(segment.duration_s),
+                "position": segment.position.tolist(),
+                "velocity": segment.velocity.tolist(),
+            }
+        case Chirp():
+            return {
+                "kind": "chirp",
+                "duration_s": float(segment.duration_s),
+                "centre": segment.centre.tolist(),
+                "amplitude": segment.amplitude.tolist(),
+                "start_hz": float(segment.start_hz),
+                "end_hz": float(segment.end_hz),
             }
     raise TypeError(f"no file form for {type(segment).__name__}")
 

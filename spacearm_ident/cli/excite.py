@@ -1,0 +1,292 @@
+"""`spacearm excite`: an excitation trajectory, optimised under all limits."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..dynamics.arm import load_arm
+from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..dynamics.model_file import load_model
+from ..errors import UserError
+from ..excitation.clearance import NEEDED_M, Clearance
+from ..excitation.composite import PURPOSES, compose, with_slow_segment
+from ..excitation.constraints import Margin, Requirements, check, limits_for_excitation
+from ..excitation.criteria import CRITERIA, CRITERION_WORDS, DEFAULT_CRITERION, Question
+from ..excitation.genetic import evolve
+from ..excitation.nominal import nominal_model
+from ..excitation.optimise import Excitation, optimise, optimise_harmonics
+from ..excitation.problem import Problem
+from ..excitation.segments import FloatArray
+from ..excitation.trajectory import Trajectory
+from ..excitation.trajectory_file import save_trajectory
+from . import common
+
+DESCRIPTION = """
+Optimise an excitation trajectory for an arm: a finite Fourier series whose recording tells most of the dynamics, with
+approach and return, under limits of position, velocity, acceleration, jerk, torque, frequency and clearance, all of
+them verified with their margins. The same --seed gives the same trajectory, another seed one with other coefficients:
+use it for validation. With --for, a composite run for one question instead (constant speeds, slow reversals, chirps).
+"""
+AUTO = "auto"
+METHODS = {"gradient": optimise, "genetic": evolve}
+INFORMATION_HZ = 1000.0
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser."""
+    command = commands.add_parser("excite", help="optimise an excitation trajectory", description=DESCRIPTION)
+    common.add_arm_options(command)
+    command.add_argument("--model", type=Path, metavar="FILE", help="model.yaml: what is known so far; default: CAD")
+    command.add_argument("--out", required=True, type=Path, metavar="FILE", help="trajectory file to write")
+    command.add_argument(
+        "--for", dest="purpose", choices=tuple(PURPOSES), help="a composite run for this instead of a Fourier series"
+    )
+    command.add_argument("--joints", nargs="+", metavar="JOINT", help="with --for: the joints to move; default: all")
+    command.add_argument(
+        "--criterion",
+        choices=CRITERIA,
+        default=DEFAULT_CRITERION,
+        help=f"what to make small (default {DEFAULT_CRITERION})",
+    )
+    command.add_argument("--optimiser", choices=tuple(METHODS), default="gradient", help="default gradient")
+    command.add_argument(
+        "--harmonics", default=AUTO, metavar="N", help="auto (default): the fewest beyond which little is gained"
+    )
+    command.add_argument("--fundamental", type=float, default=0.1, metavar="HZ", help="default 0.1")
+    command.add_argument("--periods", type=int, default=5, help="how often the period is repeated (default 5)")
+    command.add_argument(
+        "--slow", type=int, default=0, metavar="N", help="append N slow sines of 10 s, at most 0.01 rad/s (default 0)"
+    )
+    _add_limit_options(command)
+    command.add_argument("--seed", type=int, default=0, help="default 0")
+    common.add_output_options(command)
+    command.set_defaults(run=run)
+
+
+def _add_limit_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--start", type=float, nargs="+", metavar="RAD", help="posture of rest before and after (default: all zeros)"
+    )
+    command.add_argument("--jerk", type=float, nargs="+", metavar="RAD/S3", help="jerk limit: one, or one a joint")
+    command.add_argument(
+        "--structural-frequency", type=float, metavar="HZ", help="lowest resonance of the structure: stay below it"
+    )
+    command.add_argument(
+        "--ground", default=AUTO, metavar="Z", help="height of the floor, m; none; auto: 0 where gravity pulls down"
+    )
+    command.add_argument(
+        "--clearance", type=float, default=NEEDED_M, metavar="M", help=f"least distance (default {NEEDED_M:g})"
+    )
+    command.add_argument(
+        "--noise", type=float, nargs="+", metavar="NM", help="torque noise a joint (default: by torque limit)"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Load, optimise, write."""
+    identified = model_of(options)
+    joints = identified.model.arm.joint_names
+    start = _per_joint(options.start, joints, "--start")
+    needs, notes = requirements(options, identified, np.zeros(len(joints)) if start is None else start)
+    home = np.zeros(len(joints)) if start is None else start
+    excitation = None
+    with common.progress(options) as report:
+        if options.purpose is not None:
+            report(0.3, f"composing for {options.purpose}")
+            trajectory = compose(options.purpose, needs, home, options.joints)
+        else:
+            if options.joints is not None:
+                raise UserError("--joints goes with --for: a Fourier excitation moves all joints")
+            excitation = best(options, identified, needs, home, report)
+            trajectory = excitation.run
+            if options.slow:
+                trajectory = with_slow_segment(trajectory, needs, options.slow)
+        margins = check(trajectory, needs) if excitation is None or options.slow else excitation.margins
+    save_trajectory(trajectory, options.out)
+    for line in notes:
+        common.note(options, line)
+    if options.json:
+        common.print_json(document(options, trajectory, margins, excitation))
+    else:
+        print(summary(options, trajectory, margins, excitation, needs))
+    return 0
+
+
+def model_of(options: argparse.Namespace) -> IdentifiedModel:
+    """The model to plan with: identified, or of the CAD links alone.
+
+    Raises:
+        UserError: Neither arm nor model is given, or they are of different arms.
+    """
+    if options.arm is None and options.model is None:
+        raise UserError("no arm: give --arm ARM (URDF or arm YAML), --model model.yaml, or both")
+    identified = None if options.model is None else load_model(options.model)
+    arm = load_arm(options.arm) if options.arm is not None or identified is None else identified.model.arm
+    if options.gravity is not None:
+        arm = arm.with_gravity(np.array(options.gravity))
+    if identified is None:
+        return nominal_model(arm)
+    if identified.model.arm.joint_names != arm.joint_names:
+        raise UserError(
+            f"{options.model} is of an arm with the joints {', '.join(identified.model.arm.joint_names)}; "
+            f"{options.arm} has {', '.join(arm.joint_names)}"
+        )
+    return replace(identified, model=TorqueModel(arm, identified.model.structure))
+
+
+def requirements(
+    options: argparse.Namespace, identified: IdentifiedModel, start: FloatArray
+) -> tuple[Requirements, list[str]]:
+    """All limits, and notes on what was assumed."""
+    arm = identified.model.arm
+    for name in ("fundamental", "structural_frequency"):
+        value = getattr(options, name)
+        if value is not None and not value > 0:
+            raise UserError(f"--{name.replace('_', '-')} {value:g} must be above zero")
+    if options.periods < 1 or options.slow < 0:
+        raise UserError("--periods must be at least 1 and --slow at least 0")
+    jerk = _per_joint(options.jerk, arm.joint_names, "--jerk")
+    if jerk is not None and not np.all(jerk > 0):
+        raise UserError("--jerk must be above zero")
+    limits, notes = limits_for_excitation(arm, start, jerk)
+    clearance = Clearance(arm, _ground(options.ground, arm.gravity), limits.lower, limits.upper, options.clearance)
+    notes.append(f"clearance by {clearance.source}: {len(clearance.pairs)} pairs")
+    if clearance.unchecked:
+        pairs = ", ".join(f"{a}-{b}" for a, b in clearance.unchecked)
+        notes.append(f"not checked against each other, since they overlap in nearly every posture: {pairs}")
+    if options.model is None:
+        notes.append("torque by the CAD links alone: give --model for friction and rotors")
+    structural = options.structural_frequency
+    return Requirements.of(identified, limits, structural_hz=structural, clearance=clearance), notes
+
+
+def best(
+    options: argparse.Namespace,
+    identified: IdentifiedModel,
+    needs: Requirements,
+    start: FloatArray,
+    report: common.Report,
+) -> Excitation:
+    """The Fourier excitation asked for."""
+    question = Question.of(identified, _per_joint(options.noise, needs.joints, "--noise"))
+    method = METHODS[options.optimiser]
+    problem = Problem(question, needs, options.criterion, options.fundamental, 5, options.periods, start)
+    if options.harmonics == AUTO:
+        return optimise_harmonics(problem, options.seed, report, method)
+    try:
+        harmonics = int(options.harmonics)
+    except ValueError:
+        harmonics = 0
+    if harmonics < 1:
+        raise UserError(f"--harmonics {options.harmonics!r} is neither a whole number above zero nor auto")
+    return method(replace(problem, harmonics=harmonics), options.seed, report)
+
+
+def _per_joint(values: Sequence[float] | None, joints: Sequence[str], option: str) -> FloatArray | None:
+    if values is None:
+        return None
+    if len(values) not in (1, len(joints)):
+        raise UserError(f"{option} has {len(values)} numbers: give one, or one for each of {', '.join(joints)}")
+    return np.broadcast_to(np.asarray(values, dtype=float), len(joints)).copy()
+
+
+def _ground(choice: str, gravity: FloatArray) -> float | None:
+    if choice == "none":
+        return None
+    if choice == AUTO:
+        return 0.0 if gravity[2] < 0 else None
+    try:
+        return float(choice)
+    except ValueError:
+        raise UserError(f"--ground {choice!r} is neither a height in metres nor none nor auto") from None
+
+
+def worst(margins: Sequence[Margin]) -> list[Margin]:
+    """Of every kind of limit the one nearest to being broken."""
+    kinds = dict.fromkeys(margin.kind for margin in margins)
+    return [max((m for m in margins if m.kind == kind), key=lambda m: m.used) for kind in kinds]
+
+
+def document(
+    options: argparse.Namespace, trajectory: Trajectory, margins: Sequence[Margin], excitation: Excitation | None
+) -> dict[str, Any]:
+    """The result for programs."""
+    out: dict[str, Any] = {
+        "trajectory": str(options.out),
+        "joints": list(trajectory.joints),
+        "duration_s": float(trajectory.duration_s),
+        "margins": [
+            {
+                "kind": m.kind,
+                "where": m.where,
+                "value": float(m.value),
+                "limit": float(m.limit),
+                "unit": m.unit,
+                "at_s": float(m.at_s),
+                "used": float(m.used),
+            }
+            for m in margins
+        ],
+    }
+    if excitation is None:
+        return out | {"purpose": options.purpose, "spectrum": PURPOSES[options.purpose]}
+    series = excitation.series
+    return out | {
+        "criterion": options.criterion,
+        "criteria": {name: _finite(value) for name, value in excitation.criteria.items()},
+        "harmonics": series.a.shape[1],
+        "fundamental_hz": series.fundamental_hz,
+        "periods": series.periods,
+        "tried": [{"harmonics": n, "value": _finite(value)} for n, value in excitation.tried],
+        "prediction_sd_Nm": dict(zip(trajectory.joints, excitation.prediction_sd.tolist())),
+        "constants_relative_error": whole_errors(excitation, trajectory),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def whole_errors(excitation: Excitation, trajectory: Trajectory) -> dict[str, float]:
+    """Relative standard errors of the model's constants after the whole run, slow segment included."""
+    times = np.arange(0.0, trajectory.duration_s, 1.0 / INFORMATION_HZ)
+    information = excitation.problem.question.information(trajectory.evaluate(times), INFORMATION_HZ)
+    return information.relative_errors(len(times))
+
+
+def summary(
+    options: argparse.Namespace,
+    trajectory: Trajectory,
+    margins: Sequence[Margin],
+    excitation: Excitation | None,
+    needs: Requirements,
+) -> str:
+    """The result on a terminal."""
+    lines = []
+    if excitation is None:
+        lines.append(f"for {options.purpose}: {PURPOSES[options.purpose]}")
+    else:
+        series = excitation.series
+        if excitation.tried:
+            tried = ", ".join(f"{n}: {value:.4g}" for n, value in excitation.tried)
+            lines.append(f"{options.criterion} by number of harmonics {tried}")
+        lines.append(f"{series.a.shape[1]} harmonics of {series.fundamental_hz:g} Hz, {series.periods} periods")
+        for name, value in excitation.criteria.items():
+            chosen = "  <- optimised" if name == options.criterion else ""
+            lines.append(f"  {CRITERION_WORDS[name]:<64}{value:>10.4g}{chosen}")
+        sd = ", ".join(f"{value:.3g}" for value in excitation.prediction_sd)
+        lines.append(f"sd of predicted torque, N m, by joint: {sd}")
+        errors = whole_errors(excitation, trajectory)
+        if errors:
+            lines.append("relative errors: " + ", ".join(f"{name} {value:.2g}" for name, value in errors.items()))
+    lines.append(f"{'limit':<14}{'nearest to it':<28}{'value':>10}{'limit':>10} {'unit':<8}{'used':>6}")
+    for m in worst(margins):
+        lines.append(f"{m.kind:<14}{m.where:<28}{m.value:>10.4g}{m.limit:>10.4g} {m.unit:<8}{m.used:>6.0%}")
+    lines.append(f"{options.out}: {trajectory.duration_s:.1f} s, all limits of {len(needs.joints)} joints kept")
+    return "\n".join(lines)

@@ -1,0 +1,218 @@
+"""How far the arm stays from itself and from the ground: Pinocchio's kinematics, coal's distances.
+
+The geometry is the URDF's collision geometry (or, lacking that, its visual one); meshes count as their convex hulls,
+which hold more than they do. Where a URDF has none, or its meshes cannot be found, links are capsules from joint to
+joint. Links that one joint connects are not checked against each other, nor pairs that overlap in nearly every
+posture: their geometry is coarser than the arm. Both are listed.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from ..dynamics.arm import Arm, FloatArray
+
+NEEDED_M = 0.02
+"""Least distance: what a coarse geometry and a servo's lag may take up."""
+GROUND = "ground"
+CAPSULE_SHARE = 0.04
+"""Radius of a capsule as a share of the arm's stretched length, where the URDF has no geometry."""
+_SAMPLES = 200
+_OVERLAP = 0.95
+_RIGID_M = 1e-6
+"""Pairs whose distance no posture changes by more need no watching."""
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """The least distance of one pair: m, where it is reached (row), and the pair."""
+
+    distance_m: float
+    row: int
+    pair: tuple[str, str]
+
+
+class Clearance:
+    """Distances between an arm's links, and from its links to the ground.
+
+    Attributes:
+        needed_m: Least distance allowed.
+        source: Where the geometry comes from, in words.
+        pairs: Names of the links of every pair checked.
+        unchecked: Pairs left out because they overlap in nearly every posture.
+    """
+
+    def __init__(
+        self, arm: Arm, ground_m: float | None, lower: FloatArray, upper: FloatArray, needed_m: float = NEEDED_M
+    ) -> None:
+        """Args: `ground_m` is the height of the floor, base frame; the limits (n,) are where postures are sampled."""
+        self.needed_m = needed_m
+        self._arm = arm
+        self._model = pin.buildModelFromXML(arm.urdf)
+        self._data = self._model.createData()
+        self._neutral = pin.neutral(self._model)
+        self._geometry, self.source = _geometry(arm, self._model)
+        self._joint_of = [g.parentJoint for g in self._geometry.geometryObjects]
+        self._label = [_link_name(self._model, g) for g in self._geometry.geometryObjects]
+        if ground_m is not None:
+            self._add_ground(ground_m)
+        self._add_pairs()
+        self._geometry_data = pin.GeometryData(self._geometry)
+        self.unchecked = self._drop_overlapping(lower, upper)
+        self.pairs = [self._names(pair) for pair in self._geometry.collisionPairs]
+
+    def _add_ground(self, height: float) -> None:
+        shape = coal.Halfspace(np.array([0.0, 0.0, 1.0]), float(height))
+        self._geometry.addGeometryObject(pin.GeometryObject(GROUND, 0, 0, pin.SE3.Identity(), shape))
+        self._joint_of.append(0)
+        self._label.append(GROUND)
+
+    def _add_pairs(self) -> None:
+        count, parents = len(self._joint_of), self._model.parents
+        for i in range(count):
+            for j in range(i + 1, count):
+                a, b = self._joint_of[i], self._joint_of[j]
+                grounded = GROUND in (self._label[i], self._label[j])
+                if a != b and (grounded or (parents[a] != b and parents[b] != a)):
+                    self._geometry.addCollisionPair(pin.CollisionPair(i, j))
+
+    def _drop_overlapping(self, lower: FloatArray, upper: FloatArray) -> list[tuple[str, str]]:
+        low, high = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+        postures = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(low)))
+        distances = self.distances(postures)
+        overlap = (distances < self.needed_m).mean(axis=0) > _OVERLAP
+        rigid = np.ptp(distances, axis=0) < _RIGID_M
+        pairs = [pair.copy() for pair in self._geometry.collisionPairs]
+        for pair, bad in zip(pairs, overlap | rigid):
+            if bad:
+                self._geometry.removeCollisionPair(pair)
+        self._geometry_data = pin.GeometryData(self._geometry)
+        return sorted({self._names(pair) for pair, bad in zip(pairs, overlap & ~rigid) if bad})
+
+    def _names(self, pair: Any) -> tuple[str, str]:
+        return self._label[pair.first], self._label[pair.second]
+
+    def _place(self, posture: FloatArray) -> None:
+        configuration = pin.integrate(self._model, self._neutral, posture)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, configuration)
+        pin.computeDistances(self._geometry, self._geometry_data)
+
+    def distances(self, postures: FloatArray) -> FloatArray:
+        """(T, pairs) m, negative where they overlap, at `postures` (T, n)."""
+        out = np.empty((len(postures), len(self._geometry.collisionPairs)))
+        for row, posture in enumerate(postures):
+            self._place(posture)
+            out[row] = [result.min_distance for result in self._geometry_data.distanceResults]
+        return out
+
+    def nearest(self, postures: FloatArray) -> Nearest | None:
+        """The least distance along `postures` (T, n); None where there is nothing to check."""
+        if not self.pairs:
+            return None
+        distances = self.distances(postures)
+        row, pair = np.unravel_index(int(np.argmin(distances)), distances.shape)
+        return Nearest(float(distances[row, pair]), int(row), self.pairs[pair])
+
+    def barrier(self, postures: FloatArray, reach_m: float) -> tuple[float, FloatArray]:
+        """A barrier on all distances, and its derivative (T, n) by the postures.
+
+        Sum over postures and pairs of s − 1 − log s, s = (distance − needed) / reach: zero with zero slope beyond
+        `reach_m`, infinite from the needed distance on.
+        """
+        value, slope = 0.0, np.zeros_like(postures)
+        for row, posture in enumerate(postures):
+            self._place(posture)
+            for pair, result in zip(self._geometry.collisionPairs, self._geometry_data.distanceResults):
+                share = (result.min_distance - self.needed_m) / reach_m
+                if share <= 0.0:
+                    return float("inf"), slope
+                if share < 1.0:
+                    value += share - 1.0 - np.log(share)
+                    slope[row] += (1.0 - 1.0 / share) / reach_m * self._approach(pair, result)
+        return value, slope
+
+    def _approach(self, pair: Any, result: Any) -> FloatArray:
+        """(n,) derivative of a pair's distance by the posture: how the nearest points move along their line."""
+        one, other = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
+        line = (other - one) / max(float(np.linalg.norm(other - one)), 1e-12)
+        theirs, ours = (
+            self._jacobian(self._joint_of[pair.second], other),
+            self._jacobian(self._joint_of[pair.first], one),
+        )
+        return np.asarray(line @ (theirs - ours))
+
+    def _jacobian(self, joint: int, point: FloatArray) -> FloatArray:
+        """(3, n) velocity of a point of the link at a joint (numbered as Pinocchio does)."""
+        out = np.zeros((3, len(self._arm.joints)))
+        if joint > 0:
+            for index in self._arm.supports(joint - 1):
+                placement = self._data.oMi[index + 1]
+                axis = placement.rotation @ self._arm.joints[index].axis
+                turns = self._arm.joints[index].revolute
+                out[:, index] = np.cross(axis, point - placement.translation) if turns else axis
+        return out
+
+
+def _geometry(arm: Arm, model: pin.Model) -> tuple[pin.GeometryModel, str]:
+    folders = [folder for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]
+    folders += [os.path.join(folder, "share") for folder in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    for kind, words in ((pin.GeometryType.COLLISION, "collision"), (pin.GeometryType.VISUAL, "visual")):
+        try:
+            geometry = pin.buildGeomFromUrdfString(model, arm.urdf, kind, None, folders)
+        except (ValueError, RuntimeError):
+            return _capsules(model), "capsules from joint to joint (the URDF's meshes were not found)"
+        covered = {g.parentJoint for g in geometry.geometryObjects}
+        if len(covered - {0}) >= max(1, len(arm.joints) // 2):
+            for entry in geometry.geometryObjects:
+                if isinstance(entry.geometry, coal.BVHModelBase):
+                    entry.geometry.buildConvexHull(True, "Qt")
+                    entry.geometry = entry.geometry.convex
+            return geometry, f"the URDF's {words} geometry"
+    return _capsules(model), "capsules from joint to joint (the URDF has no geometry)"
+
+
+def _capsules(model: pin.Model) -> pin.GeometryModel:
+    """A capsule from every joint to each joint and frame it carries; a last link is a rod about its centre of mass."""
+    ends: list[list[FloatArray]] = [[] for _ in range(model.njoints)]
+    for joint in range(1, model.njoints):
+        ends[model.parents[joint]].append(np.array(model.jointPlacements[joint].translation))
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint > 0:
+            ends[frame.parentJoint].append(np.array(frame.placement.translation))
+    reach = sum(float(np.linalg.norm(model.jointPlacements[joint].translation)) for joint in range(1, model.njoints))
+    radius = max(CAPSULE_SHARE * reach, 1e-3)
+    for joint in range(1, model.njoints):
+        if not _apart(ends[joint], radius / 2):
+            ends[joint].append(2 * np.array(model.inertias[joint].lever))
+    geometry = pin.GeometryModel()
+    for joint, points in enumerate(ends):
+        for number, end in enumerate(_apart(points, radius / 2)):
+            length = float(np.linalg.norm(end))
+            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length).matrix()
+            shape = coal.Capsule(radius, length)
+            name = f"{model.names[joint]}_{number}"
+            geometry.addGeometryObject(pin.GeometryObject(name, joint, 0, pin.SE3(turn, end / 2), shape))
+    return geometry
+
+
+def _apart(points: Sequence[FloatArray], least: float) -> list[FloatArray]:
+    """The points farther than `least` from the origin and from each other."""
+    kept: list[FloatArray] = []
+    for point in points:
+        if all(float(np.linalg.norm(point - other)) > least for other in (np.zeros(3), *kept)):
+            kept.append(point)
+    return kept
+
+
+def _link_name(model: pin.Model, entry: pin.GeometryObject) -> str:
+    """The URDF link of a geometry; of a capsule, the joint that moves it."""
+    if entry.parentFrame:
+        return str(model.frames[entry.parentFrame].name)
+    return str(model.names[entry.parentJoint]) if entry.parentJoint else "base"

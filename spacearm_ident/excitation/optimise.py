@@ -1,0 +1,295 @@
+"""An excitation that tells most, under all limits: seeded global start, then descent with exact derivatives.
+
+Random series are drawn and scored; the best are descended from (`descent`) with a blurred criterion on few samples,
+the best of these with ever sharper ones. Motion limits are linear in the coefficients and hold throughout; torque and
+clearance are barriers inside the function. What comes out is judged anew, exactly, on a fine grid: should a peak
+between samples break a limit, the motion is drawn towards rest in the start posture until all hold.
+
+`Excitation` is the answer, whatever method finds it (`genetic` is the paper's).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..errors import UserError
+from .constraints import Margin, check, require
+from .criteria import CRITERIA, D_OPTIMAL, PREDICTION, Information
+from .descent import Function, descend
+from .problem import Problem
+from .segments import Rest
+from .trajectory import FourierTrajectory, Trajectory, draw_coefficients
+
+Progress = Callable[[float, str], None]
+
+DRAWN, DESCENDED = 32, 2
+STAGES = ((6.0, 0.10, 40, 1e-2), (16.0, 0.06, 60, 3e-3), (64.0, 0.04, 40, 1e-3))
+"""Sharpness, softness of the direction of motion (share of the velocity limit), steps, tolerance."""
+SHRINK = (1.0, 0.7, 0.45, 0.25, 0.12, 0.05, 0.02)
+INFORMATION_HZ = 500.0
+RATE_HZ = 1000.0
+LARGEST_HARMONICS = 10
+WORTH_A_HARMONIC = 0.03
+"""A further harmonic is taken if it lowers the criterion by this share (of standard errors, or of the condition)."""
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """An excitation found.
+
+    Attributes:
+        problem: What was asked.
+        series: The periodic part.
+        run: All of it, from rest to rest.
+        information: What one period tells, exactly.
+        margins: Every limit along the run.
+        tried: Criterion value by number of harmonics, where several were.
+    """
+
+    problem: Problem
+    series: FourierTrajectory
+    run: Trajectory
+    information: Information
+    margins: tuple[Margin, ...]
+    tried: tuple[tuple[int, float], ...] = ()
+
+    @cached_property
+    def criteria(self) -> dict[str, float]:
+        """All criteria; `prediction` is the root mean square of the predicted torque's sd over its noise."""
+        sd = self.prediction_sd
+        return {
+            **self.information.values(),
+            PREDICTION: float(np.sqrt(np.mean((sd / self.information.noise_Nm) ** 2))),
+        }
+
+    @property
+    def samples(self) -> float:
+        """Samples in the periodic part at `RATE_HZ`."""
+        return self.series.duration_s * RATE_HZ
+
+    @cached_property
+    def prediction_sd(self) -> FloatArray:
+        """(n,) N·m, of torque predicted on the test motions after this run, under independent noise."""
+        times = np.arange(0.0, 10.0, 0.01)
+        tests = [self.problem.question.information(test.evaluate(times), 100.0) for test in self.problem.tests]
+        return self.information.prediction_sd(tests, self.samples)
+
+
+def optimise(
+    problem: Problem, seed: int = 0, progress: Progress | None = None, known: FourierTrajectory | None = None
+) -> Excitation:
+    """The default method.
+
+    Args:
+        problem: What is wanted.
+        seed: Same seed, same trajectory.
+        progress: Called with the share done and what is going on.
+        known: A good series of no more harmonics, to start from as well.
+
+    Raises:
+        UserError: The limits leave no motion: which, by how much, and what to do.
+    """
+    report = progress or (lambda share, what: None)
+    check_start(problem)
+    rng = np.random.default_rng(seed)
+    sharpness, softness, steps, tolerance = STAGES[0]
+    function = problem.function(sharpness, softness)
+    report(0.0, "drawing starts")
+    drawn = draw_feasible(problem, function, rng, DRAWN)
+    starts = [*known_point(problem, function, known), *drawn[:DESCENDED]]
+    found = []
+    for number, (_, point) in enumerate(starts):
+        share = 0.5 / len(starts)
+        stage = _staged(report, 0.1 + share * number, share, steps, f"descent {number + 1} of {len(starts)}")
+        found.append(descend(function, point, problem.space.rows, steps, tolerance, stage))
+    best = min(found, key=lambda descent: descent.value).point
+    points = [best]
+    for number, (sharpness, softness, steps, tolerance) in enumerate(STAGES[1:]):
+        function = problem.function(sharpness, softness)
+        if np.isfinite(function(best)[0]):
+            stage = _staged(report, 0.6 + 0.15 * number, 0.15, steps, "refining")
+            best = descend(function, best, problem.space.rows, steps, tolerance, stage).point
+            points.append(best)
+    report(0.9, "checking all limits")
+    # Sharper is not always better once judged exactly.
+    points.sort(key=lambda point: exact_value(problem, problem.space.series(point, 1)))
+    return finish(problem, points[0])
+
+
+def optimise_harmonics(
+    problem: Problem, seed: int = 0, progress: Progress | None = None, method: Callable[..., Excitation] = optimise
+) -> Excitation:
+    """The smallest N_h whose successor no longer lowers the criterion by `WORTH_A_HARMONIC`, from 3 upwards.
+
+    Raises:
+        UserError: As `optimise`.
+    """
+    report = progress or (lambda share, what: None)
+    highest = LARGEST_HARMONICS
+    if problem.needs.structural_hz is not None:
+        highest = min(highest, int(problem.needs.structural_hz / problem.fundamental_hz + 1e-9))
+    first = min(3, max(1, highest))
+    best: Excitation | None = None
+    tried: list[tuple[int, float]] = []
+    for harmonics in range(first, max(first, highest) + 1):
+        begin = (harmonics - first) / (highest - first + 1)
+        part = _part(report, begin, 1.0 / (highest - first + 1), f"{harmonics} harmonics: ")
+        candidate = method(replace(problem, harmonics=harmonics), seed, part, best and best.series)
+        value = exact_value(candidate.problem, candidate.series)
+        tried.append((harmonics, candidate.criteria[problem.criterion]))
+        if best is not None and value > exact_value(best.problem, best.series) - WORTH_A_HARMONIC:
+            break
+        best = candidate
+    assert best is not None
+    return replace(best, tried=tuple(tried))
+
+
+def check_start(problem: Problem) -> None:
+    """Refuse what no motion can mend: the excited frequency, and the start posture itself.
+
+    Raises:
+        UserError: Which limit, by how much, and what to do.
+    """
+    if problem.criterion not in CRITERIA:
+        raise UserError(f"no criterion {problem.criterion!r}: choose one of {', '.join(CRITERIA)}")
+    highest, structural = problem.harmonics * problem.fundamental_hz, problem.needs.structural_hz
+    if structural is not None and highest > structural:
+        most = int(structural / problem.fundamental_hz + 1e-9)
+        raise UserError(
+            f"{problem.harmonics} harmonics of {problem.fundamental_hz:g} Hz reach {highest:g} Hz, "
+            f"{highest - structural:.3g} Hz above the structural frequency {structural:g} Hz; "
+            + (f"give --harmonics {most} at most, or a" if most else "give a")
+            + " lower --fundamental"
+        )
+    try:
+        require(check(Trajectory(problem.joints, (Rest(problem.start, 0.1),)), problem.needs))
+    except UserError as error:
+        raise UserError(f"already at rest in the start posture, {error}") from None
+
+
+def draw_feasible(
+    problem: Problem, function: Function, rng: np.random.Generator, count: int
+) -> list[tuple[float, FloatArray]]:
+    """Random points where all limits hold at the samples, best first; drawn towards rest until they do.
+
+    Raises:
+        UserError: None does however small; the arm can only rest in its start posture.
+    """
+    drawn = []
+    for _ in range(count):
+        coefficients = draw_coefficients(
+            rng, problem.needs.motion, problem.fundamental_hz, problem.harmonics, (0.5, 0.9)
+        )
+        a, b, centre = coefficients
+        point = problem.space.point(FourierTrajectory(problem.joints, centre, a, b, problem.fundamental_hz, 1))
+        point /= np.maximum(1.0, problem.space.usage(point) / 0.95)[:, None]
+        for share in SHRINK:
+            shrunk = problem.home + share * (point - problem.home)
+            value, _ = function(shrunk)
+            if np.isfinite(value):
+                drawn.append((value, shrunk))
+                break
+    if not drawn:
+        smallest = problem.space.series(problem.home + SHRINK[-1] * (point - problem.home), 1)
+        require(check(Trajectory(problem.joints, (smallest,)), problem.needs))
+        raise UserError("no motion about the start posture keeps all limits; choose another start posture with --start")
+    return sorted(drawn, key=lambda pair: pair[0])
+
+
+def known_point(
+    problem: Problem, function: Function, series: FourierTrajectory | None
+) -> list[tuple[float, FloatArray]]:
+    """Value and point of a series already known, where it keeps all limits here, else nothing."""
+    if series is None or series.a.shape[1] > problem.harmonics:
+        return []
+    point = problem.space.point(series)
+    point = point / np.maximum(1.0, problem.space.usage(point))[:, None]
+    value, _ = function(point)
+    return [(value, point)] if np.isfinite(value) else []
+
+
+def exact_value(problem: Problem, series: FourierTrajectory) -> float:
+    """The criterion of a series as a logarithm, from exact columns on a fine grid."""
+    times = np.arange(0.0, series.period_s, 1.0 / INFORMATION_HZ)
+    information = problem.question.information(series.evaluate(times), INFORMATION_HZ)
+    if problem.criterion == D_OPTIMAL:
+        return information.values()[D_OPTIMAL] / 2
+    if problem.criterion == PREDICTION:
+        grid = np.arange(0.0, 10.0, 0.02)
+        tests = [problem.question.information(test.evaluate(grid), 50.0) for test in problem.tests]
+        sd = information.prediction_sd(tests, 1.0) / information.noise_Nm
+        return float(np.log(np.mean(sd**2)) / 2)
+    return float(np.log(information.values()[problem.criterion]))
+
+
+def finish(problem: Problem, point: FloatArray) -> Excitation:
+    """Judge a point exactly, shrink it where a limit is broken between samples, and join it to the start posture.
+
+    Raises:
+        UserError: It cannot be joined within the limits.
+    """
+    point = point / np.maximum(1.0, problem.space.usage(point))[:, None]
+    for share in (1.0, 0.99, 0.98, 0.96, 0.93, 0.9, 0.85, 0.8, 0.7, 0.5, 0.3, 0.1):
+        shrunk = problem.home + share * (point - problem.home)
+        series = problem.space.series(shrunk, problem.periods)
+        margins = check(Trajectory(problem.joints, (replace(series, periods=1),)), problem.needs)
+        if all(margin.kept for margin in margins):
+            break
+    else:
+        require(margins)
+    series, run = join(problem, series)
+    times = np.arange(0.0, series.period_s, 1.0 / INFORMATION_HZ)
+    information = problem.question.information(series.evaluate(times), INFORMATION_HZ)
+    margins = check(run, problem.needs)
+    require(margins)
+    return Excitation(problem, series, run, information, margins)
+
+
+def join(problem: Problem, series: FourierTrajectory) -> tuple[FourierTrajectory, Trajectory]:
+    """The series begun at a phase from which approach and return keep every limit, and the whole run.
+
+    Raises:
+        UserError: There is no such phase: the limit broken least.
+    """
+    limits, phases = problem.needs.motion, 40
+    runs: list[tuple[float, FourierTrajectory, Trajectory]] = []
+    refusal: UserError | None = None
+    for time_s in np.linspace(0.0, series.period_s, phases, endpoint=False):
+        begun = series.shifted(float(time_s))
+        try:
+            run = begun.run(limits, problem.start, problem.rest_s)
+        except UserError as error:
+            refusal = error
+            continue
+        runs.append((run.duration_s, begun, run))
+    least = np.inf
+    for _, begun, run in sorted(runs, key=lambda entry: entry[0]):
+        place = run.segments.index(begun)
+        broken = [
+            margin
+            for part in (run.segments[:place], run.segments[place + 1 :])
+            for margin in check(Trajectory(run.joints, part), problem.needs)
+            if not margin.kept
+        ]
+        if not broken:
+            return begun, run
+        worst = max(broken, key=lambda margin: margin.used)
+        if worst.used < least:
+            least, refusal = (
+                worst.used,
+                UserError(f"on the way between start posture and excitation, {worst.complaint()}"),
+            )
+    raise refusal or UserError("the excitation cannot be joined to the start posture; choose another with --start")
+
+
+def _staged(report: Progress, begin: float, length: float, steps: int, what: str) -> Callable[[int, float], None]:
+    return lambda step, value: report(begin + length * min(1.0, step / steps), f"{what}: {value:.3f}")
+
+
+def _part(report: Progress, begin: float, length: float, prefix: str) -> Progress:
+    return lambda share, what: report(begin + length * share, prefix + what)

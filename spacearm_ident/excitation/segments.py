@@ -1,0 +1,206 @@
+"""Segments: the pieces a run is made of, each an analytic motion on its own clock.
+
+A segment is anything with a duration that can be evaluated (`Segment`). Besides rest, the fifth-order move and
+the Fourier series (`trajectory.FourierTrajectory`), there are constant speed and a sine of rising frequency; with
+moves between them these make sweeps, reversals, steps and chirps (`composite`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spacearm_ident.errors import UserError
+
+FloatArray = NDArray[np.float64]
+
+_LONGEST_MOVE_S = 120.0
+_MOVE_POINTS = 401
+"""Between these a fifth-order polynomial's extremes exceed the sampled ones by less than 1e-4."""
+
+
+class Motion(NamedTuple):
+    """Position, velocity, acceleration, (T, n) each; rad, rad/s, rad/s²."""
+
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+
+    def at(self, row: int) -> Motion:
+        """The state at one instant, three (n,) arrays."""
+        return Motion(self.q[row], self.qd[row], self.qdd[row])
+
+
+class Segment(Protocol):
+    """A piece of a run: analytic motion on [0, `duration_s`]."""
+
+    @property
+    def duration_s(self) -> float:
+        """How long the segment lasts, s."""
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at the times `t` (T,), seconds from the start of the segment."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """What the arm may do: positions in [lower, upper], |velocity|, |acceleration|, |jerk|, (n,) each, SI."""
+
+    lower: FloatArray
+    upper: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray | None = None
+
+    def usage(self, motion: Motion) -> FloatArray:
+        """Largest share of each joint's limits a motion (T, n) uses, (n,); above 1 it breaks one.
+
+        Position counts as the distance from the middle of the range over half the range.
+        """
+        middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
+        shares = (
+            np.abs(motion.q - middle) / half,
+            np.abs(motion.qd) / self.velocity,
+            np.abs(motion.qdd) / self.acceleration,
+        )
+        return np.max([share.max(axis=0) for share in shares], axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Standing still at `position` (n,)."""
+
+    position: FloatArray
+    duration_s: float
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at `t` (T,): constant position."""
+        q = np.tile(self.position, (np.atleast_1d(t).size, 1))
+        return Motion(q, np.zeros_like(q), np.zeros_like(q))
+
+
+@dataclass(frozen=True, eq=False)
+class Quintic:
+    """The fifth-order polynomial from one state (q, qd, qdd; (n,) each) to another in `duration_s`."""
+
+    start: Motion
+    end: Motion
+    duration_s: float
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at `t` (T,), s."""
+        T = self.duration_s
+        s = (np.atleast_1d(np.asarray(t, dtype=float)) / T)[:, None]
+        c0, c1, c2, c3, c4, c5 = self._coefficients()
+        return Motion(
+            c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5)))),
+            (c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / T,
+            (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / T**2,
+        )
+
+    def jerk(self, t: ArrayLike) -> FloatArray:
+        """(T, n) rad/s³ at `t` (T,), s."""
+        s = (np.atleast_1d(np.asarray(t, dtype=float)) / self.duration_s)[:, None]
+        *_, c3, c4, c5 = self._coefficients()
+        return (6 * c3 + s * (24 * c4 + s * 60 * c5)) / self.duration_s**3
+
+    def _coefficients(self) -> tuple[FloatArray, ...]:
+        # In s = t/T the first three coefficients are the start state; the rest close on the end state.
+        T = self.duration_s
+        c0, c1, c2 = self.start.q, T * self.start.qd, T**2 * self.start.qdd / 2
+        dq = self.end.q - (c0 + c1 + c2)
+        dv = T * self.end.qd - (c1 + 2 * c2)
+        da = T**2 * self.end.qdd - 2 * c2
+        return c0, c1, c2, 10 * dq - 4 * dv + da / 2, -15 * dq + 7 * dv - da, 6 * dq - 3 * dv + da / 2
+
+    def keeps(self, limits: MotionLimits) -> bool:
+        """Whether the move stays within the limits."""
+        t = np.linspace(0.0, self.duration_s, _MOVE_POINTS)
+        if limits.jerk is not None and np.any(np.abs(self.jerk(t)) > limits.jerk):
+            return False
+        return bool(limits.usage(self.evaluate(t)).max() <= 1.0)
+
+    @classmethod
+    def within(cls, limits: MotionLimits, start: Motion, end: Motion, shortest_s: float = 1.0) -> Quintic:
+        """The quickest such move, in steps of some 10 % from `shortest_s`, that keeps the limits.
+
+        Raises:
+            UserError: No duration up to two minutes does.
+        """
+        duration = shortest_s
+        while duration < _LONGEST_MOVE_S:
+            move = cls(start, end, duration)
+            if move.keeps(limits):
+                return move
+            # Whole tenths, so that what follows starts on a sample at any usual rate.
+            duration = math.ceil(11.0 * duration) / 10.0
+        raise UserError(
+            "no smooth move joins the start posture and the trajectory within the limits; "
+            "choose a start posture inside the position limits, or a trajectory that begins farther from them"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Cruise:
+    """Constant speed: from `position` (n,) rad with `velocity` (n,) rad/s."""
+
+    position: FloatArray
+    velocity: FloatArray
+    duration_s: float
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at `t` (T,), s."""
+        times = np.atleast_1d(np.asarray(t, dtype=float))[:, None]
+        q = self.position + times * self.velocity
+        return Motion(q, np.tile(self.velocity, (len(times), 1)), np.zeros_like(q))
+
+
+@dataclass(frozen=True, eq=False)
+class Chirp:
+    """A sine whose frequency rises from `start_hz` to `end_hz` in proportion to time, faded in and out.
+
+    q = centre + w(t) amplitude sin(2π (start_hz t + (end_hz − start_hz) t² / 2 T)). The fade w rises as a quintic
+    over `FADE` of the duration T and falls likewise: position, velocity and acceleration are zero at both ends. The
+    spectrum is flat between the two frequencies, and falls off outside.
+    """
+
+    centre: FloatArray
+    amplitude: FloatArray
+    start_hz: float
+    end_hz: float
+    duration_s: float
+
+    def evaluate(self, t: ArrayLike) -> Motion:
+        """Motion at `t` (T,), s."""
+        times = np.clip(np.atleast_1d(np.asarray(t, dtype=float)), 0.0, self.duration_s)[:, None]
+        rate = (self.end_hz - self.start_hz) / self.duration_s
+        phase = 2 * np.pi * (self.start_hz * times + rate * times**2 / 2)
+        omega = 2 * np.pi * (self.start_hz + rate * times)
+        sin, cos = np.sin(phase), np.cos(phase)
+        s, s1, s2 = sin, omega * cos, 2 * np.pi * rate * cos - omega**2 * sin
+        w, w1, w2 = self._fade(times)
+        unit = (w * s, w1 * s + w * s1, w2 * s + 2 * w1 * s1 + w * s2)
+        q, qd, qdd = (part * self.amplitude for part in unit)
+        return Motion(self.centre + q, qd, qdd)
+
+    def _fade(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The fade w and its two derivatives."""
+        length = FADE * self.duration_s
+        rising = times < self.duration_s / 2
+        u = np.minimum(1.0, np.where(rising, times, self.duration_s - times) / length)
+        sign = np.where(rising, 1.0, -1.0)
+        first, second = 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
+        return u**3 * (10 + u * (6 * u - 15)), sign * first / length, second / length**2
+
+
+FADE = 0.1
+"""Share of a chirp's duration over which it fades in, and out."""
+
+
+def still(position: FloatArray) -> Motion:
+    """The state at rest at `position` (n,)."""
+    return Motion(position, np.zeros_like(position), np.zeros_like(position))

@@ -1,0 +1,209 @@
+"""Limits: margins of motions whose extremes are known, distances of spheres, and what a broken limit is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import small_arm
+from planted_arm import THREE_LINKS, urdf_of
+
+from spacearm_ident.config import config_path
+from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
+from spacearm_ident.errors import UserError
+from spacearm_ident.excitation.clearance import Clearance
+from spacearm_ident.excitation.constraints import (
+    Requirements,
+    check,
+    limits_for_excitation,
+    require,
+)
+from spacearm_ident.excitation.nominal import nominal_model
+from spacearm_ident.excitation.segments import Chirp, Cruise, MotionLimits, Rest
+from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
+
+ARM = arm_from_urdf(small_arm.URDF)
+LIMITS = MotionLimits(np.full(2, -2.0), np.full(2, 3.0), np.full(2, 2.0), np.full(2, 6.0), np.full(2, 50.0))
+BALLS = """<robot name="balls"><link name="base">
+<collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+<link name="one"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<link name="two"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+<collision><origin xyz="0.4 0 0"/><geometry><sphere radius="0.05"/></geometry></collision></link>
+<joint name="j1" type="revolute"><parent link="base"/><child link="one"/><origin xyz="0 0 0"/><axis xyz="0 -1 0"/>
+<limit lower="-3" upper="3" velocity="1" effort="99"/></joint>
+<joint name="j2" type="revolute"><parent link="one"/><child link="two"/><origin xyz="0.4 0 0"/><axis xyz="0 -1 0"/>
+<limit lower="-3.1" upper="3.1" velocity="1" effort="99"/></joint></robot>"""
+
+
+def needs(**changes):
+    return replace(Requirements.of(nominal_model(ARM), LIMITS, torque_share=1.0), **changes)
+
+
+def series(a, hz=0.5):
+    return FourierTrajectory(ARM.joint_names, np.array([0.5, 0.5]), np.array([[a], [0.0]]), np.zeros((2, 1)), hz, 1)
+
+
+def by(margins, kind, where):
+    return next(m for m in margins if (m.kind, m.where) == (kind, where))
+
+
+def test_margins_of_a_sine_are_its_amplitudes():
+    run = Trajectory(ARM.joint_names, (series(1.0),))
+    margins = check(run, needs(structural_hz=2.0))
+    omega = np.pi
+    assert by(margins, "position", "shoulder").value == pytest.approx(0.5 + 1 / omega, abs=1e-4)
+    assert by(margins, "position", "shoulder").used == pytest.approx(1 / omega / 2.5, abs=1e-4)
+    assert by(margins, "velocity", "shoulder").value == pytest.approx(1.0, abs=1e-4)
+    assert by(margins, "acceleration", "shoulder").value == pytest.approx(omega, abs=1e-4)
+    assert by(margins, "jerk", "shoulder").value == pytest.approx(omega**2, rel=1e-3)
+    assert by(margins, "frequency", "N_h·f0").used == pytest.approx(0.25)
+    assert by(margins, "velocity", "elbow").value == 0.0
+    require(margins)
+
+
+def test_torque_at_rest_is_weight_times_lever():
+    """Upper arm level: m g x com; link masses 4 and 2, elbow 0.4 along, c.o.m. 0.2 and 0.15 further."""
+    posture = np.array([np.pi / 2, 0.0])
+    margins = check(Trajectory(ARM.joint_names, (Rest(posture, 0.1),)), needs())
+    expected = 9.81 * (4 * 0.2 + 2 * (0.4 + 0.15))
+    assert by(margins, "torque", "shoulder").value == pytest.approx(expected, rel=1e-6)
+    assert by(margins, "torque", "shoulder").limit == 100.0
+
+
+def test_unlimited_torques_are_not_judged():
+    assert not [
+        m
+        for m in check(Trajectory(ARM.joint_names, (series(1.0),)), needs(torque_Nm=np.full(2, np.inf)))
+        if m.kind == "torque"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("segment", "requirement", "message"),
+    [
+        (series(2.5, 0.2), {}, r"velocity of shoulder: 2\.5 rad/s at .* allowed is 2 rad/s; .*--fundamental"),
+        (series(1.9, 0.6), {}, r"acceleration of shoulder: 7\.16"),
+        (Rest(np.array([0.0, -2.5]), 0.1), {}, r"position of elbow: -2\.5 rad .* allowed is -2 rad"),
+        (
+            Rest(np.array([1.5, 0.0]), 0.1),
+            {"torque_Nm": np.array([9.0, 9.0])},
+            r"torque of shoulder: 18\.\d+ N·m.*--start",
+        ),
+        (series(1.0), {"structural_hz": 0.4}, r"frequency of N_h·f0: 0\.5 Hz .* 0\.4 Hz; .*--harmonics"),
+    ],
+)
+def test_a_broken_limit_is_named_with_figures_and_remedy(segment, requirement, message):
+    with pytest.raises(UserError, match=message) as caught:
+        require(check(Trajectory(ARM.joint_names, (segment,)), needs(**requirement)))
+    assert "\n" not in str(caught.value)
+
+
+def test_jerk_of_a_chirp_is_found_and_a_chirp_may_pass_the_structural_frequency():
+    chirp = Chirp(np.zeros(2), np.array([0.002, 0.0]), 1.0, 9.0, 4.0)
+    margins = check(Trajectory(ARM.joint_names, (chirp,)), needs(structural_hz=2.0))
+    t = np.linspace(0.0, 4.0, 200_001)
+    jerk = np.gradient(chirp.evaluate(t).qdd[:, 0], t)
+    assert by(margins, "jerk", "shoulder").value == pytest.approx(np.abs(jerk).max(), rel=0.02)
+    assert not [m for m in margins if m.kind == "frequency"]
+
+
+def distance(q):
+    """Centre of the outer ball from the origin in the plane of the arm, less both radii."""
+    x, z = 0.4 * np.cos(q[0]) + 0.4 * np.cos(q[0] + q[1]), 0.4 * np.sin(q[0]) + 0.4 * np.sin(q[0] + q[1])
+    return np.hypot(x, z) - 0.15, z - 0.05
+
+
+def test_distances_of_balls_and_ground_are_those_of_geometry():
+    arm = arm_from_urdf(BALLS)
+    clearance = Clearance(arm, -0.2, np.full(2, -3.0), np.full(2, 3.0))
+    assert "collision" in clearance.source
+    postures = np.random.default_rng(0).uniform(-2.8, 2.8, (20, 2))
+    found = clearance.distances(postures)
+    for q, row in zip(postures, found):
+        own, height = distance(q)
+        assert row[clearance.pairs.index(("base", "two"))] == pytest.approx(own, abs=1e-6)
+        assert row[clearance.pairs.index(("two", "ground"))] == pytest.approx(height + 0.2, abs=1e-6)
+
+
+def test_a_folded_arm_is_found_to_collide():
+    arm = arm_from_urdf(BALLS)
+    clearance = Clearance(arm, None, np.full(2, -3.1), np.full(2, 3.1))
+    limits = MotionLimits(np.full(2, -3.1), np.full(2, 3.1), np.ones(2), np.ones(2))
+    want = Requirements(limits, np.full(2, np.inf), nominal_model(arm), clearance=clearance)
+    stretch = Cruise(np.array([0.0, 0.0]), np.array([0.0, 0.5]), 2.0)
+    fold = Cruise(np.array([0.0, 2.0]), np.array([0.0, 0.5]), 2.2)
+    require(check(Trajectory(arm.joint_names, (stretch,)), want))
+    with pytest.raises(
+        UserError, match=r"clearance of base and two: -0\.1\d* m at 2\.\d* s, where the least allowed is 0\.02 m"
+    ):
+        require(check(Trajectory(arm.joint_names, (fold,)), want))
+
+
+def test_a_barrier_is_nothing_far_away_infinite_too_near_and_has_the_derivative_differences_give():
+    clearance = Clearance(arm_from_urdf(BALLS), None, np.full(2, -3.0), np.full(2, 3.0))
+    assert clearance.barrier(np.array([[0.3, 0.4]]), 0.1)[0] == 0.0
+    assert clearance.barrier(np.array([[0.3, 3.0]]), 0.1)[0] == np.inf
+    near = np.array([[0.3, 2.5], [1.0, -2.6]])
+    value, slope = clearance.barrier(near, 0.3)
+    assert value > 0
+    for place in np.ndindex(near.shape):
+        step = np.zeros_like(near)
+        step[place] = 1e-5
+        difference = (clearance.barrier(near + step, 0.3)[0] - clearance.barrier(near - step, 0.3)[0]) / 2e-5
+        assert slope[place] == pytest.approx(difference, abs=1e-4)
+
+
+def test_links_without_geometry_are_capsules_and_a_folded_one_collides():
+    arm = arm_from_urdf(urdf_of(THREE_LINKS))
+    clearance = Clearance(arm, 0.0, np.full(3, -3.0), np.full(3, 3.0))
+    assert "capsules" in clearance.source
+    upright = clearance.nearest(np.zeros((1, 3)))
+    down = clearance.nearest(np.array([[0.0, 2.8, 0.0]]))
+    assert upright.distance_m > 0.1 and down.distance_m < 0.02 and "ground" in down.pair
+
+
+def test_the_paper_arm_brings_its_own_geometry_and_stands_clear():
+    arm = load_arm(config_path("paper_arm.yaml"))
+    lower, upper = (np.array([getattr(joint, end) for joint in arm.joints]) for end in ("lower", "upper"))
+    clearance = Clearance(arm, 0.0, lower, upper)
+    assert "collision" in clearance.source and not clearance.unchecked
+    assert clearance.nearest(np.zeros((1, 6))).distance_m > 0.05
+
+
+def test_limits_a_urdf_does_not_give_are_assumed_and_told():
+    limits, notes = limits_for_excitation(ARM, np.zeros(2))
+    np.testing.assert_allclose(limits.acceleration, 2 * limits.velocity)
+    assert any("acceleration_limit_rad_s2" in note for note in notes)
+    endless = arm_from_urdf(small_arm.URDF.replace('name="elbow" type="revolute"', 'name="elbow" type="continuous"'))
+    limits, notes = limits_for_excitation(endless, np.array([0.0, 1.0]))
+    assert limits.upper[1] == pytest.approx(1.0 + np.pi) and any("half a turn" in note for note in notes)
+    still = arm_from_urdf(small_arm.URDF.replace('velocity="3"', 'velocity="0"'))
+    with pytest.raises(UserError, match="shoulder has no velocity limit; give velocity_limit_rad_s"):
+        limits_for_excitation(still, np.zeros(2))
+
+
+def stl_of_cube(path, half):
+    """An ASCII STL of a cube about the origin."""
+    lines = ["solid cube"]
+    for axis in range(3):
+        for sign in (-1, 1):
+            u, v = np.roll(np.eye(3), axis, axis=1)[1:]
+            n = sign * np.roll(np.eye(3), axis, axis=1)[0]
+            corners = [half * (n + a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+            for triangle in ((0, 1, 2), (0, 2, 3)):
+                lines += ["facet normal " + " ".join(map(str, n)), "outer loop"]
+                lines += ["vertex " + " ".join(map(str, corners[k])) for k in triangle] + ["endloop", "endfacet"]
+    path.write_text("\n".join([*lines, "endsolid cube"]))
+
+
+def test_meshes_count_as_their_convex_hulls_and_missing_ones_as_capsules(tmp_path):
+    stl_of_cube(tmp_path / "cube.stl", 0.05)
+    mesh = BALLS.replace('<sphere radius="0.05"/>', f'<mesh filename="file://{tmp_path}/cube.stl"/>')
+    found = Clearance(arm_from_urdf(mesh), -1.0, np.full(2, -3.0), np.full(2, 3.0))
+    row = found.distances(np.zeros((1, 2)))[0]
+    # Stretched, the cube's near face is at 0.75 m, the base's ball ends at 0.1 m, the floor is 1 m below.
+    assert row[found.pairs.index(("base", "two"))] == pytest.approx(0.65, abs=1e-5)
+    assert row[found.pairs.index(("two", "ground"))] == pytest.approx(0.95, abs=1e-5)
+    lost = Clearance(arm_from_urdf(mesh.replace("cube.stl", "lost.stl")), None, np.full(2, -3.0), np.full(2, 3.0))
+    assert "not found" in lost.source
