@@ -15,8 +15,13 @@ from spacearm_ident.cli.mismatch import sort_bags
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
+from spacearm_ident.excitation.constraints import limits_for_excitation
+from spacearm_ident.excitation.trajectory_file import load_trajectory
+from spacearm_ident.mismatch.finding import unfit
 from spacearm_ident.recording import read_recording, write_recording
 from spacearm_ident.recording.signals import prepare
+from spacearm_ident.report.mismatch_folder import next_run, write_mismatch
+from spacearm_ident.session import find_arm
 
 LAWS = (Friction(k_v2=0.0, k_v3=0.0), Friction(f_c=1.5, k_v1=0.8, k_v2=0.0, k_v3=0.0, J_m=0.1))
 FEW = ["--without", *(kind for kind in EFFECTS if kind not in ("torque_ripple", "friction_drift", "current_offset"))]
@@ -125,6 +130,24 @@ def test_the_extended_model_loads_and_predicts_what_the_base_does_not(answered, 
         np.sqrt(np.mean(motion.reduce(motion.torque - torque)[motion.moving[:, 1], 1] ** 2)) for torque in (whole, base)
     ]
     assert left[0] < 0.2 * left[1]
+
+
+def test_the_next_experiment_is_a_motion_that_the_arm_can_make(bags, tmp_path):
+    field = read_recording(bags["field"])
+    arm = find_arm(None, None, [field])
+    nothing = unfit(arm.joint_names, ())
+    assert next_run(nothing, arm, field) is None
+    doubt = replace(nothing, next_experiment="words", next_effect="torque_ripple", next_joints=("elbow",))
+    run = next_run(doubt, arm, field)
+    motion = run.evaluate(np.arange(0.0, run.duration_s, 0.01))
+    limits, _ = limits_for_excitation(arm, field.position[0])
+    np.testing.assert_allclose(motion.q[[0, -1]], field.position[[0, 0]])
+    assert limits.usage(motion).max() <= 1.0
+    assert np.ptp(motion.q[:, 1]) > 1.0 and np.ptp(motion.q[:, 0]) < np.ptp(motion.q[:, 1])
+    write_mismatch(doubt, arm, [field], [], [], tmp_path / "why")
+    assert load_trajectory(tmp_path / "why" / "next_experiment.yaml").duration_s == pytest.approx(run.duration_s)
+    write_mismatch(nothing, arm, [field], [], [], tmp_path / "why")
+    assert not (tmp_path / "why" / "next_experiment.yaml").exists()
 
 
 def test_json_is_all_there_is_on_standard_output(bags, tmp_path, capsys):

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..dynamics.effects import EFFECTS
 from ..errors import UserError
-from ..mismatch.document import to_document
+from ..mismatch.document import NEXT_RUN, to_document
 from ..mismatch.finding import DATA_UNFIT, Explanation, Finding
 from ..mismatch_session import explain_session
 from . import common
@@ -116,7 +116,8 @@ def summary(explanation: Explanation, page: Path) -> str:
     if explanation.already_there:
         lines.append(f"in the reference as well: {'; '.join(explanation.already_there)}")
     if explanation.next_experiment:
-        lines.append(f"next: {explanation.next_experiment}")
+        run = page.with_name(NEXT_RUN)
+        lines.append(f"next: {explanation.next_experiment}" + (f"; a motion for it: {run}" if run.exists() else ""))
     return "\n".join([*lines, f"report: {page}"])
 
 

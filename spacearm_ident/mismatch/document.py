@@ -11,6 +11,8 @@ from .finding import Explanation, Finding
 
 SCHEMA = "spacearm_ident/mismatch/1"
 EXTENDED_MODEL = "extended_model.yaml"
+NEXT_RUN = "next_experiment.yaml"
+"""An excitation file; beside `mismatch.json` where the next experiment is a motion that this arm can make."""
 
 
 def to_document(explanation: Explanation) -> dict[str, Any]:

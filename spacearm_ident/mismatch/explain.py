@@ -113,6 +113,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     rms_before, rms_after = residuals.rms(before), residuals.rms(after)
+    words, effect, where = _next(findings)
     return Explanation(
         verdict=MISMATCH if findings else NO_MISMATCH,
         joints=joints,
@@ -121,7 +122,9 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         after_Nm=rms_after,
         findings=findings,
         unexplained=_unexplained(joints, rms_after, floor, outcome),
-        next_experiment=_next(findings),
+        next_experiment=words,
+        next_effect=effect,
+        next_joints=where,
         already_there=tuple(_words(scored) for scored in outcome.common),
         model=extended_model(evidence, accepted, outcome.refit.values) if findings else None,
         traces=residuals.traces(before, after),
@@ -190,15 +193,22 @@ def _unexplained(
     return tuple(found)
 
 
-def _next(findings: Sequence[Finding]) -> str | None:
-    """The experiment that would tell what these data cannot, for the largest finding that leaves a doubt."""
+def _next(findings: Sequence[Finding]) -> tuple[str | None, str, tuple[str, ...]]:
+    """The experiment that would tell what these data cannot, for the largest finding that leaves a doubt.
+
+    Returns:
+        In words, for which effect (or purpose of an experiment), and at which joints.
+    """
     for finding in findings:
         if finding.effect == UNKNOWN:
             return (
                 f"move {finding.joints[0]} alone, slowly over its range in both directions, then at constant speeds: "
-                "what it depends on will show"
+                "what it depends on will show",
+                "ripple",
+                finding.joints,
             )
         close = [a for a in finding.alternatives if a.score > CLOSE and a.effect not in (UNKNOWN, finding.effect)]
         if close:
-            return f"{EFFECTS[finding.effect].experiment}: tells {finding.effect} from {close[0].effect}"
-    return None
+            words = f"{EFFECTS[finding.effect].experiment}: tells {finding.effect} from {close[0].effect}"
+            return words, finding.effect, finding.joints
+    return None, "", ()

@@ -143,6 +143,7 @@ class Explanation:
         findings: Largest first.
         unexplained: What is left.
         next_experiment: What would separate what these data cannot.
+        next_effect, next_joints: Which effect, or purpose of an experiment, and at which joints, that is about.
         already_there: Effects that the reference shows as well, in words.
         reasons: Why data are unfit, or what else a reader should know.
         model: Base model with the effects; None where nothing was found.
@@ -159,6 +160,8 @@ class Explanation:
     findings: tuple[Finding, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
     next_experiment: str | None = None
+    next_effect: str = ""
+    next_joints: tuple[str, ...] = ()
     already_there: tuple[str, ...] = ()
     reasons: tuple[str, ...] = ()
     model: IdentifiedModel | None = None

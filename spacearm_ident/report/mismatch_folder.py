@@ -10,7 +10,11 @@ from pathlib import Path
 from ..dynamics.arm import Arm
 from ..dynamics.model_file import save_model
 from ..errors import UserError
-from ..mismatch.document import EXTENDED_MODEL, to_document
+from ..excitation.composite import experiment_for
+from ..excitation.constraints import limits_for_excitation
+from ..excitation.trajectory import Trajectory
+from ..excitation.trajectory_file import save_trajectory
+from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN, to_document
 from ..mismatch.finding import Explanation
 from ..recording.recording import Recording
 from .folder import REPORT, replacing
@@ -37,12 +41,26 @@ def write_mismatch(
     sources = {**provenance(field, judged, command), "reference": provenance(reference, ())[FITTED]}
     page = mismatch_html(explanation, arm, sources)
     try:
-        with replacing(directory, [EXTENDED_MODEL]) as part:
+        with replacing(directory, [EXTENDED_MODEL, NEXT_RUN]) as part:
             document = {**to_document(explanation), "provenance": sources}
             (part / DOCUMENT).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
             if explanation.model is not None:
                 save_model(replace(explanation.model, provenance=sources), part / EXTENDED_MODEL)
+            if (run := next_run(explanation, arm, field[0])) is not None:
+                save_trajectory(run, part / NEXT_RUN)
             (part / REPORT).write_text(page, encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write {directory}: {error}") from error
     return directory / REPORT
+
+
+def next_run(explanation: Explanation, arm: Arm, field: Recording) -> Trajectory | None:
+    """The motion of the next experiment, from where a recording began; None where no motion within the limits is."""
+    if not explanation.next_effect:
+        return None
+    start = field.in_order(arm.joint_names).position[0]
+    try:
+        limits, _ = limits_for_excitation(arm, start)
+        return experiment_for(explanation.next_effect, arm, limits, start=start, joints=explanation.next_joints or None)
+    except UserError:
+        return None
