@@ -65,6 +65,13 @@ def come_first(pid: int) -> None:
         Path(f"/proc/{pid}/autogroup").write_text(str(_AUTOGROUP_NICE))
 
 
+def keep_apart(pid: int, number: int) -> None:
+    """Keep a process, just started, to one core: the `number`-th of those there are, from 0, around again."""
+    cores = sorted(os.sched_getaffinity(0))
+    with contextlib.suppress(OSError):
+        os.sched_setaffinity(pid, {cores[number % len(cores)]})
+
+
 class Pacer:
     """Slots of a cycle on absolute deadlines, with a record of how late each began.
 

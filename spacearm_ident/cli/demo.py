@@ -33,7 +33,7 @@ coefficients to validate, then the report. Everything is written to DIR: result,
 """
 ARM = "paper_arm.yaml"
 IDENTIFIED_S = 120.0
-ATTEMPTS = 3
+ATTEMPTS = 5
 """How often a run is begun before the demo gives up."""
 REASON_S = 3.0
 

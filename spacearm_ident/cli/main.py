@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import UnfitDataError, UserError
-from . import demo, excite, identify, mismatch, node, report, simulate
+from . import calibrate_temperature, demo, excite, identify, mismatch, node, report, simulate
 
-COMMANDS = (demo, excite, identify, simulate, report, mismatch, node)
+COMMANDS = (demo, excite, identify, simulate, report, mismatch, calibrate_temperature, node)
 
 
 def parser() -> argparse.ArgumentParser:

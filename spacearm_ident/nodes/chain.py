@@ -31,7 +31,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from ..canbus.realtime import come_first
+from ..canbus.realtime import come_first, keep_apart
 from ..errors import UserError
 from .runtime import LATCHED
 
@@ -45,6 +45,8 @@ STOP_ORDER = ("trajectory", "identifier", "recorder", "canopen_driver", "simulat
 """Who moves the arm goes first, the arm itself last."""
 IN_TIME = frozenset(STOP_ORDER) - {"identifier"}
 """Who must keep time on a machine that is busy with other things."""
+APART = ("canopen_driver", "simulated_arm")
+"""Whose real-time threads together would take so much of a core that the kernel halts them (sched(7))."""
 
 _LIBC = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
@@ -121,6 +123,8 @@ class Chain:
             )
         if name in IN_TIME:
             come_first(process.pid)
+        if name in APART:
+            keep_apart(process.pid, APART.index(name))
         return process
 
     def __enter__(self) -> Chain:

@@ -1,0 +1,146 @@
+"""What tracking costs (data seconds over CPU seconds), how fast it finds changes, and how often it cries wolf.
+
+The paper's arm with torque from its own model: what is measured is the tracker, not the model. `--hours` is the length
+of the stationary runs in which every change found is a false alarm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import lfilter
+
+from spacearm_ident.dynamics.model import IdentifiedModel
+from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.identification.tracking import Change, Tracker
+from spacearm_ident.identification.tracking_rows import RowStream, TrackedModel, rows_of
+from spacearm_ident.recording.motion import Motion
+
+MODEL = Path(__file__).parent.parent / "config" / "paper_arm_model.yaml"
+CUTOFF_HZ = 10.0
+NOISE_NM = np.array([0.6, 0.6, 0.45, 0.15, 0.15, 0.15])
+CHANGES: dict[str, dict[str, float]] = {
+    "f_c[joint_3] + 1.5 N m": {"f_c[joint_3]": 1.5},
+    "f_c[joint_5] + 0.5 N m": {"f_c[joint_5]": 0.5},
+    "k_v1[joint_2] + 4 N m s/rad": {"k_v1[joint_2]": 4.0},
+    "payload 1 kg, 0.1 m out": {"dm[joint_6]": 1.0, "dmcz[joint_6]": 0.1},
+    "payload 0.3 kg, 0.1 m out": {"dm[joint_6]": 0.3, "dmcz[joint_6]": 0.03},
+}
+
+
+def motion_of(model: IdentifiedModel, seconds: float, rate_hz: float, seed: int) -> Motion:
+    """Sines of frequencies that never repeat together, up to 0.8 rad/s."""
+    rng, count = np.random.default_rng(seed), len(model.model.arm.joints)
+    omega = 2 * np.pi * np.sqrt(rng.uniform(0.05**2, 0.4**2, (4, count)))
+    angle = np.arange(0.0, seconds, 1.0 / rate_hz)[:, None, None] * omega + rng.uniform(0, 2 * np.pi, (4, count))
+    size = 0.8 * rng.dirichlet(np.ones(4), count).T
+    acceleration = -(size * omega * np.sin(angle)).sum(axis=1)
+    position = (size / omega * np.sin(angle)).sum(axis=1)
+    return Motion(
+        joints=model.model.arm.joint_names,
+        rate_hz=rate_hz,
+        start_s=0.0,
+        position=position,
+        velocity=(size * np.cos(angle)).sum(axis=1),
+        acceleration=acceleration,
+        torque=np.zeros_like(position),
+        speed_noise=np.full(count, 1e-6),
+        resolved_speed=np.percentile(np.abs(acceleration), 95, axis=0) / (2 * np.pi * CUTOFF_HZ),
+        block=max(1, int(rate_hz / (20 * CUTOFF_HZ))),
+        cutoff_hz=CUTOFF_HZ,
+        stride=10,
+    )
+
+
+def noise(shape: tuple[int, ...], seed: int, ar: float) -> np.ndarray:
+    """AR(1) noise of the joints' standard deviations."""
+    white = np.random.default_rng(seed).standard_normal((shape[0] + 5000, *shape[1:]))
+    return NOISE_NM * lfilter([np.sqrt(1 - ar**2)], [1.0, -ar], white, axis=0)[5000:]
+
+
+def cost(model: IdentifiedModel, payload: bool, temperature: bool, seconds: float) -> None:
+    motion = motion_of(model, seconds, 1000.0, 0)
+    torque = model.torque(motion) + noise(motion.position.shape, 0, 0.0)
+    stamps = np.arange(len(torque)) / 1000.0
+    tracked = TrackedModel(model, payload, temperature)
+    stream, tracker, spent = RowStream(tracked, 1000.0), Tracker(tracked), [0.0, 0.0]
+    for first in range(0, len(torque), 200):
+        block = slice(first, first + 200)
+        warm = np.full(6, 20.0 + first / 1e5) if temperature else None
+        start = time.process_time()
+        parts = stream.add(stamps[block], motion.position[block], torque[block], warm)
+        middle = time.process_time()
+        for rows in parts:
+            tracker.add(rows)
+        spent[0] += middle - start
+        spent[1] += time.process_time() - middle
+    what = "levels" + ", payload" * payload + ", alpha" * temperature
+    print(
+        f"{what:<24} {seconds:.0f} s of data in {sum(spent):.2f} CPU s: ratio {seconds / sum(spent):.0f}, "
+        f"{sum(spent) / seconds:.1%} of a core (rows {spent[0] / seconds:.1%}, the rest {spent[1] / seconds:.1%})"
+    )
+
+
+def tracked_run(
+    model: IdentifiedModel, by: dict[str, float], seconds: float, at_s: float, seed: int, ar: float
+) -> list[Change]:
+    tracked = TrackedModel(model, payload=True)
+    motion = motion_of(model, seconds, 200.0, seed)
+    names = [parameter.name for parameter in tracked.model.model.parameters]
+    values = tracked.model.parameters.copy()
+    for name, size in by.items():
+        values[names.index(name)] += size
+    torque = tracked.model.torque(motion) + noise(motion.position.shape, seed + 1000, ar)
+    if by:
+        late = slice(int(at_s * 200.0), None)
+        after = replace(tracked.model, parameters=values).torque(motion) - tracked.model.torque(motion)
+        torque[late] += after[late]
+    return Tracker(tracked).add(rows_of(tracked, replace(motion, torque=torque)))
+
+
+def changes(model: IdentifiedModel, runs: int) -> None:
+    for words, by in CHANGES.items():
+        delay, error, named, others = [np.nan], [np.nan], Counter[str](), 0
+        for seed in range(runs):
+            at_s = 20.0 + 5.0 * seed / runs
+            found = tracked_run(model, by, 40.0, at_s, seed, 0.5)
+            others += max(0, len(found) - 1)
+            if found:
+                delay.append(found[0].found_s - at_s)
+                error.append(abs(found[0].time_s - at_s))
+                named[found[0].what] += 1
+        print(
+            f"{words:<28} found {named.total()} of {runs}, delay median {np.nanmedian(delay):.2f} s, "
+            f"largest {np.nanmax(delay):.1f} s; time wrong by {np.nanmedian(error):.2f} s (median); "
+            f"named {dict(named)}; {others} further"
+        )
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--seconds", type=float, default=60.0, help="of data for the cost")
+    arguments.add_argument("--runs", type=int, default=20, help="a change")
+    arguments.add_argument("--hours", type=float, default=1.0, help="of stationary motion for each kind of noise")
+    options = arguments.parse_args()
+    model = replace(load_model(MODEL), cutoff_hz=CUTOFF_HZ)
+    for payload, temperature in ((False, False), (True, False), (True, True)):
+        cost(model, payload, temperature, options.seconds)
+    changes(model, options.runs)
+    for ar in (0.0, 0.9, 0.99, 0.998):
+        runs = max(1, round(options.hours * 4))
+        found = [change for seed in range(runs) for change in tracked_run(model, {}, 900.0, 0.0, seed, ar)]
+        kept = -0.005 / np.log(ar) if ar else 0.0
+        most = max((change.significance for change in found), default=float("nan"))
+        print(
+            f"noise that keeps {kept:.3f} s: {len(found)} false alarms in {runs / 4:.2f} h of six joints"
+            + (f" (largest {most:.1f} sigma)" if found else "")
+        )
+
+
+if __name__ == "__main__":
+    main()

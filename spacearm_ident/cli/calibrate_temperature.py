@@ -1,0 +1,103 @@
+"""`spacearm calibrate-temperature`: bags over a temperature sweep in, alpha of every joint out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..dynamics.model_file import load_model, save_model
+from ..errors import UserError
+from ..identification.temperature import (
+    WANTED_SHARE,
+    TemperatureCalibration,
+    calibrate_temperature,
+    calibration_dict,
+    with_temperature,
+)
+from . import common
+
+DESCRIPTION = """
+Fit how friction follows temperature, f_c(T) = f_c0 + alpha (T - 20 °C), from constant-velocity runs recorded at several
+temperatures (spacearm excite --for temperature). Steady runs are found in the bags. Gravity is taken out by running
+forth and back over the same positions, or by the model where one is given.
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser."""
+    command = commands.add_parser(
+        "calibrate-temperature", help="fit alpha, friction over temperature", description=DESCRIPTION
+    )
+    command.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="recordings over a temperature sweep")
+    command.add_argument("--model", type=Path, metavar="FILE", help="model.yaml: takes gravity out, and gets the term")
+    command.add_argument("--out", type=Path, metavar="DIR", help="folder for temperature.json, and model.yaml")
+    command.add_argument(
+        "--error",
+        type=float,
+        default=100.0 * WANTED_SHARE,
+        metavar="PERCENT",
+        help="refuse a joint whose alpha is not known to this share of its friction a kelvin (default %(default)g)",
+    )
+    common.add_arm_options(command)
+    common.add_output_options(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, fit, write.
+
+    Raises:
+        UserError: Neither --out nor --json, or an error that is not above zero.
+    """
+    if options.out is None and not options.json:
+        raise UserError("say where the result goes: --out DIR, or --json")
+    if not options.error > 0.0:
+        raise UserError("--error is a share in percent above zero")
+    with common.progress(options) as report:
+        recordings = common.read_bags(options.bags, report)
+    common.note_findings(options, recordings)
+    model = load_model(options.model) if options.model else None
+    if model is not None and options.gravity is not None:
+        wider = replace(model.model, arm=model.model.arm.with_gravity(options.gravity))
+        model = replace(model, model=wider)
+    if model is not None:
+        joints = model.model.arm.joint_names
+    elif options.arm is not None:
+        joints = common.arm_of(options, recordings).joint_names
+    else:
+        joints = recordings[0].joints
+    calibration = calibrate_temperature(recordings, joints, model, options.error / 100.0)
+    result = calibration_dict(calibration)
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(result, indent=2, allow_nan=False)
+        (options.out / "temperature.json").write_text(text + "\n", encoding="utf-8")
+        if model is not None:
+            save_model(with_temperature(model, calibration), options.out / "model.yaml")
+    if options.json:
+        common.print_json(result)
+    else:
+        print(summary(calibration))
+    return 0
+
+
+def summary(calibration: TemperatureCalibration) -> str:
+    """The result on a terminal."""
+    lines = [f"{'joint':<20}{'alpha N m/K':>14}{'95 %':>20}{'f_c0 N m':>10}{'runs':>6}"]
+    for joint, result in calibration.joints.items():
+        low, high = result.alpha.interval
+        level = "-" if result.f_c0 is None else f"{result.f_c0:.3f}"
+        lines.append(
+            f"{joint:<20}{result.alpha.value:>14.4f}{f'{low:.4f} to {high:.4f}':>20}{level:>10}{len(result.points):>6}"
+        )
+    lines += [f"{joint}: refused: {reason}" for joint, reason in calibration.refused.items()]
+    for joints, words in (
+        (calibration.no_temperature, "no temperature recorded"),
+        (calibration.no_runs, "no steady run found"),
+    ):
+        if joints:
+            lines.append(f"{', '.join(joints)}: {words}")
+    return "\n".join(lines)

@@ -1,0 +1,146 @@
+"""A ground model updated by five seconds, or by 500 samples: coverage, what the prior holds, what the data move."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planted_arm import TWO_LINKS, Friction, incommensurate, two_link_run, urdf_of
+from scipy.signal import lfilter
+
+from spacearm_ident.dynamics.arm import arm_from_urdf
+from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
+from spacearm_ident.errors import UnfitDataError, UserError
+from spacearm_ident.identification.from_prior import CHANGES, GroundPrior, update
+from spacearm_ident.identification.identify import Settings, identify
+from spacearm_ident.recording.motion import Motion
+from spacearm_ident.recording.recording import Recording
+
+V_B = 0.05
+
+
+def ground() -> GroundPrior:
+    """Two links known to a few per cent, with correlated errors of inertia and rotor."""
+    arm = arm_from_urdf(urdf_of(TWO_LINKS))
+    model = TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}, **FRICTION_LAWS["vacuum"]})
+    known = {"f_c": (6.0, 3.0), "f_b": (8.0, 4.0), "k_v1": (4.0, 2.0), "J_m": (0.5, 0.2)}
+    values = [
+        known[p.symbol][arm.joint_names.index(p.joint)] if p.symbol in known else p.prior for p in model.parameters
+    ]
+    spread = {"f_c": 0.05, "f_b": 0.1, "k_v1": 0.05, "J_m": 0.05, "m": 0.05}
+    root = np.diag(
+        [spread.get(p.symbol, 0.02) for p in model.parameters]
+        + [0.01 if c.symbol == "v_b" else 0.0 for c in model.constants]
+    )
+    names = [p.name for p in model.parameters]
+    root[names.index("Iyy[elbow]"), names.index("J_m[elbow]")] = -0.05
+    constants = [V_B if c.symbol == "v_b" else 0.0 for c in model.constants]
+    return GroundPrior(IdentifiedModel(model, np.array(values), np.array(constants), 10.0), root @ root.T)
+
+
+def orbit(prior: GroundPrior, truth: np.ndarray, seed: int, seconds: float, rate: float, ar: float) -> Recording:
+    """A run of an arm whose parameters and constants are `truth`."""
+    model, count = prior.model.model, len(prior.model.parameters)
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1.0 / rate)
+    q, qd, qdd = incommensurate(time, 2, seed, 0.8)
+    motion = Motion(model.arm.joint_names, rate, 0.0, q, qd, qdd, q, np.full(2, 1e-6), np.zeros(2))
+    white = rng.standard_normal((len(q) + 500, 2))
+    noise = 0.3 * lfilter([np.sqrt(1 - ar**2)], [1.0, -ar], white, axis=0)[500:]
+    return Recording(
+        joints=model.arm.joint_names,
+        time=time,
+        position=q + 1e-6 * rng.standard_normal(q.shape),
+        velocity=None,
+        effort=model.torque(motion, truth[:count], truth[count:]) + noise,
+        segments=(slice(0, len(time)),),
+    )
+
+
+@pytest.mark.parametrize(("seconds", "rate", "ar"), [(5.0, 200.0, 0.0), (5.0, 100.0, 0.0), (5.0, 200.0, 0.9)])
+def test_intervals_cover_what_they_say(seconds, rate, ar):
+    """150 arms drawn from the prior; 5 s, or 500 samples; white noise and slow."""
+    prior = ground()
+    wider = prior.widened(CHANGES)
+    centre = np.concatenate([prior.model.parameters, prior.model.constants])
+    free = np.diag(wider.covariance) > 0
+    inside, decided = [], []
+    for seed in range(150):
+        truth = np.random.default_rng(seed).multivariate_normal(centre, wider.covariance)
+        result = update([orbit(prior, truth, seed, seconds, rate, ar)], prior)
+        low, high = result.intervals.T
+        held = (low <= truth) & (truth <= high)
+        inside.append(held[free])
+        decided.extend(held[free & (result.told > 0.5)])
+    assert 0.93 <= np.mean(inside) <= 0.97
+    # What the data decided: some 1500 intervals, twelve or so of them of one run.
+    assert len(decided) > 900
+    assert 0.93 <= np.mean(decided) <= 0.975
+
+
+def test_data_that_say_much_say_all():
+    """A minute of data: friction no longer depends on the prior; what moves no torque stays where it was."""
+    prior = ground()
+    centre = np.concatenate([prior.model.parameters, prior.model.constants])
+    names = list(prior.names)
+    truth = centre.copy()
+    for name, value in {"f_c[shoulder]": 3.0, "f_b[shoulder]": 4.0, "k_v1[elbow]": 3.0}.items():
+        truth[names.index(name)] = value
+    result = update([orbit(prior, truth, 1, 60.0, 200.0, 0.0)], prior)
+    for name in ("f_c[shoulder]", "k_v1[elbow]"):
+        number = names.index(name)
+        assert result.told[number] > 0.99
+        assert abs(result.model.parameters[number] - truth[number]) < 4 * result.standard_errors[number] < 0.3
+    for name in ("Ixx[shoulder]", "mcy[elbow]"):
+        number = names.index(name)
+        assert result.told[number] == pytest.approx(0.0, abs=1e-6)
+        assert result.model.parameters[number] == pytest.approx(centre[number], abs=1e-9)
+        assert result.standard_errors[number] == pytest.approx(np.sqrt(prior.covariance[number, number]), rel=1e-6)
+
+
+def test_changes_widen_friction_only_and_f_b_follows_f_c():
+    prior = ground()
+    extra = prior.widened({"f_c": 0.3, "f_b": 0.5}).covariance - prior.covariance
+    names = list(prior.names)
+    c, b = names.index("f_c[shoulder]"), names.index("f_b[shoulder]")
+    assert extra[c, c] == pytest.approx(1.8**2) and extra[c, b] == pytest.approx(1.8**2)
+    assert extra[b, b] == pytest.approx(1.8**2 + 1.0**2)
+    assert np.count_nonzero(np.diag(extra)) == 4
+    # An arm that may not have changed is believed: the same data move it less.
+    truth = np.concatenate([prior.model.parameters, prior.model.constants])
+    truth[c] += 2.0
+    run = orbit(prior, truth, 3, 5.0, 200.0, 0.0)
+    moved = [update([run], prior, room).model.parameters[c] - 6.0 for room in ({}, None)]
+    assert moved[0] < moved[1] and abs(moved[1] - 2.0) < 0.5
+
+
+def test_an_identified_ground_run_is_a_prior(tmp_path):
+    """Ground: 20 s, identified. Orbit: five seconds, friction 20 % lower; the update predicts another run better."""
+    before = (Friction(f_c=5.0, k_v2=0.0, k_v3=0.0), Friction(f_c=3.0, k_v1=2.0, J_m=0.2, k_v2=0.0, k_v3=0.0))
+    after = tuple(replace(law, f_c=0.8 * law.f_c) for law in before)
+    structure = {"rigid_body": {}, "rotor_inertia": {}, **FRICTION_LAWS["coulomb-viscous"]}
+    arm = arm_from_urdf(urdf_of(TWO_LINKS))
+    identified = identify([two_link_run(before, 20.0, 250.0, 1).recording(0.2)], arm, Settings(structure=structure))
+    prior = GroundPrior.of(identified)
+    prior.save(tmp_path / "covariance.npz")
+    loaded = GroundPrior.load(identified.model, tmp_path / "covariance.npz")
+    assert np.array_equal(loaded.covariance, prior.covariance)
+    result = update([two_link_run(after, 5.0, 250.0, 2).recording(0.2, 5)], loaded)
+    for joint, level in (("shoulder", 4.0), ("elbow", 2.4)):
+        number = list(prior.names).index(f"f_c[{joint}]")
+        low, high = result.intervals[number]
+        assert low - 0.1 < level < high + 0.1 and high - low < 1.0
+    assert result.model.value("m", "shoulder") == pytest.approx(identified.model.value("m", "shoulder"), rel=0.2)
+    other = IdentifiedModel(TorqueModel(arm, {"rotor_inertia": {}}), np.zeros(2), np.zeros(0))
+    with pytest.raises(UserError, match="belongs to another model"):
+        GroundPrior.load(other, tmp_path / "covariance.npz")
+    with pytest.raises(UserError, match="cannot read the covariance"):
+        GroundPrior.load(other, tmp_path / "absent.npz")
+
+
+def test_rest_is_refused():
+    prior = ground()
+    run = orbit(prior, np.concatenate([prior.model.parameters, prior.model.constants]), 1, 5.0, 200.0, 0.0)
+    with pytest.raises(UnfitDataError, match="no joint moves"):
+        update([replace(run, position=np.zeros_like(run.position))], prior)
