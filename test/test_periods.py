@@ -22,11 +22,13 @@ def excitation(rate, period_s, periods, seed=1, joints=3, rest_s=1.0, approach_s
     begin = rest_s + approach_s + fraction / rate
     time = np.arange(count) / rate - begin
     whole = periods * period_s
-    at = [np.array(signals) for signals in zip(*(multisine(np.array([0.0, whole]), joints, seed, 1 / period_s)))]
     still = np.zeros((3, joints))
     inside = (time >= 0) & (time <= whole)
+    # All at once: the largest of these speeds scales them.
+    signals = multisine(np.concatenate([[0.0], time[inside], [whole]]), joints, seed, 1 / period_s)
+    at = [np.array([signal[end] for signal in signals]) for end in (0, -1)]
     position = np.zeros((count, joints))
-    position[inside] = multisine(time[inside], joints, seed, 1 / period_s)[0]
+    position[inside] = signals[0][1:-1]
     for joint in range(joints):
         there = BPoly.from_derivatives([-approach_s, 0.0], [still[:, joint], at[0][:, joint]])
         back = BPoly.from_derivatives([whole, whole + approach_s], [at[1][:, joint], still[:, joint]])

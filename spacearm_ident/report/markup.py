@@ -68,7 +68,7 @@ def measured(value: float, error: float) -> str:
     place -= error / 10.0**place < 3.5
     if place > 0 or place < -6:
         size = math.floor(math.log10(abs(value))) if value else place
-        return f"{number(value, min(max(3, size - place + 1), 12))} ± {number(error, 2)}"
+        return f"{number(value, min(max(3, size - place + 1), 15))} ± {number(error, 2)}"
     decimals = -place
     # Adding zero makes a rounded negative zero positive.
     return _typeset(f"{round(value, decimals) + 0.0:.{decimals}f} ± {error:.{decimals}f}")
