@@ -1,4 +1,4 @@
-"""figaroh's side of `bench_figaroh.py`: runs in figaroh's own Python, answers one JSON line a request.
+"""figaroh's side of `peers.py`: runs in figaroh's own Python, answers one JSON line a request.
 
 A subclass of `BaseIdentification` such as its users write: positions and torque from a CSV file, its own filter
 and differentiation, every option of its model on (viscous and Coulomb friction, actuator inertia, offset), least
@@ -94,7 +94,7 @@ def configuration(folder, joints, rate_hz, cutoff_hz):
 
 
 class Worker:
-    """What `bench_figaroh.py` may ask for."""
+    """What `peers.py` may ask for."""
 
     def __init__(self, urdf, joints, folder):
         self.robot = load_robot(urdf, load_by_urdf=True)
@@ -106,34 +106,15 @@ class Worker:
         self.config = configuration(self.folder, self.joints, rate_hz, cutoff_hz)
         return {}
 
-    def read(self, files):
-        """Time of reading CSV files."""
-        start = time.perf_counter()
-        for path in files:
-            read(path)
-        return {"seconds": time.perf_counter() - start}
-
-    def regressor(self, motion, out=None):
-        """Time of the regressor of a motion; its rigid-body columns to `out`."""
-        q, qd, qdd = (np.load(motion)[key] for key in ("q", "qd", "qdd"))
-        config = Identification(self.robot, self.config, self.joints, []).identif_config
-        start = time.perf_counter()
-        matrix = build_regressor_basic(self.robot, q, qd, qdd, config)
-        seconds = time.perf_counter() - start
-        if out:
-            np.save(out, matrix[:, : 10 * len(self.joints)])
-        return {"seconds": seconds}
-
     def identify(self, files, decimation, motions, out):
-        """Time of everything after reading, and of what follows the regressor; predicted torque by motion."""
+        """Time of everything after reading; predicted torque by motion."""
         task = Identification(self.robot, self.config, self.joints, files)
         data = task.load_trajectory_data()
         task.load_trajectory_data = lambda data_source=None: data
         start = time.perf_counter()
         task.initialize()
-        ready = time.perf_counter()
         task.solve(decimate=decimation > 1, decimation_factor=decimation, plotting=False, wls=True)
-        end = time.perf_counter()
+        seconds = time.perf_counter() - start
         torques = {}
         for number, motion in enumerate(motions):
             q, qd, qdd = (np.load(motion)[key] for key in ("q", "qd", "qdd"))
@@ -141,7 +122,7 @@ class Worker:
             base = build_regressor_reduced(matrix, task._idx_eliminated)[:, task._base_indices]
             torques[str(number)] = (base @ task.phi_base).reshape(len(self.joints), len(q)).T
         np.savez(out, **torques)
-        return {"seconds": end - start, "solve_seconds": end - ready, "parameters": len(task.phi_base)}
+        return {"seconds": seconds, "parameters": len(task.phi_base)}
 
 
 def main():

@@ -26,6 +26,7 @@ class CoupledMotor(Term):
     kind: ClassVar[str] = "coupled_motor"
     words: ClassVar[str] = "coupled motors"
     friction: ClassVar[bool] = True
+    pointwise: ClassVar[bool] = True
     coupling: Coupling | None = None
 
     @classmethod

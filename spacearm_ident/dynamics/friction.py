@@ -135,6 +135,7 @@ class ViscousFriction(Term):
     kind: ClassVar[str] = "viscous_friction"
     words: ClassVar[str] = "viscous friction k_v1, k_v2, k_v3"
     friction: ClassVar[bool] = True
+    pointwise: ClassVar[bool] = True
     ODD: ClassVar[str] = "k_v2_odd"
 
     @classmethod

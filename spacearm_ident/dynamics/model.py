@@ -131,8 +131,9 @@ class TorqueModel:
             if kinds is not None and term.kind not in kinds:
                 continue
             values = constants[first_constant : first_constant + len(term.constants)]
-            for row, (indices, columns) in term.columns(motion, values, background).items():
-                total[:, row] += columns @ parameters[first + np.array(indices)]
+            for part in motion.pieces() if term.pointwise else (slice(0, len(total)),):
+                for row, (indices, columns) in term.columns(motion[part], values, background).items():
+                    total[part, row] += columns @ parameters[first + np.array(indices)]
         return total
 
     def background(self, motion: Motion, parameters: FloatArray, constants: FloatArray) -> Background:

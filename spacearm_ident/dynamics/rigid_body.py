@@ -25,6 +25,7 @@ class RigidBody(Term):
 
     kind: ClassVar[str] = "rigid_body"
     words: ClassVar[str] = "rigid links"
+    pointwise: ClassVar[bool] = True
     arm: Arm | None = None
 
     @classmethod
@@ -59,6 +60,7 @@ class RigidBody(Term):
 class PerJoint(Term):
     """A term with one parameter a joint, whose column is that joint's own signal."""
 
+    pointwise: ClassVar[bool] = True
     symbol: ClassVar[str]
     unit: ClassVar[str]
     dimension: ClassVar[tuple[int, int, int]]

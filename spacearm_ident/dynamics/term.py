@@ -81,13 +81,15 @@ class Term(ABC):
     """One contribution to the joint torques of an arm.
 
     Subclasses set `kind` (its name in model files), `words` (what a report calls it), whether it is `friction`,
-    `parameters` and `constants`, and compute `columns`.
+    `parameters` and `constants`, and compute `columns`. One is `pointwise` if its columns at a sample depend on
+    nothing but that sample: they can then be computed a few samples at a time.
     `options` are the choices that shape it, as a model file keeps them.
     """
 
     kind: ClassVar[str]
     words: ClassVar[str]
     friction: ClassVar[bool] = False
+    pointwise: ClassVar[bool] = False
     parameters: tuple[Parameter, ...]
     constants: tuple[Constant, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)

@@ -3,6 +3,10 @@
 Every joint has its own rows. Columns that do not depend on a searched constant are computed once and replaced by
 their QR factors; whatever constants a solver tries, only the few columns they shape are computed anew and
 projected. After that no array has more rows than there are parameters.
+
+The fixed columns are most of what there is: some forty for every sample of every joint. They are computed a few
+seconds of motion at a time and kept at the rate of the rows only, so that a long recording needs little more memory
+than its own signals.
 """
 
 from __future__ import annotations
@@ -113,19 +117,24 @@ class Regression:
 
     def _fixed_columns(self, term: Term) -> Shaped:
         """Columns of a term without constants, numbered within it; those of parameters held at zero are left out."""
-        per_motion = [term.columns(motion, (), None) for motion in self.motions]
-        fixed = {}
-        for joint, (indices, _) in per_motion[0].items():
-            free = [k for k, index in enumerate(indices) if term.parameters[index].scale != 0.0]
-            if free:
-                columns = self._gather(joint, [part[joint][1][:, free] for part in per_motion])
-                fixed[joint] = [indices[k] for k in free], columns
-        return fixed
+        indices: dict[int, list[int]] = {}
+        reduced: dict[int, list[FloatArray]] = {}
+        for motion in self.motions:
+            for part in motion.parts() if term.pointwise else (motion,):
+                for joint, (numbers, columns) in term.columns(part, (), None).items():
+                    free = [k for k, number in enumerate(numbers) if term.parameters[number].scale != 0.0]
+                    if free:
+                        indices[joint] = [numbers[k] for k in free]
+                        reduced.setdefault(joint, []).append(part.reduce(columns[:, free]))
+        return {joint: (indices[joint], self._moving(joint, np.concatenate(reduced[joint]))) for joint in indices}
+
+    def _moving(self, joint: int, reduced: FloatArray) -> FloatArray:
+        """The joint's moving rows of reduced columns of all motions."""
+        return np.asarray(reduced[np.concatenate([motion.moving[:, joint] for motion in self.motions])])
 
     def _gather(self, joint: int, columns: Sequence[FloatArray]) -> FloatArray:
         """Reduce full-rate columns of every motion and keep the joint's moving rows."""
-        parts = [motion.reduce(part)[motion.moving[:, joint]] for motion, part in zip(self.motions, columns)]
-        return np.concatenate(parts)
+        return self._moving(joint, np.concatenate([motion.reduce(part) for motion, part in zip(self.motions, columns)]))
 
     def shaped(self, term_number: int, constants: Sequence[float]) -> Shaped:
         """Columns of one term that has constants, at given values of them (the last ones asked for are kept)."""

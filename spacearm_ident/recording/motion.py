@@ -8,7 +8,8 @@ together with its `reduce`: the map from full-rate samples to the fewer, indepen
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +24,8 @@ REVERSAL_SHARE = 0.1
 """Rows slower than this share of the speeds a reversal is blurred over are left out."""
 STANDSTILL_SHARE = 0.02
 """A row is at standstill when more than this share of what went into it is."""
+PART_SAMPLES = 16_384
+"""Full-rate samples that are worked on at once, where there is no need to have all."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,39 @@ class Motion:
         tail = signal.shape[1:]
         mean = signal[: blocks * self.block].reshape(blocks, self.block, *tail).mean(axis=1)
         return np.asarray(self._low_pass @ mean)
+
+    def __getitem__(self, part: slice) -> Motion:
+        """The full-rate samples of `part` (start and stop given, no step)."""
+        return replace(
+            self,
+            start_s=self.start_s + part.start / self.rate_hz,
+            position=self.position[part],
+            velocity=self.velocity[part],
+            acceleration=self.acceleration[part],
+            torque=self.torque[part],
+            temperature=None if self.temperature is None else self.temperature[part],
+        )
+
+    def pieces(self, samples: int = PART_SAMPLES) -> Iterator[slice]:
+        """The full-rate samples, about so many at a time."""
+        for start in range(0, len(self.position), samples):
+            yield slice(start, min(start + samples, len(self.position)))
+
+    def parts(self, samples: int = PART_SAMPLES) -> Iterator[Motion]:
+        """Shorter motions whose rows, one after the other, are the rows of this one.
+
+        Neighbours share the samples that the low-pass reaches over. What depends on one sample alone can be computed
+        and reduced part by part, and never be there for all samples at once. The mean of periods is one part.
+        """
+        rows = self._rows
+        if self.cyclic or len(self.position) <= samples:
+            yield self
+            return
+        together = max(1, (samples // self.block - 2 * self._half_length) // self.stride)
+        for first in range(0, len(rows), together):
+            last = min(first + together, len(rows)) - 1
+            blocks = rows[first] - self._half_length, rows[last] + self._half_length + 1
+            yield self[int(blocks[0]) * self.block : int(blocks[1]) * self.block]
 
     @cached_property
     def time(self) -> FloatArray:
