@@ -35,7 +35,8 @@ ARM = "paper_arm.yaml"
 IDENTIFIED_S = 120.0
 ATTEMPTS = 5
 """How often a run is begun before the demo gives up."""
-REASON_S = 3.0
+REASON_S = 5.0
+"""How long one node may take to hear of what happened at another."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None
     """
     chain.set_parameter("trajectory", "trajectory_file", str(file.resolve()))
     for _ in range(ATTEMPTS):
-        run_id = chain.call("/excitation/start").partition(":")[0].removeprefix("run ")
+        run_id = _start(chain)
         reason = _moved(chain, plan, run_id, report)
         complete = chain.excitation["complete"]
         if reason:
@@ -164,6 +165,18 @@ def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None
             _identified(chain, plan, report)
             return
     raise UserError(f"the {plan.name} run was stopped {ATTEMPTS} times: is this machine too busy?")
+
+
+def _start(chain: Chain) -> str:
+    """Start a run; returns its id. The trajectory node may not have heard yet of the driver, or that it is enabled."""
+    end = time.monotonic() + REASON_S
+    while True:
+        try:
+            return chain.call("/excitation/start").partition(":")[0].removeprefix("run ")
+        except UserError:
+            if time.monotonic() > end:
+                raise
+        time.sleep(0.1)
 
 
 def _moved(chain: Chain, plan: Plan, run_id: str, report: common.Report) -> str:
