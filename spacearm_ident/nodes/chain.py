@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -50,6 +50,7 @@ APART = ("canopen_driver", "simulated_arm")
 
 _LIBC = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
+_ENDING = frozenset({signal.SIGINT, signal.SIGTERM})
 
 Values = Mapping[str, str]
 
@@ -84,7 +85,8 @@ class Chain:
         self._graph = contextlib.ExitStack()
         try:
             for name in reversed(STOP_ORDER):
-                self._processes[name] = self._spawn(name, parameters.get(name, {}))
+                with _undisturbed():
+                    self._processes[name] = self._spawn(name, parameters.get(name, {}))
             self._join_graph()
         except BaseException:
             self.close()
@@ -237,6 +239,17 @@ class Chain:
 def _end_with_parent() -> None:
     """Have the kernel send SIGTERM to this process when the one that started it is gone, however that ended."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """No interrupt between the birth of a process and its being known, for it would outlive the chain."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class _Domain:
