@@ -6,11 +6,11 @@ BIN := .venv/bin
 
 venv: .venv/.ready
 
+# --use-pep517: an older pip would follow setup.cfg, as colcon must, and put the commands where no shell looks.
 .venv/.ready: setup.py constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "Python 3.11 or newer is needed: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv .venv
-	# An older pip would follow setup.cfg, as colcon must, and put the commands where no shell looks.
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 -c constraints.txt -e '.[ros,test]'
 	@$(BIN)/spacearm --version
 	@touch $@

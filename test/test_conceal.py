@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from contract import CONTRACT
 from simulated_arm import CONFIG, paper_arm, paper_drives
 
 from spacearm_ident.cli.main import main
@@ -20,34 +21,6 @@ from spacearm_ident.simulation.parameters import PlantParameters
 from spacearm_ident.simulation.servo import DriveData
 from spacearm_ident.simulation.thermal import ThermalParameters
 
-CONTRACT = [
-    "payload",
-    "friction_drift",
-    "temperature_friction",
-    "load_friction",
-    "gear_efficiency",
-    "presliding_hysteresis",
-    "position_friction",
-    "asymmetric_friction",
-    "stribeck",
-    "vacuum_friction",
-    "torque_ripple",
-    "joint_elasticity",
-    "backlash",
-    "harness_spring",
-    "rotor_coupling",
-    "wrist_coupling",
-    "base_tilt",
-    "floating_base",
-    "link_flexibility",
-    "external_contact",
-    "torque_constant",
-    "motor_saturation",
-    "current_offset",
-    "encoder_eccentricity",
-    "time_delay",
-    "filter_lag",
-]
 MASS, LENGTH, G, ROTOR = 2.0, 0.5, 9.81, 0.3
 INERTIA = MASS * LENGTH**2
 SIX = tuple(f"joint_{k}" for k in range(1, 7))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from contract import CONTRACT
 from planted_arm import THREE_LINKS, TWO_LINKS, Link, multisine, urdf_of
 
 from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
@@ -17,34 +18,6 @@ from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording.motion import Motion
 
-CONTRACT = [
-    "payload",
-    "friction_drift",
-    "temperature_friction",
-    "load_friction",
-    "gear_efficiency",
-    "presliding_hysteresis",
-    "position_friction",
-    "asymmetric_friction",
-    "stribeck",
-    "vacuum_friction",
-    "torque_ripple",
-    "joint_elasticity",
-    "backlash",
-    "harness_spring",
-    "rotor_coupling",
-    "wrist_coupling",
-    "base_tilt",
-    "floating_base",
-    "link_flexibility",
-    "external_contact",
-    "torque_constant",
-    "motor_saturation",
-    "current_offset",
-    "encoder_eccentricity",
-    "time_delay",
-    "filter_lag",
-]
 RATE = 250.0
 PENDULUM = (Link("hip", mass=2.0, com=(0.0, 0.0, -0.5), inertia=(0.03, 0, 0, 0.03, 0, 0.01)),)
 HANGING_NM, PENDULUM_INERTIA = 2.0 * 9.81 * 0.5, 0.03 + 2.0 * 0.5**2
