@@ -7,10 +7,7 @@ squares, then weighted least squares. Samples near the filter's edges are masked
 
 from __future__ import annotations
 
-import contextlib
-import json
 import logging
-import os
 import sys
 import time
 import warnings
@@ -23,6 +20,7 @@ from figaroh.data.trajectory import TrajectoryData
 from figaroh.identification.base_identification import BaseIdentification
 from figaroh.tools.load_robot import load_robot
 from figaroh.tools.regressor import build_regressor_basic, build_regressor_reduced
+from worker_loop import serve
 
 EDGE_S = 0.5
 
@@ -128,15 +126,8 @@ class Worker:
 def main():
     warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
     urdf, folder, *joints = sys.argv[1:]
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
-        worker = Worker(urdf, joints, folder)
-        print(json.dumps({"ready": True}), file=answers, flush=True)
-        for line in sys.stdin:
-            request = json.loads(line)
-            answer = getattr(worker, request.pop("do"))(**request)
-            print(json.dumps(answer), file=answers, flush=True)
+    serve(lambda: Worker(urdf, joints, folder))
 
 
 if __name__ == "__main__":

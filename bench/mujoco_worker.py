@@ -9,9 +9,6 @@ of one's own, at a tenth of the samples.
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
 import sys
 import time
 
@@ -19,6 +16,7 @@ import mujoco
 import numpy as np
 from mujoco import sysid
 from scipy.signal import butter, sosfiltfilt
+from worker_loop import serve
 
 RATE_HZ = 100.0
 EDGE_S = 0.3
@@ -154,15 +152,8 @@ def torque(model, q, qd, qdd):
 
 
 def main():
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
     urdf, _, *joints = sys.argv[1:]
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
-        worker = Worker(urdf, joints)
-        print(json.dumps({"ready": True}), file=answers, flush=True)
-        for line in sys.stdin:
-            request = json.loads(line)
-            answer = getattr(worker, request.pop("do"))(**request)
-            print(json.dumps(answer), file=answers, flush=True)
+    serve(lambda: Worker(urdf, joints))
 
 
 if __name__ == "__main__":
