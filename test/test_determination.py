@@ -77,8 +77,10 @@ def test_a_friction_that_would_have_to_be_negative_is_at_its_bound():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_visible_stribeck_peak_is_determined(seed):
-    planted = two_link_run((Friction(f_b=8.0, v_b=0.15), Friction(f_c=3.0)), seconds=40.0, rate_hz=RATE_HZ, seed=seed)
+@pytest.mark.parametrize(("v_b", "speed"), [(0.15, 0.6), (0.02, 0.6)], ids=["wide", "half as wide as the blur"])
+def test_a_visible_stribeck_peak_is_determined(v_b, speed, seed):
+    laws = Friction(f_b=8.0, v_b=v_b), Friction(f_c=3.0)
+    planted = two_link_run(laws, seconds=40.0, rate_hz=RATE_HZ, seed=seed, speed=speed)
     found = estimates(planted)
     for name in ("v_b[shoulder]", "f_b[shoulder]"):
         assert found[name].determination is Determination.DATA
@@ -86,12 +88,10 @@ def test_a_visible_stribeck_peak_is_determined(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("share", [0.2, 0.5])
-def test_of_a_peak_narrower_than_what_is_resolved_neither_width_nor_height_is(seed, share):
+def test_of_a_peak_much_narrower_than_a_reversals_blur_neither_width_nor_height_is(seed):
     """Only its area is seen: a fit finds some width and height of that area, and must not sell them as known."""
     law, other = Friction(f_b=8.0, v_b=0.02), Friction(f_c=3.0)
-    speed = 1.5 if share == 0.2 else 0.6
-    planted = two_link_run((law, other), seconds=30.0, rate_hz=RATE_HZ, seed=seed, speed=speed)
+    planted = two_link_run((law, other), seconds=30.0, rate_hz=RATE_HZ, seed=seed, speed=1.5)
     found = estimates(planted)
     for name in ("v_b[shoulder]", "f_b[shoulder]"):
         assert found[name].determination in (Determination.BOUND, Determination.PRIOR)

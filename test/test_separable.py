@@ -13,7 +13,7 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.identification.identify import identify
 from spacearm_ident.identification.prior import Prior, make_prior
-from spacearm_ident.identification.regression import Regression
+from spacearm_ident.identification.regression import NARROWEST_SHARE, Regression
 from spacearm_ident.identification.separable import grid_search, levenberg_marquardt, solve, solve_linear, system
 from spacearm_ident.recording.signals import prepare
 
@@ -68,7 +68,7 @@ def test_every_start_ends_in_the_same_minimum(start):
 def test_the_grid_is_searched_without_what_it_cannot_see():
     regression, _ = problem(two_link_run(LAWS))
     slowest = min(motion.resolved_speed[0] for motion in regression.motions)
-    assert regression.grids[0][1] == pytest.approx(slowest)
+    assert regression.grids[0][1] == pytest.approx(NARROWEST_SHARE * slowest)
     assert 0.05 < named(regression, grid_search(regression))["v_b[shoulder]"] < 0.2
 
 

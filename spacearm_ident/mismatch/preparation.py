@@ -18,13 +18,17 @@ from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
 from .evidence import Evidence, Unseen
-from .scene import Scene, Whitener, coarse, fit_whitener, loudness
+from .scene import Scene, Whitener, coarse, fit_whitener, louder
 
 CUTOFF_HZ = 20.0
 WIDER = 4.0
 """Positions are filtered this many times as wide."""
+QUIET = 1.0
+"""Accelerations this many times."""
 ORDER = 6
 """Of the noise's autoregressive model: it covers the length of the low-pass."""
+IN_FULL = 0.8
+"""Rows that count for less than this share of the others do not say what colour the noise has."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,8 @@ def prepare_evidence(
         if not recordings:
             return []
         wide = min(WIDER * cutoff, 0.35 * min(rates))
-        return [coarse(m, cutoff) for m in prepare(recordings, arm.joint_names, wide, average=False)[0]]
+        slow = [coarse(m, cutoff) for m in prepare(recordings, arm.joint_names, wide, average=False)[0]]
+        return [replace(m, acceleration=m.smoothed(m.acceleration, QUIET * cutoff)) for m in slow]
 
     referred, examined, judged = motions(healthy), motions(field), motions(validation)
     whiteners = _whiteners(base, referred or examined)
@@ -95,25 +100,28 @@ def _whiteners(base: IdentifiedModel, motions: Sequence[Motion]) -> list[Whitene
     joints = range(len(base.model.arm.joints))
     scale = [max(float(np.sqrt(np.mean([np.mean(m.torque_rows[:, j] ** 2) for m in motions]))), 1e-6) for j in joints]
     whiteners = [Whitener(np.zeros(0), 0.01 * size) for size in scale]
-    for order in (ORDER, ORDER):
+    # Which rows to believe less, then the colour of the others' noise, then by how much less in that colour.
+    for coloured in (False, False, False, True, False, False):
         scene = Scene(base, motions, whiteners)
         residual = Evidence(base, scene, None).residual
-        if order and not whiteners[0].order:
+        if coloured:
             whiteners = [_coloured(scene, residual, j, 1e-6 * scale[j]) for j in joints]
         else:
-            whiteners = [replace(w, loud=loudness(scene, residual, j)) for j, w in enumerate(whiteners)]
+            whiteners = [louder(w, scene, residual, j) for j, w in enumerate(whiteners)]
     return whiteners
 
 
 def _coloured(scene: Scene, residual: FloatArray, joint: int, floor: float) -> Whitener:
-    """One joint's autoregressive model from its unwhitened residual."""
-    series = []
+    """One joint's autoregressive model from its residual, which is not whitened yet, where rows count in full."""
+    series, counts = [], []
     for m, motion in enumerate(scene.motions):
-        whole = np.zeros(len(motion.torque_rows))
         slot = scene.slot(joint, m)
-        whole[scene.place[slot]] = residual[slot] * scene.whiteners[joint].sigma_Nm
+        whole, weight = np.zeros((2, len(motion.torque_rows)))
+        whole[scene.place[slot]] = residual[slot] / scene.weight[slot] * scene.whiteners[joint].sigma_Nm
+        weight[scene.place[slot]] = scene.weight[slot]
         series.append(whole)
-    return fit_whitener(series, [sound[:, joint] for sound in scene.sound], ORDER, floor)
+        counts.append(weight > IN_FULL * scene.weight[scene.joint == joint].max())
+    return fit_whitener(series, counts, ORDER, floor)
 
 
 def _floor(whiteners: Sequence[Whitener]) -> FloatArray:

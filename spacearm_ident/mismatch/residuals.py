@@ -1,4 +1,8 @@
-"""Residuals in newton metres, on the rows of a scene, for figures of merit and for pictures."""
+"""Residuals in newton metres, on the rows of a scene, for figures of merit and for pictures.
+
+Figures are root mean squares in which a row counts for what it counted for in the fit: a few rows beside a reversal,
+which no model gets right, would otherwise be all that they tell of.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +26,14 @@ class Residuals:
     def __init__(self, evidence: Evidence, scene: Scene) -> None:
         count = len(evidence.base.model.arm.joints)
         self.scene = Scene(evidence.base, scene.motions, [Whitener(np.zeros(0), 1.0)] * count)
+        weights = [whitener.weight(*self._rows(j)) for j, whitener in enumerate(scene.whiteners)]
+        self._information = np.concatenate(weights) ** 2
         self._columns = base_columns(evidence.base, self.scene, evidence.common)
         self._torque = self.scene.torque()
+
+    def _rows(self, joint: int) -> tuple[FloatArray, FloatArray]:
+        mine = self.scene.joint == joint
+        return self.scene.speed[mine], self.scene.gone[mine]
 
     def of(self, base: FloatArray, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(V,) measured minus predicted, N·m."""
@@ -35,14 +45,12 @@ class Residuals:
         )
 
     def rms(self, residual: FloatArray) -> FloatArray:
-        """(n,) RMS by joint; NaN where a joint has no rows."""
+        """(n,) weighted RMS by joint; NaN where a joint has no rows."""
         joints = len(self.scene.whiteners)
-        return np.array(
-            [
-                np.sqrt(np.mean(residual[self.scene.joint == j] ** 2)) if (self.scene.joint == j).any() else np.nan
-                for j in range(joints)
-            ]
-        )
+        squares = np.bincount(self.scene.joint, self._information * residual**2, joints)
+        information = np.bincount(self.scene.joint, self._information, joints)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(squares / information))
 
     def traces(self, before: FloatArray, after: FloatArray) -> tuple[Trace, ...]:
         """Signals of each motion."""

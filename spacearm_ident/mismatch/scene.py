@@ -49,9 +49,24 @@ def coarse(motion: Motion, cutoff_hz: float, rate_hz: float = COARSE_HZ) -> Moti
 SLOW = (0.003, 0.006, 0.012, 0.025, 0.05)
 """rad/s. Below, what a joint does between stick and slip is not all in the recorded position: rows count for less,
 as the reference shows."""
+NEAR = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3)
+"""rad since the last reversal. There friction builds up by no law known to the last N m: rows count for less too."""
+OUTLIER = 6.0
+"""Robust standard deviations beyond which a residual does not say what the noise is like."""
 ONE_WAY = 0.98
 """A row counts if this share of what went into it moves one way. Half a millisecond's error in when a joint turns
 round moves all of its friction by so much: no row with a reversal in it is known as well as the others are."""
+
+
+def travel(motion: Motion) -> FloatArray:
+    """(M, n) rad that each joint went since it last turned round or stood still."""
+    gone = np.empty_like(motion.velocity)
+    for row in range(len(motion.joints)):
+        sign = direction(motion, row)
+        path = np.cumsum(np.abs(motion.velocity[:, row])) / motion.rate_hz
+        turned = np.concatenate([[True], sign[1:] != sign[:-1]])
+        gone[:, row] = path - np.maximum.accumulate(np.where(turned, path, 0.0))
+    return motion.reduce(gone)
 
 
 def one_way(motion: Motion) -> np.ndarray:
@@ -68,11 +83,13 @@ class Whitener:
         coefficients: (p,) a.
         sigma_Nm: Standard deviation of what drives it, N·m.
         loud: (s,) how many times larger the variance is at the slow speeds of `SLOW`, at least 1 each.
+        near: (s,) the same as near a reversal as `NEAR` says; both multiply.
     """
 
     coefficients: FloatArray
     sigma_Nm: float
-    loud: tuple[float, ...] = ()
+    loud: tuple[float, ...] = (1.0,) * len(SLOW)
+    near: tuple[float, ...] = (1.0,) * len(NEAR)
 
     @property
     def order(self) -> int:
@@ -87,12 +104,10 @@ class Whitener:
             white -= coefficient * rows[order - lag : len(rows) - lag]
         return np.asarray(white / self.sigma_Nm)
 
-    def weight(self, speed: FloatArray) -> FloatArray:
-        """(M,) what rows at these speeds count for."""
-        if not self.loud:
-            return np.ones_like(speed)
-        number = np.searchsorted(SLOW, np.abs(speed))
-        return 1.0 / np.sqrt(np.array([*self.loud, 1.0])[number])
+    def weight(self, speed: FloatArray, gone: FloatArray) -> FloatArray:
+        """(M,) what rows at these speeds, rad/s, so far from a reversal, rad, count for."""
+        slow = np.array([*self.loud, 1.0])[np.searchsorted(SLOW, np.abs(speed))]
+        return np.asarray(1.0 / np.sqrt(slow * np.array([*self.near, 1.0])[np.searchsorted(NEAR, gone)]))
 
     def keep(self, moving: np.ndarray) -> np.ndarray:
         """(M - p,) whether a whitened row and all it is made of are from rows that move."""
@@ -112,6 +127,9 @@ class Scene:
         joint: (R,) joint of each stacked row.
         owner: (R,) motion of each stacked row.
         place: (R,) row within its motion.
+        speed: (R,) rad/s of the joint there.
+        gone: (R,) rad since the joint's last reversal.
+        weight: (R,) what the row counts for.
         sound: By motion, (M, n) rows that count.
     """
 
@@ -132,12 +150,17 @@ class Scene:
                 owner.append(np.full(len(where), m))
                 place.append(where)
         self.joint, self.owner, self.place = (np.concatenate(parts) for parts in (joint, owner, place))
-        speeds = [
-            [whitener.weight(motion.velocity_rows[:, j])[whitener.order :] for motion in self.motions]
-            for j, whitener in enumerate(whiteners)
-        ]
-        self._weight = [[w[k] for w, k in zip(s, keep)] for s, keep in zip(speeds, self._keep)]
+        self._travel = [travel(motion) for motion in self.motions]
         self._starts = np.concatenate([[0], np.cumsum([len(part) for part in joint])])
+        self.speed, self.gone = (
+            np.concatenate(
+                [by[m][self.place[self.slot(j, m)], j] for j in range(len(whiteners)) for m in range(len(by))]
+            )
+            for by in ([motion.velocity_rows for motion in self.motions], self._travel)
+        )
+        self.weight = np.concatenate(
+            [w.weight(self.speed[self.joint == j], self.gone[self.joint == j]) for j, w in enumerate(whiteners)]
+        )
 
     def __len__(self) -> int:
         return len(self.joint)
@@ -155,7 +178,7 @@ class Scene:
     def whiten(self, joint: int, motion: int, rows: FloatArray) -> FloatArray:
         """(r, k) stacked rows of reduced rows (M, k)."""
         white = self.whiteners[joint].apply(rows)[self._keep[joint][motion]]
-        return np.asarray(white * self._weight[joint][motion][:, None])
+        return np.asarray(white * self.weight[self.slot(joint, motion), None])
 
     def torque(self) -> FloatArray:
         """(R,) measured torque."""
@@ -204,8 +227,9 @@ def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], 
             now.append(residual[order:][whole])
         columns, target = np.concatenate(past), np.concatenate(now)
         if len(target) > 8 * order:
-            # Outliers (a contact, a lost sample) are not to define the noise.
-            sound = np.abs(target) < 6 * 1.4826 * np.median(np.abs(target)) + floor
+            # Outliers (a contact, a lost sample, a reversal) are not to define the noise, nor to be its past.
+            within = OUTLIER * 1.4826 * np.median(np.abs(target)) + floor
+            sound = np.all(np.abs(np.column_stack([target, columns])) < within, axis=1)
             coefficients = np.linalg.lstsq(columns[sound], target[sound], rcond=None)[0]
             error = target[sound] - columns[sound] @ coefficients
             return Whitener(coefficients, max(float(np.sqrt(np.mean(error**2))), floor))
@@ -215,23 +239,26 @@ def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], 
     return Whitener(np.zeros(0), max(spread, floor))
 
 
-def loudness(scene: Scene, residual: FloatArray, joint: int) -> tuple[float, ...]:
-    """How many times larger than elsewhere the mean square of a joint's whitened residual (R,) is, by slow speeds.
-
-    Non-increasing with speed, 1 at least.
-    """
+def louder(whitener: Whitener, scene: Scene, residual: FloatArray, joint: int) -> Whitener:
+    """The whitener with what slow rows and rows near a reversal count for, from the joint's residual (R,)."""
     mine = scene.joint == joint
-    parts = [
-        np.abs(motion.velocity_rows[scene.place[scene.slot(joint, m)], joint]) for m, motion in enumerate(scene.motions)
-    ]
-    number = np.searchsorted(SLOW, np.concatenate(parts))
-    squares = residual[mine] ** 2
-    usual = float(np.mean(squares[number == len(SLOW)])) if (number == len(SLOW)).any() else 1.0
-    loud = [1.0] * len(SLOW)
-    for k in reversed(range(len(SLOW))):
+    squares = (residual[mine] / scene.weight[mine]) ** 2
+    number = np.searchsorted(NEAR, scene.gone[mine])
+    near = _loudness(squares, number, len(NEAR))
+    squares = squares / np.array([*near, 1.0])[number]
+    return replace(
+        whitener, near=near, loud=_loudness(squares, np.searchsorted(SLOW, np.abs(scene.speed[mine])), len(SLOW))
+    )
+
+
+def _loudness(squares: FloatArray, number: np.ndarray, bins: int) -> tuple[float, ...]:
+    """How many times larger than in the last bin the mean square is in those before; non-increasing, 1 at least."""
+    usual = float(np.mean(squares[number == bins])) if (number == bins).any() else 1.0
+    loud = [1.0] * bins
+    for k in reversed(range(bins)):
         here = squares[number == k]
-        beyond = loud[k + 1] if k + 1 < len(SLOW) else 1.0
-        # A belief of one row as loud as the next faster ones keeps a single row from deciding.
+        beyond = loud[k + 1] if k + 1 < bins else 1.0
+        # A belief of one row as loud as the next ones keeps a single row from deciding.
         mean = (float(here.sum()) / max(usual, 1e-12) + beyond) / (len(here) + 1)
         loud[k] = max(beyond, mean)
     return tuple(loud)

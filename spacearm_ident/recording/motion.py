@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import convolve1d
 from scipy.signal.windows import hann
 from scipy.sparse import csr_array
 
@@ -120,6 +121,12 @@ class Motion:
         tail = signal.shape[1:]
         mean = signal[: blocks * self.block].reshape(blocks, self.block, *tail).mean(axis=1)
         return np.asarray(self._low_pass @ mean)
+
+    def smoothed(self, signal: FloatArray, cutoff_hz: float) -> FloatArray:
+        """A full-rate signal (N, k) through a low-pass of the same kind, at full rate; it stays where it is."""
+        half = max(1, int(np.ceil(HALF_LENGTH / cutoff_hz * self.rate_hz)))
+        taps = hann(2 * half + 3)[1:-1]
+        return np.asarray(convolve1d(signal, taps / taps.sum(), axis=0, mode="wrap" if self.cyclic else "nearest"))
 
     def __getitem__(self, part: slice) -> Motion:
         """The full-rate samples of `part` (start and stop given, no step)."""
