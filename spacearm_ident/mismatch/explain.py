@@ -99,7 +99,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     evidence, unseen = competition.evidence, competition.unseen
     assert unseen is not None
     joints = evidence.base.model.arm.joint_names
-    residuals = Residuals(evidence, unseen.scene)
+    residuals = Residuals(evidence, unseen.scene, prepared.plain)
     alone, floor = _healthy(evidence, prepared)
     cards = Cards(evidence, residuals, outcome, floor)
     made = [cards.finding(k) for k in range(len(outcome.accepted))]
@@ -168,7 +168,7 @@ def _healthy(evidence: Evidence, prepared: Prepared) -> tuple[FloatArray, FloatA
     parameters = alone.base_parameters([], np.zeros(0))
     if prepared.modelled:
         return parameters, noise
-    residuals = Residuals(alone, evidence.reference)
+    residuals = Residuals(alone, evidence.reference, prepared.plain)
     left = residuals.rms(residuals.of(parameters, [], np.zeros(0)))
     return parameters, np.where(np.isfinite(left), left, noise)
 

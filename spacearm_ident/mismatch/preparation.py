@@ -39,6 +39,7 @@ class Prepared:
         base: Model of the healthy arm (or of the field, where there is no reference).
         evidence: What it leaves over in the field.
         unseen: Recordings that no fit sees; None where there are none.
+        plain: What a row counts for by itself, not whitened, joint by joint.
         noise_floor_Nm: (n,) standard deviation of a reduced torque row that a right model would leave.
         cutoff_hz: Bandwidth that was looked at.
         modelled: Whether the reference's torque is a model's, without noise, not a recording's.
@@ -47,6 +48,7 @@ class Prepared:
     base: IdentifiedModel
     evidence: Evidence
     unseen: Unseen | None
+    plain: Sequence[Whitener]
     noise_floor_Nm: FloatArray
     cutoff_hz: float
     modelled: bool = False
@@ -85,29 +87,34 @@ def prepare_evidence(
         return [replace(m, acceleration=m.smoothed(m.acceleration, QUIET * cutoff)) for m in slow]
 
     referred, examined, judged = motions(healthy), motions(field), motions(validation)
-    whiteners = _whiteners(base, referred or examined)
+    whiteners, plain = _whiteners(base, referred or examined)
     if known is not None:
         # A model pins itself down as a recording of the healthy arm on the same motion would.
         referred = [replace(motion, torque=known.torque(motion)) for motion in examined]
     scene = Scene(base, examined, whiteners)
     evidence = Evidence(base, scene, Scene(base, referred, whiteners) if referred else None)
     unseen = Unseen(evidence, Scene(base, judged, whiteners)) if judged else None
-    return Prepared(base, evidence, unseen, _floor(whiteners), cutoff, known is not None)
+    return Prepared(base, evidence, unseen, plain, _floor(whiteners), cutoff, known is not None)
 
 
-def _whiteners(base: IdentifiedModel, motions: Sequence[Motion]) -> list[Whitener]:
-    """The noise of every joint, from what is left of the reference itself."""
+def _whiteners(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[Whitener], list[Whitener]]:
+    """The noise of every joint, from what is left of the reference itself; and without its colour."""
     joints = range(len(base.model.arm.joints))
     scale = [max(float(np.sqrt(np.mean([np.mean(m.torque_rows[:, j] ** 2) for m in motions]))), 1e-6) for j in joints]
-    whiteners = [Whitener(np.zeros(0), 0.01 * size) for size in scale]
-    # Which rows to believe less, then the colour of the others' noise, then by how much less in that colour.
-    for coloured in (False, False, False, True, False, False):
+    # Which rows to believe less, the colour of the others' noise, and by how much less in that colour.
+    plain = _louder(base, motions, [Whitener(np.zeros(0), 0.01 * size) for size in scale], 3)
+    scene = Scene(base, motions, plain)
+    residual = Evidence(base, scene, None).residual
+    coloured = [_coloured(scene, residual, j, 1e-6 * scale[j]) for j in joints]
+    return _louder(base, motions, coloured, 2), plain
+
+
+def _louder(base: IdentifiedModel, motions: Sequence[Motion], whiteners: list[Whitener], times: int) -> list[Whitener]:
+    """What rows count for, found by fitting the base with it again and again."""
+    for _ in range(times):
         scene = Scene(base, motions, whiteners)
         residual = Evidence(base, scene, None).residual
-        if coloured:
-            whiteners = [_coloured(scene, residual, j, 1e-6 * scale[j]) for j in joints]
-        else:
-            whiteners = [louder(w, scene, residual, j) for j, w in enumerate(whiteners)]
+        whiteners = [louder(whitener, scene, residual, j) for j, whitener in enumerate(whiteners)]
     return whiteners
 
 

@@ -1,7 +1,7 @@
 """Residuals in newton metres, on the rows of a scene, for figures of merit and for pictures.
 
-Figures are root mean squares in which a row counts for what it counted for in the fit: a few rows beside a reversal,
-which no model gets right, would otherwise be all that they tell of.
+Figures are root mean squares in which a row counts for what the reference says that it is worth: a few rows beside a
+reversal, which no model gets right, would otherwise be all that they tell of.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class Residuals:
         scene: Its rows, in N·m.
     """
 
-    def __init__(self, evidence: Evidence, scene: Scene) -> None:
+    def __init__(self, evidence: Evidence, scene: Scene, plain: Sequence[Whitener]) -> None:
         count = len(evidence.base.model.arm.joints)
         self.scene = Scene(evidence.base, scene.motions, [Whitener(np.zeros(0), 1.0)] * count)
-        weights = [whitener.weight(*self._rows(j)) for j, whitener in enumerate(scene.whiteners)]
+        weights = [whitener.weight(*self._rows(j)) for j, whitener in enumerate(plain)]
         self._information = np.concatenate(weights) ** 2
         self._columns = base_columns(evidence.base, self.scene, evidence.common)
         self._torque = self.scene.torque()

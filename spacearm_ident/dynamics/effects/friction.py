@@ -177,7 +177,7 @@ class PreslidingHysteresis(_Friction):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
-        grid = tuple(float(d) for d in np.geomspace(5e-4, 0.04, 10))
+        grid = tuple(float(d) for d in np.geomspace(1e-4, 0.04, 13))
         return cls((Parameter("f", joint, "N m", lower=0.0),), (Constant("d_s", joint, "rad", grid),), place=place)
 
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
