@@ -23,8 +23,8 @@ from .scene import Scene, Whitener, coarse, fit_whitener, louder
 CUTOFF_HZ = 20.0
 WIDER = 4.0
 """Positions are filtered this many times as wide."""
-QUIET = 1.0
-"""Accelerations this many times."""
+QUIET = 2.0
+"""Accelerations this many times: their noise grows with the square of the frequency, and leaks into the band."""
 ORDER = 6
 """Of the noise's autoregressive model: it covers the length of the low-pass."""
 IN_FULL = 0.8

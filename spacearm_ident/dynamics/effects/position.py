@@ -101,9 +101,9 @@ class EncoderEccentricity(Effect):
 
     @classmethod
     def variants(cls, arm: Arm):  # type: ignore[no-untyped-def]
-        """Once or twice a turn."""
+        """Up to eight times a turn: an encoder off its centre once, a bent disc twice, a resolver by its poles."""
         for joint in arm.joint_names:
-            for cycles in (1, 2):
+            for cycles in range(1, 9):
                 yield {"joint": joint, "cycles": cycles}
 
     @classmethod
