@@ -25,7 +25,7 @@ from spacearm_ident.mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH
 from spacearm_ident.mismatch.integrity import faults
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival, rivals
-from spacearm_ident.mismatch.scene import Whitener, coarse, fit_whitener
+from spacearm_ident.mismatch.scene import NEAR, Scene, Whitener, coarse, fit_whitener, louder, one_way, travel
 from spacearm_ident.recording.signals import prepare
 
 LAWS = (
@@ -99,9 +99,39 @@ def test_a_whitened_row_counts_only_if_all_it_is_made_of_does():
     )
 
 
-def test_slow_rows_count_for_less():
-    whitener = Whitener(np.zeros(0), 1.0, (16.0, 4.0, 1.0, 1.0, 1.0))
-    np.testing.assert_allclose(whitener.weight(np.array([0.001, -0.004, 0.01, 1.0])), [0.25, 0.5, 1.0, 1.0])
+def test_slow_rows_and_rows_after_a_reversal_count_for_less():
+    whitener = Whitener(np.zeros(0), 1.0, (16.0, 4.0, 1.0, 1.0, 1.0), (100.0, 1.0, 1.0, 1.0, 1.0))
+    speed, gone = np.array([0.001, -0.004, 0.01, 1.0, 0.001]), np.array([1.0, 1.0, 1.0, 1e-4, 1e-4])
+    np.testing.assert_allclose(whitener.weight(speed, gone), [0.25, 0.5, 1.0, 0.1, 0.025])
+
+
+def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
+    """Noise ten times as large where a joint has gone little: found, told from slow rows, and weighed."""
+    base = prepare_evidence(ARM, [HEALTHY], [run(2)], []).base
+    (motion,), _ = prepare([HEALTHY], ARM.joint_names, 40.0, average=False)
+    scene = Scene(base, [coarse(motion, 20.0)], [Whitener(np.zeros(0), 1.0)] * 2)
+    rng = np.random.default_rng(3)
+    near = scene.gone < NEAR[-1]
+    assert 20 < near[scene.joint == 1].sum() < 0.5 * (scene.joint == 1).sum()
+    found = louder(scene.whiteners[1], scene, np.where(near, 10.0, 1.0) * rng.standard_normal(len(scene)), 1)
+    assert 50.0 < found.near[-1] <= found.near[0] < 400.0
+    assert max(found.loud) < 3.0
+
+
+def test_travel_starts_anew_at_every_reversal():
+    (motion,), _ = prepare([HEALTHY], ARM.joint_names, 40.0, average=False)
+    gone = travel(motion)[:, 0]
+    sound = one_way(motion)[:, 0]
+    turned = np.diff(np.sign(motion.velocity_rows[:, 0])) != 0
+    assert (gone[sound] >= 0).all() and turned.sum() > 3
+    # Between two reversals it is the distance from the first, to what passes while a row's window fills.
+    first, second = np.flatnonzero(turned)[:2]
+    position = motion.reduce(motion.position)[:, 0]
+    middle = (first + second) // 2
+    start = (
+        position[first : second + 1].min() if position[middle] > position[first] else position[first : second + 1].max()
+    )
+    assert gone[middle] == pytest.approx(abs(position[middle] - start), abs=0.02)
 
 
 def test_a_coarse_motion_is_the_mean_of_its_samples_at_their_middle():
@@ -215,7 +245,7 @@ def test_stacked_rows_are_reduced_filtered_and_weighted_columns(prepared):
     motion, whitener = scene.motions[0], scene.whiteners[1]
     reduced = motion.reduce(np.cos(20.0 * motion.position[:, 1]))
     white = lfilter([1.0, *-whitener.coefficients], [whitener.sigma_Nm], reduced)
-    weighted = white * whitener.weight(motion.velocity_rows[:, 1])
+    weighted = white * whitener.weight(motion.velocity_rows[:, 1], travel(motion)[:, 1])
     slot = scene.slot(1, 0)
     assert (stacked.rows.start, stacked.rows.stop) == (slot.start, slot.stop)
     np.testing.assert_allclose(stacked.columns[:, 1], weighted[scene.place[slot]], atol=1e-9)

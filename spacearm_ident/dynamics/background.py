@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from .arm import Arm, FloatArray
 
 
@@ -32,13 +30,12 @@ class Background:
     values: Mapping[str, float]
     _load: Callable[[], FloatArray]
     _torque: Callable[[], FloatArray]
-    _friction: Callable[[], FloatArray]
     kept: dict[object, Any] = field(default_factory=dict)
 
     @classmethod
     def known(cls, load: FloatArray) -> Background:
         """One of which only the load (N, n) is known, N·m."""
-        return cls(None, None, {}, lambda: load, lambda: load, lambda: np.zeros_like(load))
+        return cls(None, None, {}, lambda: load, lambda: load)
 
     @cached_property
     def load(self) -> FloatArray:
@@ -49,11 +46,6 @@ class Background:
     def torque(self) -> FloatArray:
         """(N, n) torque of the whole model without its effects, N·m."""
         return self._torque()
-
-    @cached_property
-    def friction(self) -> FloatArray:
-        """(N, n) what friction has of it, the part that jumps where a joint turns round, N·m."""
-        return self._friction()
 
     def keep(self, what: object, compute: Callable[[], Any]) -> Any:
         """The result of a computation on this motion, done once."""

@@ -148,7 +148,6 @@ class TorqueModel:
             {item.name: float(value) for item, value in zip(self.parameters, parameters)},
             lambda: self.torque(motion, parameters, constants, (RigidBody.kind,)),
             lambda: self.torque(motion, parameters, constants, healthy),
-            lambda: self.torque(motion, parameters, constants, [k for k in healthy if k in self.friction_kinds]),
         )
 
     @cached_property

@@ -18,7 +18,7 @@ from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
 from .cards import Cards
-from .competition import GATE, Competition, Outcome, Scored
+from .competition import GATE, SEEN_AGAIN, Competition, Outcome, Scored
 from .evidence import Evidence
 from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
@@ -34,6 +34,8 @@ LEFT_OVER = 2.0
 SHOWS = 0.5
 """A finding beside the first that removes less than this share of what is above the noise on unseen data is not one: it
 is a crumb of the first, whose law is not quite the catalogue's."""
+FIRST_SHOWS = 0.1
+"""The first may be one of several at its joints; less than this share, and it is none."""
 HARM = 1.02
 """A finding with which the mean square on unseen data is this many times larger is a false one."""
 CLOSE = 0.7
@@ -103,7 +105,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     alone, floor = _healthy(evidence, prepared)
     cards = Cards(evidence, residuals, outcome, floor)
     made = [cards.finding(k) for k in range(len(outcome.accepted))]
-    idle = [k for k, finding in enumerate(made) if _harms(finding) or (k > 0 and not _shows(finding))]
+    idle = [k for k, finding in enumerate(made) if _harms(finding) or not _shows(finding, first=k == 0)]
     if idle:
         outcome = competition.without(outcome, idle)
         cards = Cards(evidence, residuals, outcome, floor)
@@ -151,9 +153,15 @@ def _harms(finding: Finding) -> bool:
     return finding.effect != ExternalContact.kind and after > HARM * before
 
 
-def _shows(finding: Finding) -> bool:
-    """Whether a finding explains enough of what the fit has not seen; an event in time need not show there."""
-    return finding.effect == ExternalContact.kind or finding.explained >= SHOWS
+def _shows(finding: Finding, first: bool) -> bool:
+    """Whether a finding explains enough of what the fit has not seen.
+
+    An event in time need not show there, nor a first one that is asleep there.
+    """
+    if finding.effect == ExternalContact.kind:
+        return True
+    asleep = first and finding.unseen_gain < SEEN_AGAIN * finding.gain
+    return asleep or finding.explained >= (FIRST_SHOWS if first else SHOWS)
 
 
 def _healthy(evidence: Evidence, prepared: Prepared) -> tuple[FloatArray, FloatArray]:

@@ -75,6 +75,15 @@ def one_way(motion: Motion) -> np.ndarray:
     return motion.moving & (np.abs(motion.reduce(signs)) > ONE_WAY)
 
 
+def quiet(motion: Motion) -> Motion:
+    """The motion with accelerations of the band alone.
+
+    An effect may be a derivative of what the rest of the model says, in which noise grows, and noise in a column makes
+    its value too small (errors in variables).
+    """
+    return replace(motion, acceleration=motion.smoothed(motion.acceleration, motion.cutoff_hz))
+
+
 @dataclass(frozen=True)
 class Whitener:
     """An autoregressive model of one joint's noise: e_t = sum a_k e_(t-k) + sigma w_t.
@@ -138,7 +147,7 @@ class Scene:
         self.whiteners = list(whiteners)
         model = base.model
         self.backgrounds: list[Background] = [
-            model.background(motion, base.parameters, base.constants) for motion in self.motions
+            model.background(quiet(motion), base.parameters, base.constants) for motion in self.motions
         ]
         self.sound = [one_way(motion) for motion in self.motions]
         self._keep = [[whitener.keep(sound[:, j]) for sound in self.sound] for j, whitener in enumerate(whiteners)]

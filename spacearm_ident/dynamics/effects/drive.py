@@ -112,15 +112,6 @@ class CurrentOffset(Effect):
         return own(motion.joints.index(self.place["joint"]), np.ones(len(motion.position)))
 
 
-def _clean(motion: Motion, background: Background) -> FloatArray:
-    """(N, n) the model's torque without the noise of the accelerations.
-
-    What is late by little differs by the derivative of the torque, in which noise grows, and noise in a column makes
-    its value too small. All but friction is smooth; friction jumps, but has no acceleration in it.
-    """
-    return background.friction + motion.smoothed(background.torque - background.friction, motion.cutoff_hz)
-
-
 @dataclass(frozen=True)
 class _Late(Effect):
     """The recorded torque is later than the motion it belongs to."""
@@ -140,7 +131,7 @@ class _Late(Effect):
         rows = [motion.joints.index(joint) for joint in self.joints]
         if background is None:
             return nothing(motion, rows, 1)
-        torque = background.keep("without noise", lambda: _clean(motion, background))[:, rows]
+        torque = background.torque[:, rows]
         change = self.late(torque, constants[0] * motion.rate_hz) - torque
         return each({row: change[:, [k]] for k, row in enumerate(rows)})
 
