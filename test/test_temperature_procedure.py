@@ -36,7 +36,7 @@ SWEEP = (-20, 20, 60)
 def workshop(tmp_path_factory) -> Path:
     """A small, quick arm with its model, what is hidden in it, and its run for temperature."""
     folder = tmp_path_factory.mktemp("workshop")
-    limit = 'lower="-0.29" upper="0.29" effort="80" velocity="1.5"'
+    limit = 'lower="-0.34" upper="0.34" effort="80" velocity="1.5"'
     links = tuple(replace(link, limit=limit) for link in TWO_LINKS)
     (folder / "arm.urdf").write_text(urdf_of(links))
     arm = arm_from_urdf(urdf_of(links))
