@@ -13,7 +13,7 @@ from planted_arm import TWO_LINKS, Friction, incommensurate, plant, urdf_of
 from spacearm_ident.cli import demo_orbit
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
-from spacearm_ident.dynamics.model import structure_of
+from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, structure_of
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.errors import UserError
 from spacearm_ident.identification.adaptation import adapt
@@ -177,6 +177,14 @@ def test_one_temperature_leaves_alpha_out(ground):
     adaptation = adapt(GroundPrior.of(ground), [run(3, -40.0)], WEIGHTLESS)
     assert not any(change.symbol.startswith("alpha") for change in adaptation.changes)
     assert causes(adaptation)[2].found is None
+
+
+def test_a_model_without_friction_is_refused(arm):
+    bare = TorqueModel(arm, {"rigid_body": {}})
+    values = np.array([parameter.prior for parameter in bare.parameters])
+    prior = GroundPrior(IdentifiedModel(bare, values, np.zeros(0), 10.0), np.eye(len(values)))
+    with pytest.raises(UserError, match=r"no f_c\[elbow\]"):
+        adapt(prior, [run(3)], WEIGHTLESS)
 
 
 def test_runs_to_judge_on_are_asked_for(arm, settings, tmp_path):

@@ -36,7 +36,7 @@ SWEEP = (-20, 20, 60)
 def workshop(tmp_path_factory) -> Path:
     """A small, quick arm with its model, what is hidden in it, and its run for temperature."""
     folder = tmp_path_factory.mktemp("workshop")
-    limit = 'lower="-0.34" upper="0.34" effort="80" velocity="1.5"'
+    limit = 'lower="-0.34" upper="0.34" effort="80" velocity="0.55"'
     links = tuple(replace(link, limit=limit) for link in TWO_LINKS)
     (folder / "arm.urdf").write_text(urdf_of(links))
     arm = arm_from_urdf(urdf_of(links))
@@ -53,8 +53,9 @@ def workshop(tmp_path_factory) -> Path:
     (folder / "warmth.yaml").write_text(yaml.safe_dump(hidden))
     words = ["excite", "--arm", folder / "arm.yaml", "--model", folder / "model.yaml", "--for", "temperature"]
     with pytest.MonkeyPatch.context() as patch:
-        # Once is enough for three temperatures, and three times as quick.
+        # Two speeds, once: enough for three temperatures, and quick.
         patch.setattr(composite, "TEMPERATURE_REPEATS", 1)
+        patch.setattr(composite, "TEMPERATURE_SHARES", (0.2, 0.6))
         assert main([*map(str, words), "--ground", "none", "--out", str(folder / "runs.yaml"), "--quiet"]) == 0
     return folder
 

@@ -26,6 +26,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.effects.friction import WARM_FROM, TemperatureFriction
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.rigid_body import RigidBody
+from ..errors import UserError
 from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
@@ -146,8 +147,11 @@ def adapt(ground: GroundPrior, recordings: Sequence[Recording], gravity: FloatAr
 
     Raises:
         UnfitDataError: Nothing moves.
-        UserError: A recording lacks a joint.
+        UserError: A recording lacks a joint, or the model has no friction that could change.
     """
+    missing = {f"{symbol}[{joint}]" for joint in ground.model.model.arm.joint_names for symbol in SLOPES.values()}
+    if missing := missing - set(ground.names):
+        raise UserError(f"the ground model has no {min(missing)}: identify the ground run with a friction law")
     weightless = with_gravity(ground.model, gravity)
     prior = _with_slopes(GroundPrior(weightless, ground.covariance), recordings)
     room = {**CHANGES, "k_v2": HIGH_ORDER_ROOM, "k_v3": HIGH_ORDER_ROOM}
@@ -155,14 +159,15 @@ def adapt(ground: GroundPrior, recordings: Sequence[Recording], gravity: FloatAr
     change, spread = _since(prior, updated, room)
     changes = _changes(prior, updated, change, spread)
     motions, _ = prepare(recordings, weightless.model.arm.joint_names, weightless.cutoff_hz, average=False)
-    estimate, error = _gravity(updated.model, motions)
+    residuals = [motion.torque_rows - motion.reduce(updated.model.torque(motion)) for motion in motions]
+    estimate, error = _gravity(updated.model, motions, residuals)
     return Adaptation(
         ground.model,
         weightless,
         updated.model,
         updated,
         changes,
-        _levels(updated.model, motions, len(recordings)),
+        _levels(updated.model, motions, residuals, len(recordings)),
         estimate,
         error,
         _vacuum(prior, change, spread),
@@ -254,16 +259,15 @@ def _inertia_shift(prior: GroundPrior, updated: Updated) -> float:
     return max(map(float, moves), default=0.0)
 
 
-def _gravity(model: IdentifiedModel, motions: Sequence[Motion]) -> tuple[FloatArray, FloatArray]:
-    """Gravity (3,) in the residual of a model, with its standard errors: the model's own plus what is left over."""
+def _gravity(
+    model: IdentifiedModel, motions: Sequence[Motion], residuals: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Gravity (3,), m/s², and standard errors: the model's own plus what the residuals (M, n) have of it."""
     own = model.model.arm.gravity
     information, score = np.zeros((3, 3)), np.zeros(3)
-    for motion in motions:
-        none = with_gravity(model, np.zeros(3)).torque(motion, [RigidBody.kind])
-        columns = [
-            motion.reduce(with_gravity(model, axis).torque(motion, [RigidBody.kind]) - none) for axis in np.eye(3)
-        ]
-        residual = motion.torque_rows - motion.reduce(model.torque(motion))
+    for motion, residual in zip(motions, residuals):
+        still = replace(motion, velocity=0.0 * motion.velocity, acceleration=0.0 * motion.velocity)
+        columns = [motion.reduce(with_gravity(model, axis).torque(still, [RigidBody.kind])) for axis in np.eye(3)]
         for joint in range(residual.shape[1]):
             place = np.flatnonzero(motion.moving[:, joint])
             if len(place) < 2:
@@ -280,34 +284,33 @@ def _gravity(model: IdentifiedModel, motions: Sequence[Motion]) -> tuple[FloatAr
     return np.where(felt, own + spread @ score, np.nan), error
 
 
-def _levels(model: IdentifiedModel, motions: Sequence[Motion], runs: int) -> Levels:
+def _levels(model: IdentifiedModel, motions: Sequence[Motion], residuals: Sequence[FloatArray], runs: int) -> Levels:
     """Coulomb friction run by run, alpha_c set aside."""
     joints = model.model.arm.joint_names
-    symbols = [item.symbol for item in model.model.parameters]
-    flat = replace(model, parameters=np.where(np.array(symbols) == "alpha_c", 0.0, model.parameters))
-    unit = np.isin(symbols, ["f_c", "f_b"]).astype(float)
-    lifted = replace(flat, parameters=flat.parameters + unit)
+    symbols = np.array([item.symbol for item in model.model.parameters])
+    slopes = replace(model, parameters=np.where(symbols == "alpha_c", model.parameters, 0.0))
+    unit = replace(model, parameters=np.isin(symbols, ["f_c", "f_b"]).astype(float))
     start = np.array([model.value("f_c", name) for name in joints])
     warm, level, error = (np.full((runs, len(joints)), np.nan) for _ in range(3))
+    offset, information = np.zeros((2, runs, len(joints)))
+    for motion, residual in zip(motions, residuals):
+        kinds = model.model.friction_kinds
+        columns = motion.reduce(unit.torque(motion, kinds))
+        found, weight = _offsets(columns, residual + motion.reduce(slopes.torque(motion, kinds)), motion)
+        offset[motion.source] += found * weight
+        information[motion.source] += weight
+    told = information > 0.0
+    level[told] = (start + offset / np.where(told, information, 1.0))[told]
+    error[told] = 1.0 / np.sqrt(information[told])
     for run in range(runs):
-        mine = [motion for motion in motions if motion.source == run]
-        found = [_offsets(flat, lifted, motion) for motion in mine]
-        information = np.sum([weight for _, weight in found], axis=0) + np.zeros(len(joints))
-        told = information > 0.0
-        offset = np.sum([x * weight for x, weight in found], axis=0) + np.zeros(len(joints))
-        level[run, told] = start[told] + offset[told] / information[told]
-        error[run, told] = 1.0 / np.sqrt(information[told])
-        known = [motion.temperature for motion in mine if motion.temperature is not None]
+        known = [motion.temperature for motion in motions if motion.source == run and motion.temperature is not None]
         if known:
             warm[run] = np.mean(np.concatenate(known), axis=0)
     return Levels(warm, level, error)
 
 
-def _offsets(flat: IdentifiedModel, lifted: IdentifiedModel, motion: Motion) -> tuple[FloatArray, FloatArray]:
-    """How far each joint's friction level is from `flat` in a motion, (n,) N·m, and the information in that."""
-    torque = flat.torque(motion)
-    columns = motion.reduce(lifted.torque(motion) - torque)
-    residuals = motion.torque_rows - motion.reduce(torque)
+def _offsets(columns: FloatArray, residuals: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray]:
+    """How much of its column (M, n) each joint's residual (M, n) has, (n,), and the information in that."""
     offset, information = np.zeros((2, columns.shape[1]))
     for joint, moving in enumerate(motion.moving.T):
         place = np.flatnonzero(moving)
