@@ -14,7 +14,7 @@ from ..dynamics.model_file import load_model
 from ..errors import UnfitDataError
 from ..excitation.trajectory import MotionLimits, random_feasible
 from ..excitation.trajectory_file import save_trajectory
-from ..identification.adaptation_causes import causes, reason
+from ..identification.adaptation_causes import causes, reason, with_error
 from ..orbit_session import OrbitSession, orbit_session
 from ..recording import Recording, read_recording, write_recording
 from ..simulation.concealed import load_concealed
@@ -135,13 +135,13 @@ def summary(session: OrbitSession) -> str:
         r = "".join(f"{f'{x.everything.correlation:.4f} ({x.moving.correlation:.4f})':>18}" for x in figures)
         shares = " > ".join(f"{x.everything.relative_rms:.1%}" for x in figures[1:])
         lines.append(f"{joint:<10}{r}{shares:>26}")
-    lines += ["", f"{'moved':<24}{'ground':>10}{'orbit':>10}{'change':>20}{'':>2}why"]
+    lines += ["", f"{'moved':<24}{'ground':>10}{'orbit':>10}{'change':>22}{'':>2}why"]
     for change in adaptation.changes:
         if change.moved:
             name = f"{change.symbol}[{change.joint}]"
-            moved = f"{change.change:+.4f} ± {change.change_error:.4f}"
+            moved = with_error(change.change, change.change_error, "+")
             why = reason(adaptation, change)
-            lines.append(f"{name:<24}{change.before:>10.4f}{change.after:>10.4f}{moved:>20}  {why}")
+            lines.append(f"{name:<24}{change.before:>10.4f}{change.after:>10.4f}{moved:>22}  {why}")
     said = {True: "yes", False: "no", None: "not told"}
     lines += ["", *(f"{cause.name}: {said[cause.found]}; {cause.why}" for cause in causes(adaptation))]
     lines.append(f"report: {session.page}")

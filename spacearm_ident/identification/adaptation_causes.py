@@ -68,14 +68,23 @@ def _gravity(adaptation: Adaptation) -> Cause:
     if not known.any():
         return Cause("gravity", None, "no joint of this arm feels gravity in these runs")
     off = np.abs(found - told)[known]
-    seen = ", ".join(f"{x:.3f} ± {e:.3f}" if np.isfinite(x) else "not felt" for x, e in zip(found, error))
+    seen = ", ".join(with_error(x, e) if np.isfinite(x) else "not felt" for x, e in zip(found, error))
     apart = float(np.max(np.abs(found - before)[known] / np.maximum(error[known], 1e-12)))
     text = f"set to {_vector(told)} m/s²; the torque itself says ({seen})"
     if bool(((off > CLEAR * error[known]) & (off > GRAVITY_m_s2)).any()):
         return Cause("gravity", None, f"{text}, which is not that: check the gravity that was set")
     if np.allclose(before, told):
         return Cause("gravity", False, f"{text}, as on the ground")
-    return Cause("gravity", True, f"{text}; the ground's {_vector(before)} is {apart:.0f} standard errors away")
+    far = f"{apart:.0f}" if apart < 1000.0 else "more than a thousand"
+    return Cause("gravity", True, f"{text}; the ground's {_vector(before)} is {far} standard errors away")
+
+
+def with_error(value: float, error: float, sign: str = "") -> str:
+    """A value to two digits of its error: `2.185 ± 0.018`; `sign` as in a format."""
+    if not (np.isfinite(error) and error > 0.0):
+        return f"{value:{sign}.4g}"
+    decimals = max(0, 1 - int(np.floor(np.log10(error))))
+    return f"{round(value, decimals) + 0.0:{sign}.{decimals}f} ± {error:.{decimals}f}"
 
 
 def _vector(values: Sequence[float] | np.ndarray) -> str:
@@ -109,7 +118,7 @@ def _temperature(adaptation: Adaptation) -> Cause:
     if not follow:
         return Cause("temperature", False, f"friction does not follow temperature over {span}")
     parts = [
-        f"{change.joint} {1e3 * change.after:.1f} ± {1e3 * change.after_error:.1f} mN·m/K "
+        f"{change.joint} {with_error(1e3 * change.after, 1e3 * change.after_error)} mN·m/K "
         f"(R {adaptation.levels.correlation(names.index(change.joint)):.3f})"
         for change in follow
     ]
@@ -125,7 +134,7 @@ def _level(adaptation: Adaptation) -> Cause:
     at = f"at {WARM_FROM:g} °C, so not temperature" if any(c.symbol == "alpha_c" for c in adaptation.changes) else ""
     if not moved:
         return Cause("friction level", False, f"f_c {at or 'of every joint'} is as it was on the ground")
-    parts = [f"{change.joint} {change.change:+.2f} ± {change.change_error:.2f} N·m" for change in moved]
+    parts = [f"{change.joint} {with_error(change.change, change.change_error, '+')} N·m" for change in moved]
     return Cause(
         "friction level",
         True,
