@@ -128,13 +128,13 @@ def summary(session: OrbitSession) -> str:
     heads = ("on the ground", "orbit, as is", "gravity set", "adapted")
     lines = [
         "R over all samples (moving ones) on runs not seen before:",
-        f"{'joint':<10}" + "".join(f"{head:>18}" for head in heads) + f"{'residual/torque':>26}",
+        f"{'joint':<10}" + "".join(f"{head:>18}" for head in heads) + f"{'residual moving':>24}",
     ]
     for joint in session.ground.joints:
         figures = [column.joints[joint] for column in columns]
         r = "".join(f"{f'{x.everything.correlation:.4f} ({x.moving.correlation:.4f})':>18}" for x in figures)
-        shares = " > ".join(f"{x.everything.relative_rms:.1%}" for x in figures[1:])
-        lines.append(f"{joint:<10}{r}{shares:>26}")
+        shares = " > ".join(f"{x.moving.relative_rms:.1%}" for x in figures[1:])
+        lines.append(f"{joint:<10}{r}{shares:>24}")
     lines += ["", f"{'moved':<24}{'ground':>10}{'orbit':>10}{'change':>22}{'':>2}why"]
     for change in adaptation.changes:
         if change.moved:

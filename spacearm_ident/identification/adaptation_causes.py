@@ -95,7 +95,7 @@ def _vacuum(adaptation: Adaptation) -> Cause:
     share = adaptation.vacuum
     if share is None:
         return Cause("vacuum", None, "the ground model has no k_v2 and k_v3 that could vanish")
-    text = f"{share.value:.2f} ± {share.error:.2f} of the ground's k_v2 and k_v3 is gone, all joints together"
+    text = f"{with_error(share.value, share.error)} of the ground's k_v2 and k_v3 is gone, all joints together"
     if share.error > 1.0 / CLEAR:
         return Cause("vacuum", None, f"{text}: faster motion would tell")
     if _gone(adaptation):

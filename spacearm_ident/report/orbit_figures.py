@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ..identification.adaptation import WARM_FROM, Adaptation
 from ..identification.identified import Validation
@@ -24,22 +24,23 @@ def fits(validations: Sequence[Validation], names: Sequence[str], wanted_r: floa
         width = 0.8 / len(validations)
         for k, (validation, role) in enumerate(zip(validations, ROLES)):
             places = np.arange(len(joints)) + (k - (len(validations) - 1) / 2) * width
-            figures = [validation.joints[joint].everything for joint in joints]
-            r = [figure.correlation if np.isfinite(figure.correlation) else 0.0 for figure in figures]
+            r = [np.nan_to_num(validation.joints[joint].everything.correlation) for joint in joints]
             left.plot(places, r, "o", markersize=4.5, color=COLOUR[role], markeredgewidth=0)
-            shares = [100 * figure.relative_rms for figure in figures]
+            shares = [100 * validation.joints[joint].moving.relative_rms for joint in joints]
             right.bar(places, shares, 0.9 * width, color=COLOUR[role], linewidth=0)
         left.axhline(wanted_r, color=COLOUR["ink"], linewidth=0.7, linestyle="--")
         right.set_yscale("log")
         for axes, title, label in (
             (left, f"R of torque and prediction; dashed {wanted_r:g}", "R"),
-            (right, "Residual RMS over torque RMS", "%"),
+            (right, "Residual RMS over torque RMS, moving", "%"),
         ):
             name_axes(axes, title, "joint", label)
             axes.set_title(title)
             axes.set_xticks(range(len(joints)))
             axes.set_xticklabels([str(k + 1) for k in range(len(joints))])
         right.yaxis.set_major_locator(LogLocator())
+        right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        right.yaxis.set_minor_formatter(NullFormatter())
         return to_svg(figure, f"R and residual by joint: {', '.join(names)}")
 
 

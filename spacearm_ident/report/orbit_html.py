@@ -36,7 +36,8 @@ def orbit_html(
         _key(),
         captioned(
             figures.fits(validations, MODELS, wanted_r),
-            "All samples of runs that neither the identification nor the adaptation has seen.",
+            "On runs that neither the identification nor the adaptation has seen. R over all samples, in which no "
+            "model knows what friction holds at standstill; residual while the joint moves.",
         ),
         _fits(validations),
         element("h2", "Friction over temperature"),
@@ -68,9 +69,9 @@ def _verdict(adaptation: Adaptation, validations: Sequence[Validation], wanted_r
     sentences = (
         f"On the ground it was {ground:.4f}. Wanted: above {wanted_r:g} on every joint, before and after.",
         f"Without adaptation it falls to {fallen:.4f} ({fallen_at}); with gravity set and nothing else, "
-        f"to {lone:.4f} ({lone_at}), and the residual there is "
-        f"{percent(validations[2].joints[lone_at].everything.relative_rms)} of the torque instead of "
-        f"{percent(validations[3].joints[lone_at].everything.relative_rms)}.",
+        f"to {lone:.4f} ({lone_at}), and the residual of the moving joint is "
+        f"{percent(validations[2].joints[lone_at].moving.relative_rms)} of its torque instead of "
+        f"{percent(validations[3].joints[lone_at].moving.relative_rms)}.",
         f"At work: {', '.join(names) or 'nothing'}.",
     )
     return element(
@@ -109,13 +110,13 @@ def _fits(validations: Sequence[Validation]) -> Markup:
         cells = []
         for validation in validations:
             every, moving = validation.joints[joint].everything, validation.joints[joint].moving
-            cells += [f"{every.correlation:.4f}", f"{moving.correlation:.4f}", percent(every.relative_rms)]
+            cells += [f"{every.correlation:.4f}", f"{moving.correlation:.4f}", percent(moving.relative_rms)]
         header = element("th", breakable(joint), class_="text")
         rows.append(element("tr", header, *(element("td", cell) for cell in cells)))
     top = element(
         "tr", element("th", "", class_="text"), *(element("th", name, colspan=3, class_="wrap") for name in MODELS)
     )
-    under = [element("th", name) for _ in MODELS for name in ("R", "moving", "residual")]
+    under = [element("th", name) for _ in MODELS for name in ("R", "R moving", "residual")]
     head = element("thead", top, element("tr", element("th", "joint", class_="text"), *under))
     return element("div", element("table", head, element("tbody", *rows)), class_="wide")
 
@@ -152,7 +153,7 @@ def _row(adaptation: Adaptation, change: Change) -> Markup:
     return element(
         "tr",
         element("td", f"{change.symbol}, {unit_text(change.unit)}", class_="text"),
-        element("td", breakable(change.joint), class_="text"),
+        element("td", change.joint, class_="text"),
         *(element("td", cell) for cell in cells),
         element("td", reason(adaptation, change), class_="text wrap"),
         class_=None if change.moved else "minor",
