@@ -31,7 +31,7 @@ SIMULATED_SHARE = 0.85
 
 @dataclass(frozen=True)
 class Run:
-    """One simulated run: a random excitation of `periods` s·Hz at a temperature (°C), on the ground or in orbit."""
+    """One simulated run: a random excitation at a temperature (°C), on the ground or in orbit."""
 
     name: str
     seed: int
