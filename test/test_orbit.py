@@ -226,3 +226,9 @@ def test_the_demo_ends_with_what_it_found(arm, tmp_path, monkeypatch, capsys, wr
     assert (tmp_path / "report.html").exists()
     if wrong:
         assert "in orbit, adapted, not above 0.97" in err
+
+
+def test_the_orbit_demo_has_no_short_form(tmp_path, capsys):
+    assert main(["demo", "--orbit", "--fast", "--out", str(tmp_path / "out")]) == 2
+    assert "no shorter form" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

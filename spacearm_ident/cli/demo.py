@@ -71,6 +71,8 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Start the nodes, call their services, wait for the result."""
     options.out = options.out or (demo_orbit.OUT if options.orbit else OUT)
+    if options.orbit and options.fast:
+        raise UserError("--fast shortens the live demo; --orbit has no shorter form: give one of them")
     if options.orbit:
         return demo_orbit.run(options)
     if importlib.util.find_spec("rclpy") is None:
