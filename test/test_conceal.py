@@ -352,7 +352,7 @@ def test_friction_falls_with_the_temperature_of_the_oil():
         rise = 20 * (1 - np.exp(-1))
         oil = rise if law == "usual" else 20 * (1 - (3 * np.exp(-2 / 3) - 2 * np.exp(-1)) / (3 - 2))
         assert plant.housing_temperature[0] - 20 == pytest.approx(rise, rel=0.01)
-        level = plant._law.dry_level(*np.zeros((2, 1)), plant.housing_temperature)[0]
+        level = plant.law.dry_level(*np.zeros((2, 1)), plant.housing_temperature)[0]
         assert level == pytest.approx(10.0 * (1 - 0.01 * oil), rel=3e-3)
 
 

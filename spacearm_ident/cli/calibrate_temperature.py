@@ -22,7 +22,7 @@ from . import common
 DESCRIPTION = """
 Fit how friction follows temperature, f_c(T) = f_c0 + alpha (T - 20 °C), from constant-velocity runs recorded at several
 temperatures (spacearm excite --for temperature). Steady runs are found in the bags. Gravity is taken out by running
-forth and back over the same positions, or by the model where one is given.
+forth and back through the same postures, or by the model where one is given.
 """
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from ..simulation.concealed import Concealment, Effect, load_concealed
 from ..simulation.concealed.from_model import simulated_arm
 from ..simulation.parameters import PlantParameters
 from ..simulation.servo import DriveData
+from ..simulation.thermal import ThermalParameters, surroundings
 from . import common
 
 DESCRIPTION = """
@@ -46,6 +48,17 @@ def add(commands: Any) -> None:
         "--arm", type=Path, metavar="FILE", help="arm YAML with gear ratios, torque constants and torque limits"
     )
     command.add_argument("--conceal", type=Path, metavar="FILE", help="physics to add that the model does not know")
+    command.add_argument(
+        "--temperature",
+        type=float,
+        default=ThermalParameters.ambient,
+        metavar="C",
+        help="of the surroundings, and of the arm at the start, degC (default %(default)g); "
+        "the arm's own losses warm it from there",
+    )
+    command.add_argument(
+        "--gravity", type=float, nargs=3, metavar=("X", "Y", "Z"), help="instead of the model's, m/s^2 (0 0 0 in orbit)"
+    )
     command.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default 0)")
     command.add_argument("--noise", type=float, default=1.0, metavar="FACTOR", help="times the default noise; 0: none")
     common.add_output_options(command)
@@ -59,11 +72,15 @@ def run(options: argparse.Namespace) -> int:
     model = load_model(options.model)
     arm = model.model.arm if options.arm is None else load_arm(options.arm)
     parameters, effects = simulated_arm(model, arm.urdf)
+    if options.gravity is not None:
+        parameters = replace(parameters, gravity=np.array(options.gravity))
     trajectory = load_trajectory(options.trajectory)
     if options.conceal is not None:
         effects += load_concealed(options.conceal, parameters.joints)
     with common.progress(options) as report:
-        recording = record(parameters, trajectory, arm, options.seed, options.noise, report, effects)
+        recording = record(
+            parameters, trajectory, arm, options.seed, options.noise, report, effects, options.temperature
+        )
         write_recording(options.out, recording)
     if options.json:
         common.print_json({"bag": str(options.out), "samples": len(recording.time), "joints": list(recording.joints)})
@@ -80,8 +97,13 @@ def record(
     noise: float,
     report: common.Report,
     effects: Sequence[Effect] = (),
+    temperature: float = 20.0,
 ) -> Recording:
-    """Simulate one run of an arm under its drives, with `effects` concealed in it."""
+    """Simulate one run of an arm under its drives, with `effects` concealed in it, at a `temperature` (°C).
+
+    Raises:
+        UserError: The trajectory is not of this arm, or no arm works at such a temperature.
+    """
     if trajectory.joints != parameters.joints:
         raise UserError(
             f"the trajectory moves {', '.join(trajectory.joints)}; the arm has {', '.join(parameters.joints)}"
@@ -109,6 +131,7 @@ def record(
         seed=seed,
         noise=sensors,
         drives=drives,
+        thermal=ThermalParameters(drives.copper_loss, ambient=surroundings(temperature)),
         hidden=Concealment(effects) if effects else None,
         progress=lambda share: report(share, "simulating"),
     )

@@ -1,9 +1,9 @@
 """Steady runs in recordings: stretches in which one joint turns at constant speed, and the friction they show.
 
-At constant speed with the other joints still, a joint's torque is gravity plus friction. Friction turns with the
-direction, gravity does not: over the positions that a run forth and a run back have in common, half the difference of
-the torques is friction, and no model is needed. Where a model is given, its torque without friction is subtracted and
-every run counts by itself, the other joints moving or not.
+At constant speed, the other joints still or at constant speeds of their own, a joint's torque is gravity, centrifugal
+and Coriolis forces, and friction. Friction turns with the direction, the others do not: over the postures that a run
+forth and a run back have in common, half the difference of the torques is friction, and no model is needed. Where a
+model is given, its torque without friction is subtracted and every run counts by itself.
 """
 
 from __future__ import annotations
@@ -35,10 +35,9 @@ class Plateau:
         joint: Name.
         time_s: Of its middle.
         speed: Signed mean, rad/s.
-        position: (N,) rad.
+        position: (N,) rad, of this joint.
+        postures: (N, n) rad, of all joints.
         torque: (N,) N·m; without what a model says of the rest, where there is one.
-        others: (n,) mean positions of all joints, rad.
-        others_still: Whether no other joint moves.
         temperature: Mean, °C; NaN where not recorded.
     """
 
@@ -46,9 +45,8 @@ class Plateau:
     time_s: float
     speed: float
     position: FloatArray
+    postures: FloatArray
     torque: FloatArray
-    others: FloatArray
-    others_still: bool
     temperature: float
 
 
@@ -120,21 +118,19 @@ def _plateau(
     series = recording.temperatures.get(joint)
     known = series is not None and len(series.time) > 0
     warm = float(np.mean(np.interp(time, series.time, series.values))) if known and series is not None else np.nan
-    moving = np.abs(velocity).max(axis=0) > SLOWEST
     return Plateau(
         joint,
         float(time.mean()),
         float(velocity[:, column].mean()),
         position[:, column],
+        position,
         torque,
-        position.mean(axis=0),
-        int(moving.sum()) == 1,
         warm,
     )
 
 
 def friction_points(plateaus: Sequence[Plateau], with_model: bool) -> list[FrictionPoint]:
-    """Friction at every run (with a model), or at every pair of runs forth and back over the same positions.
+    """Friction at every run (with a model), or at every pair of runs forth and back through the same postures.
 
     A run back goes with the nearest run forth in time that it fits; each is used once.
     """
@@ -148,8 +144,8 @@ def friction_points(plateaus: Sequence[Plateau], with_model: bool) -> list[Frict
             )
             for run in plateaus
         ]
-    forth = [run for run in plateaus if run.speed > 0 and run.others_still]
-    back = [run for run in plateaus if run.speed < 0 and run.others_still]
+    forth = [run for run in plateaus if run.speed > 0]
+    back = [run for run in plateaus if run.speed < 0]
     points = []
     while forth and back:
         pairs = [(abs(a.time_s - b.time_s), a, b) for a in forth for b in back if _fit_together(a, b)]
@@ -167,13 +163,16 @@ def friction_points(plateaus: Sequence[Plateau], with_model: bool) -> list[Frict
 
 def _fit_together(one: Plateau, other: Plateau) -> bool:
     low, high = _overlap(one, other)
-    elsewhere = np.abs(one.others - other.others) > SAME_PLACE_RAD
-    own = np.abs(one.others - one.position.mean()) < 1e-12
-    return (
-        abs(one.speed + other.speed) < SAME_SPEED * one.speed
-        and high - low > LEAST_OVERLAP_RAD
-        and not bool((elsewhere & ~own).any())
+    if abs(one.speed + other.speed) > SAME_SPEED * one.speed or high - low < LEAST_OVERLAP_RAD:
+        return False
+    return all(
+        np.abs(_posture_at(one, place) - _posture_at(other, place)).max() < SAME_PLACE_RAD for place in (low, high)
     )
+
+
+def _posture_at(run: Plateau, place: float) -> FloatArray:
+    """(n,) positions of all joints where this one passes `place`, rad."""
+    return np.asarray(run.postures[int(np.argmin(np.abs(run.position - place)))])
 
 
 def _overlap(one: Plateau, other: Plateau) -> tuple[float, float]:

@@ -141,8 +141,8 @@ def _why_not(refused: dict[str, str], cold: Sequence[str], idle: Sequence[str]) 
     if cold:
         return f"no temperature of {', '.join(cold)} in these bags: record /joint_temperatures with the runs"
     return (
-        f"no steady run of {', '.join(idle)}: record each joint at constant speed forth and back, the others still "
-        "(spacearm excite --for temperature), or give --model"
+        f"no steady run of {', '.join(idle)}: record each joint at constant speed forth and back through the same "
+        "postures (spacearm excite --for temperature), or give --model"
     )
 
 

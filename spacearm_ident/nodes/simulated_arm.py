@@ -13,6 +13,7 @@ from ..canbus.realtime import BESIDE_THE_CYCLE, prepare_thread
 from ..config import config_path
 from ..driver.arm_can import load_arm_can
 from ..simulation.arm_process import ArmProcess, live_arm
+from ..simulation.thermal import COLDEST, WARMEST
 from .runtime import Level, LiveNode, Status, run
 
 
@@ -28,6 +29,14 @@ class SimulatedArm(LiveNode):
         start = self.parameter(
             "start_position", [0.0], "joint angles at power-on (rad); a single one is for all joints"
         )
+        ambient = self.parameter(
+            "ambient_temperature",
+            20.0,
+            "of the surroundings, and of the arm at power-on (degC)",
+            low=COLDEST,
+            high=WARMEST,
+        )
+        conceal = self.parameter("conceal", "", "file of physics the model does not know; empty: none")
         priority = self.parameter("realtime_priority", 60, "SCHED_FIFO priority of the drives; 0: none", low=0, high=99)
         config = load_arm_can(Path(file) if file else config_path("paper_arm_can.yaml"))
         self.hardware_id = f"{config.arm.name} (simulated)"
@@ -37,6 +46,8 @@ class SimulatedArm(LiveNode):
             noise=noise,
             seed=seed,
             position=start,
+            ambient=ambient,
+            conceal=Path(conceal) if conceal else None,
         )
         self._process = ArmProcess(config, arm, priority=priority)
         self._process.start()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import can
@@ -15,10 +15,12 @@ from spacearm_ident.driver.arm_can import ArmCan
 from spacearm_ident.driver.bus_lock import BusLock
 from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.closed_loop import SensorNoise
+from spacearm_ident.simulation.concealed import Concealment, Effect, load_concealed
 from spacearm_ident.simulation.drives import DriveConfig
 from spacearm_ident.simulation.drives_network import DriveNetwork
 from spacearm_ident.simulation.live_arm import LiveArm
 from spacearm_ident.simulation.parameters import PlantParameters
+from spacearm_ident.simulation.thermal import surroundings
 
 
 class ArmProcess:
@@ -70,7 +72,14 @@ class ArmProcess:
 
 
 def live_arm(
-    config: ArmCan, model: Path, *, noise: float = 1.0, seed: int = 0, position: list[float] | None
+    config: ArmCan,
+    model: Path,
+    *,
+    noise: float = 1.0,
+    seed: int = 0,
+    position: list[float] | None,
+    ambient: float = 20.0,
+    conceal: Path | None = None,
 ) -> LiveArm:
     """The arm of a model file, under the drives of `config`.
 
@@ -80,6 +89,8 @@ def live_arm(
         noise: Times the usual noise of the current sensors; 0: none.
         seed: Of the noise.
         position: (n,) rad where it starts, or one angle for all joints; zero unless given.
+        ambient: Temperature of the surroundings, and of the arm at the start, °C.
+        conceal: File of physics that the model does not know; only what acts while the arm moves.
 
     Raises:
         UserError: The model cannot be read or does not fit the arm.
@@ -99,7 +110,28 @@ def live_arm(
         effort_correlation_s=usual.effort_correlation_s,
     )
     start = None if position is None else position * (n // len(position))
-    return LiveArm(parameters, config.arm, position=start, noise=sensors, seed=seed)
+    return LiveArm(
+        parameters,
+        config.arm,
+        position=start,
+        noise=sensors,
+        seed=seed,
+        ambient=surroundings(ambient),
+        hidden=None if conceal is None else hidden_physics(conceal, parameters.joints),
+    )
+
+
+def hidden_physics(path: Path, joints: Sequence[str]) -> Concealment:
+    """What a file conceals in a live arm with these joints.
+
+    Raises:
+        UserError: It cannot be read, or conceals what only a finished recording can show.
+    """
+    effects = load_concealed(path, joints)
+    for effect in effects:
+        if type(effect).reported is not Effect.reported:
+            raise UserError(f"{path}: {effect.name} is done to a finished recording: use spacearm simulate for it")
+    return Concealment(effects)
 
 
 def serve(config: ArmCan, arm: LiveArm, stop: Callable[[], bool]) -> None:

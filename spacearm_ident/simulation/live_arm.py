@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spacearm_ident.dynamics.arm import Arm
-from spacearm_ident.simulation.closed_loop import SensorNoise
+from spacearm_ident.simulation.closed_loop import HiddenPhysics, SensorNoise
 from spacearm_ident.simulation.drives_mechanics import BoolArray
-from spacearm_ident.simulation.joint_law import JointLaw, StribeckLaw
+from spacearm_ident.simulation.joint_law import JointLaw
 from spacearm_ident.simulation.plant import Plant, PlantParameters
 from spacearm_ident.simulation.servo import DriveData, Servo, ServoTuning
 from spacearm_ident.simulation.thermal import ThermalParameters
@@ -55,7 +55,7 @@ class LiveArm:
     """The physics behind the drives (`drives_mechanics.Mechanics`).
 
     Attributes:
-        position: (n,) rad, true.
+        position: (n,) rad; true but for what is hidden in the encoders.
         velocity: (n,) rad/s, true.
         torque: (n,) N·m on the output side as the current sensors see it; zero without power.
         temperature: (n,) °C of the windings.
@@ -71,6 +71,8 @@ class LiveArm:
         seed: int = 0,
         tuning: ServoTuning | None = None,
         law: JointLaw | None = None,
+        ambient: float = 20.0,
+        hidden: HiddenPhysics | None = None,
     ) -> None:
         """Start at rest with the brakes closed.
 
@@ -82,6 +84,9 @@ class LiveArm:
             seed: Of the noise.
             tuning: Of the inner loops.
             law: Friction and drive train in place of the parameters' own.
+            ambient: Temperature of the surroundings, and of the arm at the start, °C.
+            hidden: Physics that the parameters do not tell of, but for what only a finished recording can show
+                (`reported`).
 
         Raises:
             UserError: Parameters and robot description do not fit.
@@ -96,9 +101,15 @@ class LiveArm:
             torque_constant=[joint.torque_constant for joint in arm.joints],
             torque_limit=PEAK * limit,
         )
-        self._law = BrakedLaw(StribeckLaw(parameters) if law is None else law, n)
-        thermal = ThermalParameters(drives.copper_loss)
-        self._plant = Plant(parameters, position=position, law=self._law, thermal=thermal)
+        thermal = ThermalParameters(drives.copper_loss, ambient=ambient)
+        start = np.zeros(n) if position is None else np.array(position, dtype=float)
+        if hidden is None:
+            self._plant = Plant(parameters, position=start, law=law, thermal=thermal)
+        else:
+            self._plant = hidden.plant(parameters, start, thermal, law)
+        # A brake is outside of all that may be hidden in the joint.
+        self._plant.law = self._law = BrakedLaw(self._plant.law, n)
+        self._hidden = hidden
         self._servo = Servo(np.diag(self._plant.inertia()), drives, tuning, self._plant.position)
         self._holding = BRAKE * np.where(np.isfinite(limit), limit, 1e3)
         self._scale = np.where(np.isfinite(limit), limit, 0.0)
@@ -118,7 +129,7 @@ class LiveArm:
 
     def step(self, target: FloatArray, enabled: BoolArray, brake: BoolArray, dt: float) -> None:
         """Let `dt` seconds pass; see `drives_mechanics.Mechanics`."""
-        plant, servo = self._plant, self._servo
+        plant, servo, hidden = self._plant, self._servo, self._hidden
         self._law.extra = np.where(brake, self._holding, 0.0)
         start = np.where(self._was_enabled, self._target, target)
         move, parts = target - start, max(1, round(dt / servo.dt))
@@ -129,20 +140,25 @@ class LiveArm:
         self._motor = np.where(enabled, self._motor, 0.0)
         for part in range(1, parts + 1):
             before = self._motor
-            plant.step(before, dt / parts)
+            plant.step(before if hidden is None else hidden.motor(before, plant), dt / parts)
             share = part / parts
             # The feedforward ramps, too: a staircase of it would show as a sawtooth of the torque, of which one
             # sample a step always sees the same tooth; a twentieth of the inertia would be missing.
             wanted = servo.torque(
-                plant.position, start + share * move, rate_before + share * (rate - rate_before), self._none
+                self._seen(), start + share * move, rate_before + share * (rate - rate_before), self._none
             )
             self._motor = np.where(enabled, wanted, 0.0)
         self._target, self._was_enabled = target.copy(), enabled.copy()
-        self.position, self.velocity = plant.position, plant.velocity
+        self.position, self.velocity = self._seen(), plant.velocity
         self.torque = np.where(enabled, 0.5 * (before + self._motor) + self._sensor_error(dt), 0.0)
         self._steps += 1
         if self._steps % _TEMPERATURE_STEPS == 0:
             self.temperature = plant.winding_temperature
+
+    def _seen(self) -> FloatArray:
+        """What the encoders show, (n,) rad."""
+        position = self._plant.position
+        return position if self._hidden is None else self._hidden.encoder(position)
 
     def _sensor_error(self, dt: float) -> FloatArray:
         """White and coloured noise of the torque from current, (n,) N·m."""

@@ -39,6 +39,7 @@ class Plant:
     Attributes:
         parameters: What it obeys.
         thermal: Its thermal state.
+        law: Friction and drive train of the joints.
         time: s on the recording's clock; the internal step begins here.
     """
 
@@ -84,7 +85,7 @@ class Plant:
         self._acceleration = np.zeros(m)
         self._still = np.zeros(m)
         self._friction_power = np.zeros(n)
-        self._law = StribeckLaw(parameters) if law is None else law
+        self.law: JointLaw = StribeckLaw(parameters) if law is None else law
         self._observer = observer
         self.thermal = Thermal(ThermalParameters() if thermal is None else thermal, n)
         self._longest_step_s = longest_step_s
@@ -140,7 +141,7 @@ class Plant:
     def _step(self, torque: FloatArray, h: float) -> None:
         if self._observer is not None:
             self._observer.begin(self, h)
-        mechanism, law, warm, v = self._mechanism, self._law, self.thermal.housing, self._speed
+        mechanism, law, warm, v = self._mechanism, self.law, self.thermal.housing, self._speed
         mechanism.time = self.time
         self.time += h
         if not v.any():
@@ -172,8 +173,8 @@ class Plant:
         q = self._mechanism.position(self._configuration)
         no_speed = still[: len(q)]
         load = self._mechanism.bias(self._configuration, still)
-        excess = np.abs(self._spread(torque - self._law.smooth_torque(q, no_speed, warm)) - load)
-        if (excess > self._spread(self._law.dry_level(q, no_speed, warm))).any():
+        excess = np.abs(self._spread(torque - self.law.smooth_torque(q, no_speed, warm)) - load)
+        if (excess > self._spread(self.law.dry_level(q, no_speed, warm))).any():
             return False
         self._acceleration = still
         self._friction_power = no_speed

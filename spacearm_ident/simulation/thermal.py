@@ -11,8 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spacearm_ident.errors import UserError
+
 FloatArray = NDArray[np.float64]
 
+COLDEST, WARMEST = -150.0, 150.0
+"""Surroundings, °C, in which linear laws of friction over temperature are not yet absurd."""
 _UPDATE_S = 0.01
 """Heat is summed up and the temperatures moved this often: time constants are minutes."""
 
@@ -38,6 +42,17 @@ class ThermalParameters:
     ambient: FloatArray | float = 20.0
 
 
+def surroundings(celsius: float) -> float:
+    """A temperature as a user gives it, °C.
+
+    Raises:
+        UserError: No arm works there.
+    """
+    if not COLDEST <= celsius <= WARMEST:
+        raise UserError(f"temperature {celsius:g} degC: give one from {COLDEST:g} to {WARMEST:g}")
+    return celsius
+
+
 class Thermal:
     """Thermal state of n joints.
 
@@ -50,8 +65,8 @@ class Thermal:
 
     def __init__(self, parameters: ThermalParameters, n: int) -> None:
         self._p = parameters
-        self.winding = np.full(n, parameters.ambient)
-        self.housing = np.full(n, parameters.ambient)
+        self.winding = np.full(n, parameters.ambient, dtype=float)
+        self.housing = np.full(n, parameters.ambient, dtype=float)
         self.capacity = parameters.housing_heat_capacity
         self.heating = np.zeros(n)
         self._copper_J = np.zeros(n)

@@ -33,7 +33,7 @@ class Parameter:
         unit: SI.
         low: Smallest plausible value.
         high: Largest plausible value.
-        default: Taken when the file does not give it; None: must be given.
+        default: Taken when the file does not give it; None: must be given. NaN: the effect knows by itself.
         size: Length of a vector, 0: one number.
     """
 

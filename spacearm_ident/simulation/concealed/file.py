@@ -120,13 +120,13 @@ def _entry(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 def _value(effect: str, name: str, parameter: Parameter, given: Any, joints: int) -> FloatArray:
     """Values (joints,) or (joints, size)."""
+    shape = (joints, parameter.size) if parameter.size else (joints,)
     if given is None:
         if parameter.default is None:
             raise UserError(
                 f"{effect}: give {name} in {parameter.unit} (plausible: {parameter.low:g} to {parameter.high:g})"
             )
-        given = parameter.default
-    shape = (joints, parameter.size) if parameter.size else (joints,)
+        return np.full(shape, parameter.default)
     try:
         array = np.broadcast_to(np.asarray(given, dtype=float), shape).copy()
     except (TypeError, ValueError):

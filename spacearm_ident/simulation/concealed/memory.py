@@ -74,15 +74,15 @@ class PreslidingHysteresis(Effect):
 class TemperatureFriction(Effect):
     """Friction falls as the lubricant warms: f_c by `coulomb_slope`, k_v1 by `viscous_slope` per kelvin from 20 °C.
 
-    The housings start at `start` and are heated by `rise` within the time constant `time_constant`. Law `lagged`:
-    the lubricant follows the housing's sensor only after `lag` seconds.
+    The housings start at `start` (unless given, as warm as the surroundings) and are heated by `rise` within the time
+    constant `time_constant`. Law `lagged`: the lubricant follows the housing's sensor only after `lag` seconds.
     """
 
     name = "temperature_friction"
     parameters: ClassVar = {
         "coulomb_slope": Parameter("1/K", -0.012, -0.0015),
         "viscous_slope": Parameter("1/K", -0.02, -0.003, -0.01),
-        "start": Parameter("degC", -20.0, 25.0, 20.0),
+        "start": Parameter("degC", -20.0, 25.0, np.nan),
         "rise": Parameter("K", 5.0, 40.0, 20.0),
         "time_constant": Parameter("s", 8.0, 60.0, 15.0),
         "lag": Parameter("s", 3.0, 20.0, 6.0),
@@ -91,10 +91,11 @@ class TemperatureFriction(Effect):
 
     def begin(self, parameters: PlantParameters, plant: Plant) -> None:
         """Bring the joints to their temperature and remember the viscosity it acts on."""
-        plant.thermal.housing[self.joints] = self.values["start"]
-        plant.thermal.winding[self.joints] = self.values["start"]
-        self._thermal = plant.thermal
-        self._oil = self.values["start"].copy()
+        start, thermal = self.values["start"], plant.thermal
+        for body in (thermal.housing, thermal.winding):
+            body[self.joints] = np.where(np.isnan(start), body[self.joints], start)
+        self._thermal = thermal
+        self._oil = thermal.housing[self.joints].copy()
         self._viscous = parameters.k_v1[self.joints]
         self._dry = parameters.f_c[self.joints]
 
