@@ -31,6 +31,8 @@ Progress = Callable[[float, str], None]
 HOLD_OUT = 0.35
 LEFT_OVER = 2.0
 """A joint whose residual variance is so many times the noise's has something unexplained."""
+UNNAMED = 2.5
+"""The same where nothing was found at all: then it is a mismatch without a name. Healthy arms had 1.5 at most."""
 SHOWS = 0.5
 """A finding beside the first that removes less than this share of what is above the noise on unseen data is not one: it
 is a crumb of the first, whose law is not quite the catalogue's."""
@@ -115,6 +117,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     rms_before, rms_after = residuals.rms(before), residuals.rms(after)
+    findings = findings or _unnamed(joints, rms_before, rms_after, floor)
     words, effect, where = _next(findings)
     return Explanation(
         verdict=MISMATCH if findings else NO_MISMATCH,
@@ -128,7 +131,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         next_effect=effect,
         next_joints=where,
         already_there=tuple(_words(scored) for scored in outcome.common),
-        model=extended_model(evidence, accepted, outcome.refit.values) if findings else None,
+        model=extended_model(evidence, accepted, outcome.refit.values) if accepted else None,
         traces=residuals.traces(before, after),
         cutoff_hz=prepared.cutoff_hz,
     )
@@ -184,6 +187,32 @@ def _healthy(evidence: Evidence, prepared: Prepared) -> tuple[FloatArray, FloatA
 def _words(scored: Scored) -> str:
     effect = scored.candidate.effect
     return f"{effect.words} ({effect.kind}) at {', '.join(effect.joints) or 'the base'}"
+
+
+def _unnamed(joints: Sequence[str], before: FloatArray, after: FloatArray, floor: FloatArray) -> tuple[Finding, ...]:
+    """Where nothing was found, and the residual is clearly more than noise all the same: something, without a name."""
+    where = [k for k, rms in enumerate(after) if np.isfinite(rms) and rms**2 > UNNAMED * floor[k] ** 2]
+    if not where:
+        return ()
+    where.sort(key=lambda k: -after[k] / floor[k])
+    return (
+        Finding(
+            effect=UNKNOWN,
+            joints=tuple(joints[k] for k in where),
+            where=f"{after[where[0]] / floor[where[0]]:.1f} times the noise; nothing that was tried explains it",
+            equation="",
+            source="",
+            parameters={},
+            confidence=1.0,
+            alternatives=(),
+            gain=0.0,
+            unseen_gain=0.0,
+            visibility=1.0,
+            before_Nm={joints[k]: float(before[k]) for k in where},
+            after_Nm={joints[k]: float(after[k]) for k in where},
+            explained=0.0,
+        ),
+    )
 
 
 def _unexplained(
