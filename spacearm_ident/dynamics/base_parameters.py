@@ -80,7 +80,10 @@ def _random_columns(model: TorqueModel, seed: int) -> FloatArray:
     position, velocity, acceleration = rng.uniform(-2.0, 2.0, (3, samples, joints))
     zero = np.zeros(joints)
     torque = np.zeros_like(position)
-    motion = Motion(model.arm.joint_names, 1.0, 0.0, position, velocity, acceleration, torque, zero, zero)
+    warm = rng.uniform(0.0, 40.0, position.shape)
+    motion = Motion(
+        model.arm.joint_names, 1.0, 0.0, position, velocity, acceleration, torque, zero, zero, temperature=warm
+    )
     background = Background.known(rng.normal(size=position.shape))
     whole = np.zeros((joints, samples, count))
     for term, first, _ in model.numbered():

@@ -11,6 +11,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model import IdentifiedModel
 from ..recording.bandwidth import Bandwidth
+from .environment import Environment
 
 
 class Determination(Enum):
@@ -95,6 +96,7 @@ class Identified:
         solver: How the solver ended, in words.
         joints_at_rest: Joints that never moved: nothing is known of their friction.
         notes: Further things a user should know.
+        environment: Vacuum or air, gravity, temperatures.
     """
 
     model: IdentifiedModel
@@ -111,6 +113,7 @@ class Identified:
     solver: str = ""
     joints_at_rest: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default_factory=tuple)
+    environment: Environment = field(default_factory=Environment)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import numpy as np
 from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
+from ..identification.environment import Environment
 from ..identification.identified import (
     Choice,
     Determination,
@@ -118,6 +119,7 @@ def _plain(result: Result) -> dict[str, Any]:
         "solver": identified.solver,
         "joints_at_rest": list(identified.joints_at_rest),
         "notes": list(identified.notes),
+        "environment": identified.environment.as_dict(),
         "validation": {
             "joints": {name: asdict(joint) for name, joint in validation.joints.items()},
             "traces": [trace.source for trace in validation.traces],
@@ -157,6 +159,7 @@ def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> R
         solver=data["solver"],
         joints_at_rest=tuple(data["joints_at_rest"]),
         notes=tuple(data["notes"]),
+        environment=Environment.from_dict(data.get("environment", {})),
         **{name: arrays[name] for name in ("base_values", "base_errors", "covariance", "residual_sigma_Nm", "rows")},
     )
     return Result(identified, _validation(data["validation"], arrays), data["written"])
