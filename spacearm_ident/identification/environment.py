@@ -16,7 +16,9 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.model import TorqueModel, temperature_joints
 from ..dynamics.term import Parameter
+from ..recording.motion import Motion
 
 HIGH_ORDERS = ("k_v2", "k_v3")
 LEVEL = 0.05
@@ -237,3 +239,13 @@ class Environment:
             ),
             tuple(data.get("no_temperature", ())),
         )
+
+
+def without_temperature(model: TorqueModel, motions: Sequence[Motion]) -> tuple[str, ...]:
+    """Joints whose temperature the model asks for and a motion lacks."""
+    joints = model.arm.joint_names
+    return tuple(
+        joint
+        for joint in temperature_joints(model.structure, model.arm)
+        if any(m.temperature is None or np.isnan(m.temperature[:, joints.index(joint)]).any() for m in motions)
+    )

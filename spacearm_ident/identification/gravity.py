@@ -171,7 +171,7 @@ def _compressed(
     for joint, (numbers, block) in enumerate(columns):
         indices, shaped = [count + number for number in numbers], [block]
         for term, start, terms in regression.shaped_terms():
-            own = regression.shaped(term, solution.constants[start : start + terms]).get(joint)
+            own = regression.shaped(term, list(solution.constants[start : start + terms])).get(joint)
             if own is not None:
                 indices.extend(own[0])
                 shaped.append(own[1])
@@ -180,7 +180,7 @@ def _compressed(
         sides.append(side)
     blocks.append(np.pad(prior.rows, ((0, 0), (0, width - count))))
     sides.append(prior.target)
-    triangle = np.linalg.qr(np.column_stack([np.concatenate(blocks), np.concatenate(sides)]), mode="r")
+    triangle: FloatArray = np.linalg.qr(np.column_stack([np.concatenate(blocks), np.concatenate(sides)]), mode="r")
     weight = np.zeros((3, len(triangle), count))
     for axis, link, k in itertools.product(range(3), range(len(model.arm.joints)), range(MOMENTS)):
         weight[axis, :, first + 10 * link + k] = triangle[:, count + 12 * link + 4 * axis + k]

@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
-from ..dynamics.base_parameters import BaseParameters, base_parameters
+from ..dynamics.base_parameters import base_parameters
 from ..dynamics.model import (
     IdentifiedModel,
     Structure,
     TorqueModel,
     over_temperature,
     structure_of,
-    temperature_joints,
 )
 from ..errors import UnfitDataError, UserError
 from ..recording.motion import Motion
@@ -30,7 +29,8 @@ from ..recording.signals import prepare, require_joints
 from . import instrumental, pso_lm
 from .consistency import make_consistent
 from .determination import judge, open_ended
-from .environment import GRAVITY_SCALE, Environment, GravityEstimate, judge_vacuum
+from .environment import GRAVITY_SCALE, Environment, GravityEstimate, judge_vacuum, without_temperature
+from .from_prior import GroundPrior
 from .gravity import require_gravity_choice
 from .identified import Choice, Identified
 from .prior import Prior, make_prior
@@ -40,6 +40,7 @@ from .solution_columns import all_columns, residuals_of
 from .solvers import IDIM_IV, PSO_LM, SEEDED, SEPARABLE, Search, require_solver, search_of
 from .structure import choose_structure
 from .uncertainty import covariance
+from .updated import identify_from_prior
 from .weighing import Weighing
 from .weights import Noise, reweight
 
@@ -59,6 +60,8 @@ class Settings:
         temperature: What of friction follows the joints' temperatures, some of `model.OVER_TEMPERATURE`; beside
             `structure`, which has none of it.
         gravity: How gravity is estimated, one of `gravity.GRAVITY_CHOICES`; empty: it is the arm's.
+        prior: A ground model that the data update (`updated.py`): structure, masses and geometry are its own, gravity
+            is the arm's. With it go `cutoff_hz` and `gravity` alone.
     """
 
     cutoff_hz: float | None = None
@@ -67,6 +70,7 @@ class Settings:
     seed: int = 0
     temperature: tuple[str, ...] = ()
     gravity: str = ""
+    prior: GroundPrior | None = None
 
 
 @dataclass
@@ -105,6 +109,13 @@ def identify(
     require_solver(settings.solver)
     report = progress or (lambda share, what: None)
     _check(recordings, arm)
+    if settings.prior is not None:
+        report(0.0, "updating the prior")
+        ground = settings.prior.under(arm.gravity)
+        known = ground.model.model.arm.joint_names
+        if known != arm.joint_names:
+            raise UserError(f"the prior is of another arm: its joints are {', '.join(known)}")
+        return identify_from_prior(recordings, ground, settings.cutoff_hz, settings.gravity, provenance)
     report(0.0, "filtering")
     motions, bandwidth = prepare(recordings, arm.joint_names, settings.cutoff_hz)
     report(0.2, "searching the friction constants")
@@ -168,8 +179,8 @@ def _check(recordings: Sequence[Recording], arm: Arm) -> None:
 
 def _fit(model: TorqueModel, motions: list[Motion], search: Search, start: _Fit | None = None) -> _Fit:
     """Solve, weight the rows by what the residual shows, solve again."""
-    known = start.regression if start and start.regression.model.arm is model.arm else None
-    regression = Regression(model, motions, known)
+    shared = start.regression if start and start.regression.model.arm is model.arm else None
+    regression = Regression(model, motions, shared)
     prior = make_prior(model, motions)
     if start is None:
         solution = searched(regression, prior, search)
@@ -233,14 +244,9 @@ def _fit_instrumental(known: _Fit, recordings: Sequence[Recording], cutoff_hz: f
     residuals = residuals_of(regression, solution)
     base = base_parameters(model)
     fit = _Fit(regression, prior, replace(solution, parameters=parameters), residuals, noise)
-    errors = _base_errors(base, _covariance(fit), len(parameters))
+    errors = base.errors(_covariance(fit))
     verdict = instrumental.compare(base, parameters, solution.parameters, errors)
     return replace(fit, stages=(verdict.words,))
-
-
-def _base_errors(base: BaseParameters, spread: FloatArray, count: int) -> FloatArray:
-    """(b,) standard errors of the base parameters."""
-    return np.sqrt(np.maximum(np.diag(base.regrouping @ spread[:count, :count] @ base.regrouping.T), 0.0))
 
 
 def _solver_words(settings: Settings, solution: Solution) -> str:
@@ -281,8 +287,7 @@ def _conclude(
     consistent = make_consistent(model, matrix, solution.parameters, prior.scale)
     base = base_parameters(model)
     values = base.regrouping @ solution.parameters
-    count = len(model.parameters)
-    errors = _base_errors(base, spread, count)
+    errors = base.errors(spread)
     at_rest = tuple(
         joint
         for k, joint in enumerate(model.arm.joint_names)
@@ -293,7 +298,7 @@ def _conclude(
     environment = Environment(
         judge_vacuum(model.parameters, solution.parameters, spread, prior.scale, _freedom(fit)),
         gravity,
-        _without_temperature(model, regression.motions),
+        without_temperature(model, regression.motions),
     )
     identified_model = IdentifiedModel(model, consistent, solution.constants, bandwidth.cutoff_hz, dict(provenance))
     return Identified(
@@ -303,7 +308,7 @@ def _conclude(
         base_values=values,
         base_errors=errors,
         covariance=spread,
-        consistency_shift=_shift(base, consistent - solution.parameters, errors),
+        consistency_shift=base.shift(consistent - solution.parameters, errors),
         residual_sigma_Nm=np.array([np.sqrt(np.mean(r**2)) if len(r) else np.nan for r in fit.residuals]),
         rows=np.array([len(r) for r in fit.residuals]),
         bandwidth=bandwidth,
@@ -312,16 +317,6 @@ def _conclude(
         joints_at_rest=at_rest,
         notes=(*_notes(regression.motions, at_rest), *environment.notes, *fit.stages),
         environment=environment,
-    )
-
-
-def _without_temperature(model: TorqueModel, motions: Sequence[Motion]) -> tuple[str, ...]:
-    """Joints whose temperature the model asks for and a motion lacks."""
-    joints = model.arm.joint_names
-    return tuple(
-        joint
-        for joint in temperature_joints(model.structure, model.arm)
-        if any(m.temperature is None or np.isnan(m.temperature[:, joints.index(joint)]).any() for m in motions)
     )
 
 
@@ -353,12 +348,6 @@ def _covariance(fit: _Fit, further: Sequence[FloatArray] = ()) -> FloatArray:
     by_logarithm = covariance(regression, prior, columns, numbers, fit.residuals, correlation, known + more)
     unit = np.concatenate([np.ones(count), solution.constants, np.ones(more)])
     return np.asarray(by_logarithm * np.outer(unit, unit))
-
-
-def _shift(base: BaseParameters, change: FloatArray, errors: FloatArray) -> float:
-    """Largest change of a base parameter in its standard errors."""
-    known = errors > 0
-    return float(np.max(np.abs(base.regrouping @ change)[known] / errors[known], initial=0.0))
 
 
 def _notes(motions: Sequence[Motion], at_rest: Sequence[str]) -> tuple[str, ...]:

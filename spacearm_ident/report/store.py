@@ -28,6 +28,7 @@ from ..identification.identified import (
     Identified,
     JointValidation,
     LackOfFit,
+    Move,
     Trace,
     Validation,
 )
@@ -51,7 +52,7 @@ def save_result(result: Result, directory: Path) -> None:
     """Write the three files into an existing directory."""
     save_model(result.identified.model, directory / MODEL)
     np.savez_compressed(directory / ARRAYS, **_arrays(result))
-    sums = {name: _checksum(directory / name) for name in (MODEL, ARRAYS)}
+    sums = {name: checksum(directory / name) for name in (MODEL, ARRAYS)}
     text = json.dumps(_as_json({"schema": SCHEMA, "sha256": sums, **_plain(result)}), indent=1, allow_nan=False)
     (directory / FIGURES).write_text(text + "\n", encoding="utf-8")
 
@@ -73,7 +74,7 @@ def load_result(directory: Path) -> Result:
         raise UserError(f"{directory / FIGURES} is not a result of this version ({SCHEMA}): identify again")
     try:
         for name, expected in data["sha256"].items():
-            if _checksum(directory / name) != expected:
+            if checksum(directory / name) != expected:
                 raise UserError(f"{directory / name} is not the file this result was written with: identify again")
         with np.load(directory / ARRAYS, allow_pickle=False) as arrays:
             return _rebuild(data, dict(arrays), directory)
@@ -82,7 +83,8 @@ def load_result(directory: Path) -> Result:
         raise UserError(f"the result in {directory} is incomplete ({what}): identify again") from error
 
 
-def _checksum(path: Path) -> str:
+def checksum(path: Path) -> str:
+    """SHA-256 of a file, as hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -120,6 +122,7 @@ def _plain(result: Result) -> dict[str, Any]:
         "joints_at_rest": list(identified.joints_at_rest),
         "notes": list(identified.notes),
         "environment": identified.environment.as_dict(),
+        "moves": [asdict(move) for move in identified.moves],
         "validation": {
             "joints": {name: asdict(joint) for name, joint in validation.joints.items()},
             "traces": [trace.source for trace in validation.traces],
@@ -160,6 +163,7 @@ def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> R
         joints_at_rest=tuple(data["joints_at_rest"]),
         notes=tuple(data["notes"]),
         environment=Environment.from_dict(data.get("environment", {})),
+        moves=tuple(Move(**move) for move in data.get("moves", ())),
         **{name: arrays[name] for name in ("base_values", "base_errors", "covariance", "residual_sigma_Nm", "rows")},
     )
     return Result(identified, _validation(data["validation"], arrays), data["written"])
