@@ -31,7 +31,8 @@ from .term import Columns, Constant, Parameter, Term, chosen_joints
 
 STRIBECK_GRID = (0.0, *(float(v) for v in np.geomspace(5e-4, 0.4, 13)))
 PRESLIDING_GRID = (0.0, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
-Q_10_GRID = (0.0, 0.3, 0.5, 0.75, 1.0, 1.35, 2.0, 3.3)
+Q_10_GRID = (0.3, 0.5, 0.75, 1.0, 1.35, 2.0, 3.3)
+"""Begins at one, in its middle: beside a v_b of the run's mean temperature no other value gains anything by itself."""
 WARM_FROM = 20.0
 """T_0 of the paper's temperature law, °C."""
 LOAD_SCALE = 0.1
