@@ -17,6 +17,7 @@ from spacearm_ident.identification.environment import Environment, HighOrder, Va
 from spacearm_ident.identification.identified import Determination
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.recording.recording import Recording, Series
+from spacearm_ident.session import settings_for
 
 ARM = arm_from_urdf(urdf_of(TWO_LINKS))
 BARE = Friction(f_c=0.0, k_v1=0.0, k_v2=0.0, k_v3=0.0)
@@ -85,6 +86,18 @@ def test_terms_over_temperature_are_those_asked_for():
         over_temperature(structure_of(ARM, "coulomb-viscous"), ARM, ("v_b",))
     with pytest.raises(UserError, match="choose among f_c"):
         over_temperature(paper, ARM, ("J_m",))
+
+
+def test_settings_refuse_what_does_not_go_together(tmp_path):
+    assert settings_for(ARM, temperature=("f_c",), estimate_gravity="vector").structure is None
+    with pytest.raises(UserError, match="'J_m' over temperature"):
+        settings_for(ARM, temperature=("J_m",))
+    with pytest.raises(UserError, match="leave out temperature f_c"):
+        settings_for(ARM, structure=tmp_path / "model.yaml", temperature=("f_c",))
+    with pytest.raises(UserError, match="choose one of vector"):
+        settings_for(ARM, estimate_gravity="size")
+    with pytest.raises(UserError, match="pso-lm does not estimate friction over temperature"):
+        identify([warm_run()], ARM, settings_for(ARM, solver="pso-lm", temperature=("f_c",)))
 
 
 def test_a_slope_over_temperature_is_a_base_parameter():

@@ -51,6 +51,22 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="identify the terms of this model file, its effects (extended_model.yaml) included; instead of --friction",
     )
+    _add_surroundings(command)
+    command.add_argument(
+        "--solver",
+        choices=SOLVERS,
+        default=SEPARABLE,
+        help="separable (default): grid, then Levenberg-Marquardt; pso-separable: a particle swarm in place of the "
+        "grid; pso-lm: the paper's, over all its parameters, to compare with; idim-iv: instrumental variables, to see "
+        "whether noise in the positions biases least squares",
+    )
+    command.add_argument("--seed", type=int, default=0, metavar="N", help="of the particle swarms (default 0)")
+    common.add_output_options(command)
+    command.set_defaults(run=run)
+
+
+def _add_surroundings(command: argparse.ArgumentParser) -> None:
+    """Options about temperature, gravity, and what is known from before."""
     command.add_argument(
         "--temperature",
         type=_symbols,
@@ -74,17 +90,6 @@ def add(commands: Any) -> None:
         help="update this model (model.yaml in a result folder, its covariance beside it) by the BAGs, for 5 s of "
         "data. Nothing is held out of the fit; with --friction vacuum its k_v2 and k_v3 are 0",
     )
-    command.add_argument(
-        "--solver",
-        choices=SOLVERS,
-        default=SEPARABLE,
-        help="separable (default): grid, then Levenberg-Marquardt; pso-separable: a particle swarm in place of the "
-        "grid; pso-lm: the paper's, over all its parameters, to compare with; idim-iv: instrumental variables, to see "
-        "whether noise in the positions biases least squares",
-    )
-    command.add_argument("--seed", type=int, default=0, metavar="N", help="of the particle swarms (default 0)")
-    common.add_output_options(command)
-    command.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

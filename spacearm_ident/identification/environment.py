@@ -184,10 +184,11 @@ class GravityEstimate:
         text = f"gravity estimated: {triple(self.vector)} ± {triple(list(self.errors))} m/s^2 in the base frame"
         if not any(self.vector):
             text += f", zero (p {self.p_zero:.2g})"
-        elif (tilt := self.tilt_deg) is not None:
-            size, error = self.size
-            held = "held" if self.size_held else f"± {error:.2g}"
-            text += f", {tilt[0]:.2f} ± {tilt[1]:.2g} degrees from {triple(self.before)}, size {size:.2f} {held}"
+        else:
+            (size, error), tilt = self.size, self.tilt_deg
+            if tilt is not None:
+                text += f", {tilt[0]:.2f} ± {tilt[1]:.2g} degrees from {triple(self.before)}"
+            text += f", size {size:.2f} " + ("held" if self.size_held else f"± {error:.2g}")
             if not self.size_held and error > SEEN_SHARE * GRAVITY_SCALE:
                 text += ", which this motion does not tell from the masses"
         dark = [axis for axis, seen in zip("xyz", self.seen) if not seen]
