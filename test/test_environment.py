@@ -109,12 +109,12 @@ def test_a_slope_over_temperature_is_a_base_parameter():
 
 
 class TestVacuum:
-    @pytest.mark.parametrize("freedom", [5, 40, 1000])
+    @pytest.mark.parametrize("freedom", [5, 40])
     def test_wald_rejects_what_is_zero_as_often_as_it_says(self, freedom):
         """Exactly F: covariance known but for its size, which is estimated with as many degrees of freedom."""
         rng = np.random.default_rng(freedom)
         root = np.array([[1.0, 0.0], [30.0, 4.0]])
-        draws = 4000
+        draws = 2000
         size = rng.chisquare(freedom, draws) / freedom
         p = [wald(root @ rng.standard_normal(2), scale * root @ root.T, freedom)[1] for scale in size]
         for level in (0.01, 0.05, 0.3):
@@ -140,7 +140,7 @@ class TestVacuum:
         assert judge_vacuum(parameters[:1], values[:1], np.eye(1), np.ones(1), freedom) is None
 
     def test_identified_arms_with_and_without_are_told_apart(self):
-        """Thirty runs without: denied at about the 5 % that the test says. Five with: never missed."""
+        """Twenty runs without: denied at about the 5 % that the test says. Three with: never missed."""
         structure = {"rigid_body": {}, "rotor_inertia": {}, "viscous_friction": {}}
         structure["stribeck_friction"] = {"stribeck": False, "presliding": False}
 
@@ -150,10 +150,10 @@ class TestVacuum:
             found = identify([run.recording(0.2, seed)], ARM, Settings(5.0, structure)).environment.vacuum
             return {one.joint: one for one in found.joints}
 
-        without = [one.p_value for seed in range(30) for one in verdict(0.0, 0.0, seed).values()]
-        assert sum(p < 0.05 for p in without) <= 9, "of 60 three are expected"
-        assert 0.35 < np.mean(without) < 0.65
-        assert all(verdict(2.0, 1.0, seed)["shoulder"].differs for seed in range(5))
+        without = [one.p_value for seed in range(20) for one in verdict(0.0, 0.0, seed).values()]
+        assert sum(p < 0.05 for p in without) <= 7, "of 40 two are expected"
+        assert 0.33 < np.mean(without) < 0.67
+        assert all(verdict(2.0, 1.0, seed)["shoulder"].differs for seed in range(3))
 
 
 def test_an_environment_is_read_back_as_it_was_written():

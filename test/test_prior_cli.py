@@ -20,8 +20,7 @@ from spacearm_ident.identification.updated import identify_from_prior
 from spacearm_ident.identification.validation import validate
 from spacearm_ident.nodes.jobs import IdentifyJob
 from spacearm_ident.recording import Recording, read_recording, write_recording
-from spacearm_ident.report.prior_file import load_prior
-from spacearm_ident.report.store import load_result
+from spacearm_ident.report.store import load_prior, load_result
 
 ON_EARTH = (
     Friction(f_c=5.0, f_b=5.0, k_v1=4.0, k_v2=1.0, k_v3=0.5),

@@ -10,7 +10,7 @@ from ..dynamics.model import FRICTION_LAWS
 from ..identification.gravity import GRAVITY_CHOICES, VECTOR
 from ..identification.identified import Identified, Validation
 from ..identification.solvers import SEPARABLE, SOLVERS
-from ..report.prior_file import load_prior
+from ..report.store import load_prior
 from ..report.tables import validation_dict
 from ..session import AUTO, identify_session, settings_for
 from . import common

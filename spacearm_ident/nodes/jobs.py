@@ -17,7 +17,7 @@ from ..identification.solvers import SEPARABLE
 from ..mismatch.finding import Explanation
 from ..mismatch_session import explain_session
 from ..recording import Recording, describe
-from ..report.prior_file import load_prior
+from ..report.store import load_prior
 from ..session import AUTO, Session, find_arm, identify_session, read_bags, settings_for, within
 from .message_buffer import Capture, write_captures
 

@@ -1,7 +1,7 @@
 """A result as files that give it back: `model.yaml`, `result.json` and `result.npz`.
 
-The report is made from these alone, without the recordings. `result.json` carries the SHA-256 of the other two, so
-that a folder holding parts of two results is recognised.
+The report is made from these alone, without the recordings, and a later identification may take them for its prior.
+`result.json` carries the SHA-256 of the other two, so that a folder holding parts of two results is recognised.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
 from ..identification.environment import Environment
+from ..identification.from_prior import GroundPrior
 from ..identification.identified import (
     Choice,
     Determination,
@@ -36,6 +37,7 @@ from ..recording.bandwidth import Bandwidth
 
 SCHEMA = "spacearm_ident/result/1"
 MODEL, FIGURES, ARRAYS = "model.yaml", "result.json", "result.npz"
+PRIOR_ADVICE = "give the model.yaml in a result folder of 'spacearm identify'"
 _TRACE_ARRAYS = ("time", "position", "velocity", "measured", "predicted", "moving")
 
 
@@ -52,7 +54,7 @@ def save_result(result: Result, directory: Path) -> None:
     """Write the three files into an existing directory."""
     save_model(result.identified.model, directory / MODEL)
     np.savez_compressed(directory / ARRAYS, **_arrays(result))
-    sums = {name: checksum(directory / name) for name in (MODEL, ARRAYS)}
+    sums = {name: _checksum(directory / name) for name in (MODEL, ARRAYS)}
     text = json.dumps(_as_json({"schema": SCHEMA, "sha256": sums, **_plain(result)}), indent=1, allow_nan=False)
     (directory / FIGURES).write_text(text + "\n", encoding="utf-8")
 
@@ -74,7 +76,7 @@ def load_result(directory: Path) -> Result:
         raise UserError(f"{directory / FIGURES} is not a result of this version ({SCHEMA}): identify again")
     try:
         for name, expected in data["sha256"].items():
-            if checksum(directory / name) != expected:
+            if _checksum(directory / name) != expected:
                 raise UserError(f"{directory / name} is not the file this result was written with: identify again")
         with np.load(directory / ARRAYS, allow_pickle=False) as arrays:
             return _rebuild(data, dict(arrays), directory)
@@ -83,8 +85,36 @@ def load_result(directory: Path) -> Result:
         raise UserError(f"the result in {directory} is incomplete ({what}): identify again") from error
 
 
-def checksum(path: Path) -> str:
-    """SHA-256 of a file, as hexadecimal digits."""
+def load_prior(path: Path) -> GroundPrior:
+    """The model of a result folder with its covariance.
+
+    Args:
+        path: `model.yaml` of a result folder, or the folder.
+
+    Raises:
+        UserError: No model, no covariance beside it, or that of another model.
+    """
+    file = path / MODEL if path.is_dir() else path
+    model = load_model(file)
+    folder = file.parent
+    try:
+        sums = dict(json.loads((folder / FIGURES).read_text(encoding="utf-8"))["sha256"])
+        with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
+            covariance = np.asarray(arrays["covariance"], dtype=np.float64)
+    except OSError as error:
+        missing = Path(error.filename or folder / ARRAYS).name
+        raise UserError(f"{file} has no covariance beside it ({missing}), a prior needs one: {PRIOR_ADVICE}") from error
+    except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise UserError(f"the covariance beside {file} cannot be read: {PRIOR_ADVICE}, or identify again") from error
+    if sums.get(MODEL) != _checksum(file) or sums.get(ARRAYS) != _checksum(folder / ARRAYS):
+        raise UserError(f"{file} is not the model that the covariance beside it was written with: {PRIOR_ADVICE}")
+    prior = GroundPrior(model, covariance, f"{file} (SHA-256 {sums[MODEL][:12]})")
+    if covariance.shape != (len(prior.names),) * 2 or not np.isfinite(covariance).all():
+        raise UserError(f"the covariance beside {file} does not fit it: identify again")
+    return prior
+
+
+def _checksum(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
