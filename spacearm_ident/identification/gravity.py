@@ -180,7 +180,8 @@ def _compressed(
         sides.append(side)
     blocks.append(np.pad(prior.rows, ((0, 0), (0, width - count))))
     sides.append(prior.target)
-    triangle = np.linalg.qr(np.column_stack([np.concatenate(blocks), np.concatenate(sides)]), mode="r")
+    stacked = np.column_stack([np.concatenate(blocks), np.concatenate(sides)])
+    triangle = np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
     weight = np.zeros((3, len(triangle), count))
     for axis, link, k in itertools.product(range(3), range(len(model.arm.joints)), range(MOMENTS)):
         weight[axis, :, first + 10 * link + k] = triangle[:, count + 12 * link + 4 * axis + k]
