@@ -14,9 +14,11 @@ import numpy as np
 
 from .dynamics.arm import Arm, arm_from_urdf, load_arm
 from .dynamics.effects import Effect
-from .dynamics.model import Structure, TorqueModel, structure_of
+from .dynamics.model import Structure, TorqueModel, over_temperature, structure_of
 from .dynamics.model_file import load_model
 from .errors import UserError
+from .identification.from_prior import GroundPrior
+from .identification.gravity import require_gravity_choice
 from .identification.identified import Identified, Validation
 from .identification.identify import Progress, Settings, identify, with_provenance
 from .identification.solvers import SEPARABLE, require_solver
@@ -25,7 +27,7 @@ from .recording import Recording, read_recording
 from .report.folder import write_result
 from .report.provenance import provenance
 
-AUTO = "auto"
+AUTO, VACUUM = "auto", "vacuum"
 ON_OTHERS = "on other recordings than the fit"
 ON_THE_FITTED = "on recordings of the fit itself"
 ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fit"
@@ -55,7 +57,8 @@ def identify_session(
 
     Args:
         fitted: Runs to identify the arm from.
-        validated: Runs to validate on. None or empty: the last third of the last fitted run is held out of the fit.
+        validated: Runs to validate on. None or empty: the last third of the last fitted run is held out of the fit;
+            none of it where a prior is updated by what little there is, then the figures are on the fit itself.
         arm: What is known before.
         settings: Decisions of the user.
         directory: Result folder.
@@ -71,6 +74,8 @@ def identify_session(
     whole, what = list(fitted), _what(fitted, validated or ())
     if validated:
         judged = list(validated)
+    elif settings.prior is not None:
+        judged, what = whole, ON_THE_FITTED
     elif known is None:
         first, last = split(fitted[-1])
         whole, judged = [*fitted[:-1], first], [last]
@@ -79,7 +84,8 @@ def identify_session(
     identified = known or identify(whole, arm, settings, within(report, 0.0, 0.6))
     report(0.6, "validating")
     validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
-    identified = with_provenance(identified, provenance(fitted, validated or fitted[-1:], command))
+    source = {} if settings.prior is None else {"prior": settings.prior.source}
+    identified = with_provenance(identified, {**provenance(fitted, validated or fitted[-1:], command), **source})
     report(0.7, "writing the report")
     page = write_result(identified, validation, directory)
     report(1.0, "done")
@@ -108,18 +114,28 @@ def read_bags(paths: Sequence[Path], progress: Progress) -> list[Recording]:
     return recordings
 
 
-def find_arm(file: Path | None, gravity: Sequence[float] | None, recordings: Sequence[Recording]) -> Arm:
-    """The arm of a file, or else the one that the recordings describe.
+def find_arm(
+    file: Path | None,
+    gravity: Sequence[float] | None,
+    recordings: Sequence[Recording],
+    prior: GroundPrior | None = None,
+) -> Arm:
+    """The arm of a file, or else the one that the recordings describe; with a prior its own, under the file's gravity.
 
     Args:
         file: URDF or arm YAML.
         gravity: (3,) m/s^2 in the base frame, instead of the arm's own.
         recordings: Whose `/robot_description` is taken where there is no file.
+        prior: Ground model to update.
 
     Raises:
         UserError: There is neither, or it cannot be read.
     """
-    if file is not None:
+    if prior is not None:
+        arm = prior.model.model.arm
+        if file is not None:
+            arm = arm.with_gravity(load_arm(file).gravity)
+    elif file is not None:
         arm = load_arm(file)
     else:
         urdf = next((recording.urdf for recording in recordings if recording.urdf), None)
@@ -136,6 +152,9 @@ def settings_for(
     structure: Path | None = None,
     solver: str = SEPARABLE,
     seed: int = 0,
+    temperature: Sequence[str] = (),
+    estimate_gravity: str = "",
+    prior: GroundPrior | None = None,
 ) -> Settings:
     """Settings from the words of a user.
 
@@ -146,19 +165,34 @@ def settings_for(
         structure: Model file whose terms are identified, effects included; its values do not count.
         solver: One of `SOLVERS`.
         seed: Of its particle swarm, where it has one.
+        temperature: What of friction follows the joints' temperatures, some of `OVER_TEMPERATURE`.
+        estimate_gravity: One of `GRAVITY_CHOICES`; empty: gravity is the arm's.
+        prior: Ground model to update, in its own structure; with friction `vacuum`, its k_v2 and k_v3 are gone.
 
     Raises:
-        UserError: No friction law or solver of that name, a negative seed, a law beside a structure, or a structure
-            that is not of this arm.
+        UserError: No friction law, solver, temperature term or choice of that name, a negative seed, a law beside a
+            structure, a structure that is not of this arm, or what a prior decides beside a prior.
     """
     require_solver(solver)
     if seed < 0:
         raise UserError(f"seed {seed}: a seed is a whole number from 0 on")
+    require_gravity_choice(estimate_gravity, arm.gravity)
+    if prior is not None:
+        if friction not in (AUTO, VACUUM) or structure is not None or temperature or solver != SEPARABLE:
+            raise UserError(
+                f"a prior has its own structure and solver: beside it, friction may be {VACUUM} (k_v2 and k_v3 gone), "
+                "leave out other friction, structure, temperature and solver"
+            )
+        ground = prior.in_vacuum() if friction == VACUUM else prior
+        return Settings(cutoff_hz, gravity=estimate_gravity, prior=ground)
     if structure is None:
-        return Settings(cutoff_hz, None if friction == AUTO else structure_of(arm, friction), solver, seed)
-    if friction != AUTO:
-        raise UserError(f"a structure has its own friction law: leave out friction {friction} or {structure}")
-    return Settings(cutoff_hz, structure_of_file(structure, arm), solver, seed)
+        terms = None if friction == AUTO else structure_of(arm, friction)
+        over_temperature(terms or structure_of(arm), arm, temperature)
+        return Settings(cutoff_hz, terms, solver, seed, tuple(temperature), estimate_gravity)
+    if friction != AUTO or temperature:
+        asked = f"friction {friction}" if friction != AUTO else f"temperature {','.join(temperature)}"
+        raise UserError(f"a structure has its own friction law: leave out {asked} or {structure}")
+    return Settings(cutoff_hz, structure_of_file(structure, arm), solver, seed, gravity=estimate_gravity)
 
 
 def structure_of_file(path: Path, arm: Arm) -> Structure:

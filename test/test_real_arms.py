@@ -44,6 +44,17 @@ def test_ur10e_predicts_another_run_better_than_what_is_known():
     assert np.all(relative_percent(validation, "everything") < UR10E_BEST_KNOWN)
 
 
+def test_ur10e_weighs_the_earth():
+    """Believed weightless, and told nothing else: its masses act by inertia, too."""
+    runs = read("ur10e/commissioning.mcap", "ur10e/commissioning_2.mcap")
+    arm = arm_from_urdf(runs[0].urdf, np.zeros(3))
+    found = identify(runs, arm, Settings(structure=structure_of(arm), gravity="vector")).environment.gravity
+    assert found is not None
+    size, error = found.size
+    assert abs(size - 9.81) < 3 * error < 3.0
+    assert np.abs(found.vector[:2]).max() < 0.1
+
+
 @pytest.fixture(scope="module")
 def tx40() -> Recording:
     return read("tx40/excitation.mcap")[0]

@@ -378,8 +378,10 @@ class TestTemperature:
         phase = np.arange(len(motion.position)) / 200.0
         np.testing.assert_allclose(motion.temperature[:, 0], 20 + (phase + 15.0) / 10, atol=1e-9)
 
-    def test_of_some_joints_only_is_none(self):
+    def test_is_not_a_number_where_a_joint_reports_none(self):
         time = even(200.0, 20.0)
         bag = recording_of(time, incommensurate(time, 2, 1)[0], temperatures=self.temperatures(time))
         (motion,), _ = prepare([replace(bag, temperatures={"one": bag.temperatures["one"]})], JOINTS)
+        assert np.isfinite(motion.temperature[:, 0]).all() and np.isnan(motion.temperature[:, 1]).all()
+        (motion,), _ = prepare([replace(bag, temperatures={})], JOINTS)
         assert motion.temperature is None

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 from ..dynamics.arm import Arm
+from ..identification.from_prior import GroundPrior
 from ..recording import Recording, describe
 from ..session import find_arm
 from ..session import read_bags as read_bags
@@ -42,13 +43,13 @@ def add_output_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--quiet", action="store_true", help="no progress bar and no notes on standard error")
 
 
-def arm_of(options: argparse.Namespace, recordings: Sequence[Recording]) -> Arm:
-    """The arm asked for, or the one the recordings describe.
+def arm_of(options: argparse.Namespace, recordings: Sequence[Recording], prior: GroundPrior | None = None) -> Arm:
+    """The arm asked for, or the one the recordings describe, or the prior's.
 
     Raises:
         UserError: Neither is there.
     """
-    return find_arm(options.arm, options.gravity, recordings)
+    return find_arm(options.arm, options.gravity, recordings, prior)
 
 
 def note(options: argparse.Namespace, text: str) -> None:

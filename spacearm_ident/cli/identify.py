@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ..dynamics.model import FRICTION_LAWS
+from ..identification.gravity import GRAVITY_CHOICES, VECTOR
 from ..identification.identified import Identified, Validation
 from ..identification.solvers import SEPARABLE, SOLVERS
+from ..report.store import load_prior
 from ..report.tables import validation_dict
 from ..session import AUTO, identify_session, settings_for
 from . import common
@@ -49,6 +51,7 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="identify the terms of this model file, its effects (extended_model.yaml) included; instead of --friction",
     )
+    _add_surroundings(command)
     command.add_argument(
         "--solver",
         choices=SOLVERS,
@@ -62,17 +65,55 @@ def add(commands: Any) -> None:
     command.set_defaults(run=run)
 
 
+def _add_surroundings(command: argparse.ArgumentParser) -> None:
+    """Options about temperature, gravity, and what is known from before."""
+    command.add_argument(
+        "--temperature",
+        type=_symbols,
+        default=(),
+        metavar="LIST",
+        help="friction that follows the recorded joint temperatures: f_c, k_v1, v_b, or some with commas between; "
+        "default: none",
+    )
+    command.add_argument(
+        "--estimate-gravity",
+        nargs="?",
+        const=VECTOR,
+        default="",
+        choices=GRAVITY_CHOICES,
+        help="estimate gravity with the arm: its vector (default), or its direction alone, the size that of --gravity",
+    )
+    command.add_argument(
+        "--prior",
+        type=Path,
+        metavar="FILE",
+        help="update this model (model.yaml in a result folder, its covariance beside it) by the BAGs, for 5 s of "
+        "data. Nothing is held out of the fit; with --friction vacuum its k_v2 and k_v3 are 0",
+    )
+
+
 def run(options: argparse.Namespace) -> int:
     """Read, identify, validate, write."""
     with common.progress(options) as report:
         fitted = common.read_bags(options.bags, common.within(report, 0.0, 0.2))
         validated = common.read_bags(options.validate, common.within(report, 0.2, 0.3))
-        arm = common.arm_of(options, [*fitted, *validated])
+        prior = load_prior(options.prior) if options.prior else None
+        arm = common.arm_of(options, [*fitted, *validated], prior)
         session = identify_session(
             fitted,
             validated,
             arm,
-            settings_for(arm, options.friction, options.bandwidth, options.structure, options.solver, options.seed),
+            settings_for(
+                arm,
+                options.friction,
+                options.bandwidth,
+                options.structure,
+                options.solver,
+                options.seed,
+                options.temperature,
+                options.estimate_gravity,
+                prior,
+            ),
             options.out,
             command=options.command_line,
             progress=common.within(report, 0.3, 1.0),
@@ -80,10 +121,17 @@ def run(options: argparse.Namespace) -> int:
     identified, validation = session.identified, session.validation
     common.note_findings(options, [*fitted, *validated])
     if options.json:
-        common.print_json({"result": str(options.out), **validation_dict(identified, validation)})
+        surroundings = identified.environment.as_dict()
+        figures = validation_dict(identified, validation)
+        common.print_json({"result": str(options.out), **figures, "environment": surroundings})
     else:
         print(summary(identified, validation, session.page))
     return 0
+
+
+def _symbols(text: str) -> tuple[str, ...]:
+    """Names with commas between."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def summary(identified: Identified, validation: Validation, page: Path) -> str:

@@ -44,6 +44,17 @@ class BaseParameters:
             return False
         return int(np.count_nonzero(self.regrouping[self.independent.index(parameter)])) == 1
 
+    def errors(self, covariance: FloatArray) -> FloatArray:
+        """(b,) standard errors of the base parameters, from the covariance (p or more, p or more) of the parameters."""
+        count = self.regrouping.shape[1]
+        spread = self.regrouping @ covariance[:count, :count] @ self.regrouping.T
+        return np.asarray(np.sqrt(np.maximum(np.diag(spread), 0.0)))
+
+    def shift(self, change: FloatArray, errors: FloatArray) -> float:
+        """Largest change of a base parameter in its standard errors (b,), of a change (p,) of the parameters."""
+        known = errors > 0
+        return float(np.max(np.abs(self.regrouping @ change)[known] / errors[known], initial=0.0))
+
 
 def base_parameters(model: TorqueModel, seed: int = 0) -> BaseParameters:
     """The base parameters of a model, whatever the motion."""
@@ -80,7 +91,10 @@ def _random_columns(model: TorqueModel, seed: int) -> FloatArray:
     position, velocity, acceleration = rng.uniform(-2.0, 2.0, (3, samples, joints))
     zero = np.zeros(joints)
     torque = np.zeros_like(position)
-    motion = Motion(model.arm.joint_names, 1.0, 0.0, position, velocity, acceleration, torque, zero, zero)
+    warm = rng.uniform(0.0, 40.0, position.shape)
+    motion = Motion(
+        model.arm.joint_names, 1.0, 0.0, position, velocity, acceleration, torque, zero, zero, temperature=warm
+    )
     background = Background.known(rng.normal(size=position.shape))
     whole = np.zeros((joints, samples, count))
     for term, first, _ in model.numbered():

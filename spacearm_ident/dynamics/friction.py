@@ -9,6 +9,10 @@ sharp, a fit that insists on it finds presliding everywhere, and a joint that ha
 stopped with, not its breakaway level. z is linear in f_c and f_b. `mu` (off by default) is friction that grows with
 the load on the gear. The paper prints k_v2 qd^2, even in qd; `quadratic: odd` gives k_v2 qd |qd|, which resists in
 both directions.
+
+v_b may follow the temperature: v_b(T) = v_b Q_10^((T - T_0)/10), Q_10 its ratio over ten kelvin (lubricants thin out
+exponentially; never negative, as a straight line would become). f_c and k_v1 over temperature are linear and a term
+of their own, `temperature_friction`.
 """
 
 from __future__ import annotations
@@ -27,6 +31,10 @@ from .term import Columns, Constant, Parameter, Term, chosen_joints
 
 STRIBECK_GRID = (0.0, *(float(v) for v in np.geomspace(5e-4, 0.4, 13)))
 PRESLIDING_GRID = (0.0, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+Q_10_GRID = (0.3, 0.5, 0.75, 1.0, 1.35, 2.0, 3.3)
+"""Begins at one, in its middle: beside a v_b of the run's mean temperature no other value gains anything by itself."""
+WARM_FROM = 20.0
+"""T_0 of the paper's temperature law, °C."""
 LOAD_SCALE = 0.1
 LARGEST_LOAD_SHARE = 0.25
 """No gear loses a larger share of its load to friction and is still back-drivable."""
@@ -60,12 +68,20 @@ def bristle_state(target: FloatArray, travel: FloatArray, distance: float, cycli
     return state
 
 
+def excess_temperature(motion: Motion, row: int) -> FloatArray:
+    """(N,) temperature of a joint above T_0, K; zero where none was recorded, as if the joint were at T_0."""
+    if motion.temperature is None:
+        return np.zeros(len(motion.position))
+    return np.nan_to_num(motion.temperature[:, row] - WARM_FROM)
+
+
 @dataclass(frozen=True)
 class StribeckFriction(Term):
     """The part of one joint's friction that depends on the direction of motion.
 
     Options: `load` (true, or names of joints) adds mu; `presliding` (default true) lets d_s be other than 0;
-    `stribeck` (default true) lets f_b differ from f_c, false is plain Coulomb friction.
+    `stribeck` (default true) lets f_b differ from f_c, false is plain Coulomb friction; `temperature` (true, or names
+    of joints) adds Q_10, how v_b follows the joint's temperature.
     """
 
     kind: ClassVar[str] = "stribeck_friction"
@@ -77,20 +93,23 @@ class StribeckFriction(Term):
         """One term a joint: its constants are searched joint by joint."""
         presliding = PRESLIDING_GRID if options.get("presliding", True) else (0.0,)
         loaded = chosen_joints(arm, options.get("load"))
+        stribeck = options.get("stribeck", True)
+        warm = chosen_joints(arm, options.get("temperature")) if stribeck else ()
         terms = []
         for joint in arm.joint_names:
-            stribeck = options.get("stribeck", True)
             parameters = [
                 Parameter("f_c", joint, "N m", lower=0.0),
                 Parameter("f_b", joint, "N m", scale=None if stribeck else 0.0, anchor="f_c", lower=0.0),
             ]
             if joint in loaded:
                 parameters.append(Parameter("mu", joint, "1", scale=LOAD_SCALE, lower=0.0, upper=LARGEST_LOAD_SHARE))
-            constants = (
+            constants = [
                 Constant("v_b", joint, "rad/s", STRIBECK_GRID if stribeck else (0.0,), True),
                 Constant("d_s", joint, "rad", presliding),
-            )
-            terms.append(cls(tuple(parameters), constants, dict(options)))
+            ]
+            if joint in warm:
+                constants.append(Constant("Q_10", joint, "1", Q_10_GRID))
+            terms.append(cls(tuple(parameters), tuple(constants), dict(options)))
         return tuple(terms)
 
     @property
@@ -110,12 +129,15 @@ class StribeckFriction(Term):
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """Columns of f_c, f_b and mu."""
         row = motion.joints.index(self.parameters[0].joint)
-        stribeck_velocity, distance = constants
+        stribeck_velocity, distance, *ratio = constants
+        width: float | FloatArray = stribeck_velocity
+        if ratio and ratio[0] > 0:
+            width = stribeck_velocity * ratio[0] ** (excess_temperature(motion, row) / 10.0)
         velocity = motion.velocity[:, row]
         speed = np.where(np.abs(velocity) > motion.speed_noise[row], np.abs(velocity), 0.0)
         sign = np.sign(velocity) * (speed > 0)
         # v_b = 0 is Coulomb friction at every speed: the static column is empty, f_b moves no torque.
-        share = np.exp(-((velocity / stribeck_velocity) ** 2)) if stribeck_velocity > 0 else np.zeros_like(sign)
+        share = np.exp(-((velocity / width) ** 2)) if stribeck_velocity > 0 else np.zeros_like(sign)
         target = np.stack([sign, sign * share], axis=1)
         coulomb, static = bristle_state(target, speed / motion.rate_hz, distance, motion.cyclic).T
         columns = [coulomb - static, static]

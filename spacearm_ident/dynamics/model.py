@@ -14,10 +14,10 @@ from ..recording.motion import Motion
 from .arm import Arm, FloatArray
 from .background import Background
 from .coupling import CoupledMotor
-from .effects import EFFECTS
+from .effects import EFFECTS, Effect
 from .friction import StribeckFriction, ViscousFriction
 from .rigid_body import JointSpring, RigidBody, RotorInertia, TorqueOffset
-from .term import Constant, Parameter, Term
+from .term import Constant, Parameter, Term, chosen_joints
 
 CATALOGUE: dict[str, type[Term]] = {
     kind.kind: kind
@@ -66,6 +66,48 @@ def structure_of(arm: Arm, friction: str = "paper") -> Structure:
     if arm.couplings:
         structure["coupled_motor"] = {}
     return structure
+
+
+OVER_TEMPERATURE = ("f_c", "k_v1", "v_b")
+"""What of friction may follow the joint's temperature (paper §2.2.2 has f_c; k_v1 and v_b are ours)."""
+
+
+def over_temperature(structure: Structure, arm: Arm, symbols: Sequence[str]) -> Structure:
+    """A structure in which friction follows the joints' temperatures.
+
+    f_c and k_v1 get a slope (`temperature_friction`: alpha_c, alpha_v), v_b a ratio over ten kelvin (Q_10).
+
+    Args:
+        structure: Without such terms.
+        arm: The arm.
+        symbols: Some of `OVER_TEMPERATURE`; none leaves the structure as it is.
+
+    Raises:
+        UserError: Another symbol, or v_b under a friction law that has none.
+    """
+    for symbol in symbols:
+        if symbol not in OVER_TEMPERATURE:
+            raise UserError(f"{symbol!r} over temperature: choose among {', '.join(OVER_TEMPERATURE)}")
+    wider = dict(structure)
+    linear = [symbol for symbol in OVER_TEMPERATURE[:2] if symbol in symbols]
+    if linear:
+        places = [{"joint": joint, "of": linear, "rising": True} for joint in arm.joint_names]
+        wider["temperature_friction"] = {"at": places}
+    if "v_b" in symbols:
+        stribeck = wider.get("stribeck_friction", {"stribeck": False})
+        if not stribeck.get("stribeck", True):
+            raise UserError("v_b over temperature: this friction law has no v_b; take paper, paper-odd or vacuum")
+        wider["stribeck_friction"] = {**stribeck, "temperature": True}
+    return wider
+
+
+def temperature_joints(structure: Structure, arm: Arm) -> tuple[str, ...]:
+    """The joints whose temperature a structure's terms ask for, in the arm's order."""
+    asked = set(chosen_joints(arm, structure.get("stribeck_friction", {}).get("temperature")))
+    for term in TorqueModel(arm, structure).terms:
+        if isinstance(term, Effect) and term.needs_temperature:
+            asked.update(term.joints)
+    return tuple(joint for joint in arm.joint_names if joint in asked)
 
 
 @dataclass(frozen=True)

@@ -12,34 +12,42 @@ with constants linearised in their logarithms about the ground. A row counts 1/(
 sigma is corrected for what the data determined (the trace of the hat matrix over effective rows), which matters when
 there are few. Intervals use Student's t as far as the data decided a value, with a third of a degree of freedom an
 effective row: kappa comes from the same few rows as sigma, and that share is what keeps 95 % intervals at 93 to 97 %
-on seeded repeats, white and slow noise alike (`test_from_prior.py`). Physical consistency is that of the ground model
-and is not imposed again.
+on seeded repeats, white and slow noise alike (`test_from_prior.py`).
+
+Gravity may be unknown as well: its change is one more linear unknown beside v, about a gravity and masses that are
+moved to the posterior's until they stay. Here the prior knows the masses, so its size is told from them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import t as student
 
 from ..dynamics.arm import FloatArray
-from ..dynamics.model import IdentifiedModel
+from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..errors import UnfitDataError, UserError
+from ..recording.bandwidth import Bandwidth
+from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
+from .environment import GRAVITY_SCALE, HIGH_ORDERS, GravityEstimate
+from .gravity import DIRECTION, gravity_columns, gravity_result, is_zero, tangents, weight_columns
 from .identified import Identified
 from .regression import Regression
 from .separable import Solution
 from .solution_columns import all_columns
 from .weights import residual_noise
 
-CHANGES: Mapping[str, float] = {"f_c": 0.3, "f_b": 0.3, "k_v1": 0.3, "k_v2": 0.3, "k_v3": 0.3}
-"""Standard deviation of a change since the ground, as a share of the value; f_b follows f_c, its excess may change."""
+CHANGES: Mapping[str, float] = {"f_c": 0.3, "f_b": 0.3, "k_v1": 0.3, "k_v2": 1.0, "k_v3": 1.0}
+"""Standard deviation of a change since the ground, as a share of the value; f_b follows f_c, its excess may change.
+k_v2 and k_v3 may be gone: in vacuum they are."""
 ITERATIONS = 4
 HUBER = 3.0
+ROUNDS, STAYS = 6, 1e-3
+"""m/s^2: gravity that moves by less has been found."""
 LEAST_FREEDOM = 3.0
 FREEDOM_A_ROW = 1.0 / 3.0
 SMALLEST_EIGENVALUE = 1e-12
@@ -47,10 +55,14 @@ SMALLEST_EIGENVALUE = 1e-12
 
 @dataclass(frozen=True)
 class GroundPrior:
-    """What is believed before: values, and their covariance (p + c, p + c) over parameters, then constants."""
+    """What is believed before: values, and their covariance (p + c, p + c) over parameters, then constants.
+
+    `source` says where it is from.
+    """
 
     model: IdentifiedModel
     covariance: FloatArray
+    source: str = ""
 
     @classmethod
     def of(cls, identified: Identified) -> GroundPrior:
@@ -83,26 +95,19 @@ class GroundPrior:
                 covariance[number, number] += (changes[symbol] * value) ** 2
         return replace(self, covariance=covariance)
 
-    def save(self, path: Path) -> None:
-        """Write the covariance beside a model file (`.npz`)."""
-        np.savez_compressed(path, names=np.array(self.names), covariance=self.covariance)
+    def under(self, gravity: FloatArray) -> GroundPrior:
+        """The same arm under another gravity vector (3,), m/s^2, base frame."""
+        model = self.model.model
+        there = TorqueModel(model.arm.with_gravity(gravity), model.structure)
+        return replace(self, model=replace(self.model, model=there))
 
-    @classmethod
-    def load(cls, model: IdentifiedModel, path: Path) -> GroundPrior:
-        """The covariance that `save` wrote, with its model.
-
-        Raises:
-            UserError: It cannot be read, or is that of another model.
-        """
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                prior = cls(model, np.asarray(data["covariance"], dtype=float))
-                names = tuple(str(name) for name in data["names"])
-        except (OSError, KeyError, ValueError) as error:
-            raise UserError(f"cannot read the covariance {path}: {error}: identify the ground run again") from error
-        if names != prior.names:
-            raise UserError(f"{path} belongs to another model: give the model.yaml it was written with")
-        return prior
+    def in_vacuum(self) -> GroundPrior:
+        """With k_v2 and k_v3 zero, and certain to be."""
+        gone = np.array([name.startswith(HIGH_ORDERS) for name in self.names])
+        parameters = np.where(gone[: len(self.model.parameters)], 0.0, self.model.parameters)
+        kept = ~gone
+        covariance = self.covariance * np.outer(kept, kept)
+        return replace(self, model=replace(self.model, parameters=parameters), covariance=covariance)
 
 
 @dataclass(frozen=True)
@@ -116,6 +121,12 @@ class Updated:
         noise_Nm: (n,) standard deviation of a row.
         effective_rows: (n,) rows over their correlation time.
         freedom: (n,) degrees of freedom of what the data say of a joint.
+        before: (p + c,) standard deviation of the prior, room for changes included.
+        residual_Nm: (2, n) RMS of what the ground model leaves of the rows' torque, and of what this one leaves.
+        rows: (n,) rows.
+        bandwidth: Low-pass of the rows.
+        gravity: Where it was estimated.
+        motions: What the rows are from.
     """
 
     model: IdentifiedModel
@@ -124,6 +135,12 @@ class Updated:
     noise_Nm: FloatArray
     effective_rows: FloatArray
     freedom: FloatArray
+    before: FloatArray
+    residual_Nm: FloatArray
+    rows: np.ndarray
+    bandwidth: Bandwidth
+    gravity: GravityEstimate | None
+    motions: tuple[Motion, ...]
 
     @property
     def standard_errors(self) -> FloatArray:
@@ -131,52 +148,127 @@ class Updated:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def intervals(self) -> FloatArray:
-        """(p + c, 2) 95 %."""
-        values = np.concatenate([self.model.parameters, self.model.constants])
+    def factors(self) -> FloatArray:
+        """(p + c,) half widths of the 95 % intervals in standard errors: Student's as far as the data decided."""
         joints = self.model.model.arm.joint_names
         model = self.model.model
         places = [*(item.joint for item in model.parameters), *(item.joint for item in model.constants)]
         least = self.freedom.min()
         freedom = [self.freedom[joints.index(joint)] if joint in joints else least for joint in places]
         normal = float(student.ppf(0.975, np.inf))
-        factor = normal + self.told * (student.ppf(0.975, np.array(freedom)) - normal)
-        half = factor * self.standard_errors
+        return np.asarray(normal + self.told * (student.ppf(0.975, np.array(freedom)) - normal))
+
+    @property
+    def intervals(self) -> FloatArray:
+        """(p + c, 2) 95 %."""
+        values = np.concatenate([self.model.parameters, self.model.constants])
+        half = self.factors * self.standard_errors
         return np.stack([values - half, values + half], axis=1)
 
 
-def update(recordings: Sequence[Recording], ground: GroundPrior, changes: Mapping[str, float] | None = None) -> Updated:
+def update(
+    recordings: Sequence[Recording],
+    ground: GroundPrior,
+    changes: Mapping[str, float] | None = None,
+    cutoff_hz: float | None = None,
+    gravity: str = "",
+) -> Updated:
     """Bayesian update of a ground model.
 
     Args:
         recordings: As short as a second each, five together are enough as a rule; joints as the model's.
-        ground: Prior.
+        ground: Prior, under the gravity that there is, or that is believed.
         changes: Room for changes since, by symbol; `CHANGES` where None.
+        cutoff_hz: Bandwidth; the ground model's where None.
+        gravity: How gravity is estimated, one of `gravity.GRAVITY_CHOICES`; empty: it is not.
 
     Raises:
         UnfitDataError: Nothing moves, or all is too short.
         UserError: A recording lacks a joint.
     """
     wider = ground.widened(CHANGES if changes is None else changes)
-    model, constants = ground.model.model, ground.model.constants
-    motions, _ = prepare(recordings, model.arm.joint_names, ground.model.cutoff_hz, average=False)
+    arm = ground.model.model.arm
+    motions, bandwidth = prepare(recordings, arm.joint_names, cutoff_hz or ground.model.cutoff_hz, average=False)
+    if not gravity:
+        return _update(motions, bandwidth, wider)
+    here, masses = arm.gravity, ground.model.parameters
+    for _ in range(ROUNDS):
+        result = _update(motions, bandwidth, wider.under(here), _Field(gravity, arm.gravity, masses))
+        there = result.model.model.arm.gravity
+        moved = float(np.linalg.norm(there - here))
+        here, masses = there, result.model.parameters
+        if moved < STAYS:
+            break
+    found = result.gravity
+    if found is None or not is_zero(found):
+        return result
+    nothing = replace(found, vector=(0.0, 0.0, 0.0))
+    return replace(_update(motions, bandwidth, wider.under(np.zeros(3))), gravity=nothing)
+
+
+@dataclass(frozen=True)
+class _Field:
+    """Gravity as an unknown: one of `GRAVITY_CHOICES`, what is believed (3,), the parameters with the masses."""
+
+    choice: str
+    believed: FloatArray
+    parameters: FloatArray
+
+
+def _update(motions: list[Motion], bandwidth: Bandwidth, wider: GroundPrior, field: _Field | None = None) -> Updated:
+    """The update, linear about the prior's values and its arm's gravity."""
+    ground, model, constants = wider.model, wider.model.model, wider.model.constants
     regression = Regression(model, motions)
-    regression.update_background(ground.model.parameters, constants)
-    unit = np.concatenate([np.ones(len(ground.model.parameters)), np.where(constants > 0, constants, 1.0)])
+    regression.update_background(ground.parameters, constants)
+    unit = np.concatenate([np.ones(len(ground.parameters)), np.where(constants > 0, constants, 1.0)])
     factor = _factor(wider.covariance / np.outer(unit, unit))
-    matrices, targets = _rows(regression, ground.model, factor)
+    matrices, targets = _rows(regression, ground, factor)
+    left = [_rms(target) for target in targets]
+    rank, ways, expected = factor.shape[1], np.zeros((3, 0)), np.zeros(0)
+    if field is not None:
+        ways = tangents(model.arm.gravity, field.choice)
+        expected = ways.T @ (field.believed - model.arm.gravity)
+        for joint, weight in enumerate(weight_columns(gravity_columns(regression), model, field.parameters)):
+            targets[joint] = targets[joint] - weight @ ways @ expected
+            matrices[joint] = np.column_stack([matrices[joint], GRAVITY_SCALE * weight @ ways])
     mean, spread, sigma, effective, freedom = _posterior(regression, matrices, targets)
-    departure = factor @ mean
-    covariance = factor @ spread @ factor.T * np.outer(unit, unit)
+    departure = factor @ mean[:rank]
+    covariance = factor @ spread[:rank, :rank] @ factor.T * np.outer(unit, unit)
     before = np.diag(wider.covariance)
     told = 1.0 - np.diag(covariance) / np.where(before > 0, before, 1.0)
-    count = len(ground.model.parameters)
+    count = len(ground.parameters)
     values = replace(
-        ground.model,
-        parameters=ground.model.parameters + departure[:count],
+        ground,
+        parameters=ground.parameters + departure[:count],
         constants=constants * np.exp(departure[count:]),
+        cutoff_hz=bandwidth.cutoff_hz,
     )
-    return Updated(values, covariance, np.where(before > 0, told, 0.0), sigma, effective, freedom)
+    found = None
+    if field is not None:
+        vector = model.arm.gravity + ways @ (expected + GRAVITY_SCALE * mean[rank:])
+        if field.choice == DIRECTION:
+            vector = vector * np.linalg.norm(field.believed) / np.linalg.norm(vector)
+        spread_of = GRAVITY_SCALE**2 * ways @ spread[rank:, rank:] @ ways.T
+        found = gravity_result(vector, field.believed, spread_of, field.choice, float(freedom.sum()))
+        values = replace(values, model=TorqueModel(model.arm.with_gravity(vector), model.structure))
+    return Updated(
+        values,
+        covariance,
+        np.where(before > 0, told, 0.0),
+        sigma,
+        effective,
+        freedom,
+        before=np.sqrt(before),
+        residual_Nm=np.array([left, [_rms(t - m @ mean) for m, t in zip(matrices, targets)]]),
+        rows=np.array([len(target) for target in targets]),
+        bandwidth=bandwidth,
+        gravity=found,
+        motions=tuple(motions),
+    )
+
+
+def _rms(signal: FloatArray) -> float:
+    return float(np.sqrt(np.mean(signal**2))) if len(signal) else float("nan")
 
 
 def _factor(covariance: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model import IdentifiedModel
 from ..recording.bandwidth import Bandwidth
+from .environment import Environment
 
 
 class Determination(Enum):
@@ -33,6 +34,7 @@ class Estimate:
         standard_error: Same unit; NaN where the data say nothing about it by itself.
         determination: What the value rests on.
         note: Base parameter it is part of, which bound it is at, ... ; may be empty.
+        factor: Half width of the 95 % interval in standard errors: Student's where few data decided.
     """
 
     symbol: str
@@ -42,6 +44,7 @@ class Estimate:
     standard_error: float
     determination: Determination
     note: str = ""
+    factor: float = 1.959964
 
     @property
     def name(self) -> str:
@@ -51,7 +54,7 @@ class Estimate:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % confidence interval (NaN, NaN where there is no standard error)."""
-        half = 1.959964 * self.standard_error
+        half = self.factor * self.standard_error
         return (self.value - half, self.value + half)
 
     @property
@@ -76,6 +79,31 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class Move:
+    """What an update made of one parameter or constant of its prior.
+
+    Attributes:
+        name, unit: What it is.
+        before, spread: Prior mean and standard deviation, room for changes since included.
+        after, standard_error: Posterior.
+        told: Share of the prior's variance that the data took away: 0 is all prior, 1 all data.
+    """
+
+    name: str
+    unit: str
+    before: float
+    spread: float
+    after: float
+    standard_error: float
+    told: float
+
+    @property
+    def deviations(self) -> float:
+        """How far it moved, in standard deviations of the prior."""
+        return (self.after - self.before) / self.spread
+
+
+@dataclass(frozen=True)
 class Identified:
     """Result of an identification.
 
@@ -95,6 +123,8 @@ class Identified:
         solver: How the solver ended, in words.
         joints_at_rest: Joints that never moved: nothing is known of their friction.
         notes: Further things a user should know.
+        environment: Vacuum or air, gravity, temperatures.
+        moves: What was updated since the prior model, those of an update that have a spread; else empty.
     """
 
     model: IdentifiedModel
@@ -111,6 +141,8 @@ class Identified:
     solver: str = ""
     joints_at_rest: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default_factory=tuple)
+    environment: Environment = field(default_factory=Environment)
+    moves: tuple[Move, ...] = ()
 
 
 @dataclass(frozen=True)

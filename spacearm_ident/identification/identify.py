@@ -14,8 +14,14 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
-from ..dynamics.base_parameters import BaseParameters, base_parameters
-from ..dynamics.model import IdentifiedModel, Structure, TorqueModel, structure_of
+from ..dynamics.base_parameters import base_parameters
+from ..dynamics.model import (
+    IdentifiedModel,
+    Structure,
+    TorqueModel,
+    over_temperature,
+    structure_of,
+)
 from ..errors import UnfitDataError, UserError
 from ..recording.motion import Motion
 from ..recording.recording import Recording
@@ -23,6 +29,9 @@ from ..recording.signals import prepare, require_joints
 from . import instrumental, pso_lm
 from .consistency import make_consistent
 from .determination import judge, open_ended
+from .environment import GRAVITY_SCALE, Environment, GravityEstimate, judge_vacuum, without_temperature
+from .from_prior import GroundPrior
+from .gravity import require_gravity_choice
 from .identified import Choice, Identified
 from .prior import Prior, make_prior
 from .regression import Regression
@@ -31,6 +40,8 @@ from .solution_columns import all_columns, residuals_of
 from .solvers import IDIM_IV, PSO_LM, SEEDED, SEPARABLE, Search, require_solver, search_of
 from .structure import choose_structure
 from .uncertainty import covariance
+from .updated import identify_from_prior
+from .weighing import Weighing
 from .weights import Noise, reweight
 
 Progress = Callable[[float, str], None]
@@ -46,12 +57,20 @@ class Settings:
         structure: Terms and options; None: the paper's, and what of `structure.OPTIONAL` the data demand.
         solver: One of `solvers.SOLVERS`. `pso-lm` takes the paper's unknowns, and nothing the data might demand.
         seed: Of the particle swarms: the same seed gives the same result.
+        temperature: What of friction follows the joints' temperatures, some of `model.OVER_TEMPERATURE`; beside
+            `structure`, which has none of it.
+        gravity: How gravity is estimated, one of `gravity.GRAVITY_CHOICES`; empty: it is the arm's.
+        prior: A ground model that the data update (`updated.py`): structure, masses and geometry are its own, gravity
+            is the arm's. With it go `cutoff_hz` and `gravity` alone.
     """
 
     cutoff_hz: float | None = None
     structure: Structure | None = None
     solver: str = SEPARABLE
     seed: int = 0
+    temperature: tuple[str, ...] = ()
+    gravity: str = ""
+    prior: GroundPrior | None = None
 
 
 @dataclass
@@ -90,28 +109,60 @@ def identify(
     require_solver(settings.solver)
     report = progress or (lambda share, what: None)
     _check(recordings, arm)
+    if settings.prior is not None:
+        report(0.0, "updating the prior")
+        ground = settings.prior.under(arm.gravity)
+        known = ground.model.model.arm.joint_names
+        if known != arm.joint_names:
+            raise UserError(f"the prior is of another arm: its joints are {', '.join(known)}")
+        return identify_from_prior(recordings, ground, settings.cutoff_hz, settings.gravity, provenance)
     report(0.0, "filtering")
     motions, bandwidth = prepare(recordings, arm.joint_names, settings.cutoff_hz)
     report(0.2, "searching the friction constants")
     choices: tuple[Choice, ...] = ()
-    model = TorqueModel(arm, settings.structure or structure_of(arm))
+    model = TorqueModel(arm, over_temperature(settings.structure or structure_of(arm), arm, settings.temperature))
+    weighing = _weighing(settings, arm, motions)
     if settings.solver == PSO_LM:
         fit = _fit_as_published(TorqueModel(arm, pso_lm.as_published(model.structure)), motions, settings.seed)
     else:
         search = search_of(settings.solver, settings.seed)
-        fit = _fit(model, motions, search)
+        fit = weighing.settle(_fit(model, motions, search))
         if settings.structure is None:
             report(0.5, "testing what else the data demand")
             structure, choices = choose_structure(fit.regression, fit.solution)
             if structure != fit.regression.model.structure:
-                fit = _fit(TorqueModel(arm, structure), motions, search, fit)
+                fit = _fit(TorqueModel(fit.regression.model.arm, structure), motions, search, fit)
+                fit = weighing.settle(fit)
     if settings.solver == IDIM_IV:
         report(0.7, "comparing with instrumental variables")
         fit = _fit_instrumental(fit, recordings, bandwidth.cutoff_hz)
     report(0.8, "standard errors and physical consistency")
-    result = _conclude(fit, provenance or {}, choices, bandwidth, _solver_words(settings, fit.solution))
+    fit, gravity = weighing.conclude(fit)
+    further = weighing.further(fit)
+    result = _conclude(
+        fit, provenance or {}, choices, bandwidth, _solver_words(settings, fit.solution), gravity, further
+    )
     report(1.0, "done")
     return result
+
+
+def _weighing(settings: Settings, arm: Arm, motions: list[Motion]) -> Weighing[_Fit]:
+    """How gravity is estimated, if it is.
+
+    Raises:
+        UserError: The solver asked for cannot.
+    """
+    for asked, words in ((settings.gravity, "gravity"), (settings.temperature, "friction over temperature")):
+        if asked and settings.solver in (PSO_LM, IDIM_IV):
+            raise UserError(f"the solver {settings.solver} does not estimate {words}: take {SEPARABLE}")
+    search = search_of(settings.solver, settings.seed)
+    return Weighing(
+        require_gravity_choice(settings.gravity, arm.gravity),
+        arm.gravity,
+        lambda model, start: _fit(model, motions, search, start),
+        _covariance,
+        lambda fit: max(sum(_freedom(fit).values()), 1.0),
+    )
 
 
 def _check(recordings: Sequence[Recording], arm: Arm) -> None:
@@ -128,7 +179,8 @@ def _check(recordings: Sequence[Recording], arm: Arm) -> None:
 
 def _fit(model: TorqueModel, motions: list[Motion], search: Search, start: _Fit | None = None) -> _Fit:
     """Solve, weight the rows by what the residual shows, solve again."""
-    regression = Regression(model, motions, start.regression if start else None)
+    shared = start.regression if start and start.regression.model.arm is model.arm else None
+    regression = Regression(model, motions, shared)
     prior = make_prior(model, motions)
     if start is None:
         solution = searched(regression, prior, search)
@@ -192,19 +244,22 @@ def _fit_instrumental(known: _Fit, recordings: Sequence[Recording], cutoff_hz: f
     residuals = residuals_of(regression, solution)
     base = base_parameters(model)
     fit = _Fit(regression, prior, replace(solution, parameters=parameters), residuals, noise)
-    errors = _base_errors(base, _covariance(fit), len(parameters))
+    errors = base.errors(_covariance(fit))
     verdict = instrumental.compare(base, parameters, solution.parameters, errors)
     return replace(fit, stages=(verdict.words,))
-
-
-def _base_errors(base: BaseParameters, spread: FloatArray, count: int) -> FloatArray:
-    """(b,) standard errors of the base parameters."""
-    return np.sqrt(np.maximum(np.diag(base.regrouping @ spread[:count, :count] @ base.regrouping.T), 0.0))
 
 
 def _solver_words(settings: Settings, solution: Solution) -> str:
     seed = f" (seed {settings.seed})" if settings.solver in SEEDED else ""
     return f"{settings.solver}{seed}, Levenberg-Marquardt on all: {solution.status} after {solution.iterations} steps"
+
+
+def _freedom(fit: _Fit) -> dict[str, float]:
+    """Joint -> effective rows beyond its own columns; at least one."""
+    numbers = all_columns(fit.regression, fit.solution)[1]
+    effective = [sum(noise.rows / noise.correlation_rows for noise in joint) for joint in fit.noise]
+    joints = fit.regression.model.arm.joint_names
+    return {name: max(rows - len(own), 1.0) for name, rows, own in zip(joints, effective, numbers)}
 
 
 def _first_weights(regression: Regression) -> None:
@@ -216,17 +271,23 @@ def _first_weights(regression: Regression) -> None:
 
 
 def _conclude(
-    fit: _Fit, provenance: Mapping[str, Any], choices: tuple[Choice, ...], bandwidth: Any, solver: str
+    fit: _Fit,
+    provenance: Mapping[str, Any],
+    choices: tuple[Choice, ...],
+    bandwidth: Any,
+    solver: str,
+    gravity: GravityEstimate | None,
+    further: list[FloatArray],
 ) -> Identified:
     regression, prior, solution = fit.regression, fit.prior, fit.solution
     model = regression.model
-    spread = _covariance(fit)
+    whole = len(model.parameters) + len(model.constants)
+    spread = _covariance(fit, further)[:whole, :whole]
     matrix, _ = system(regression, prior, solution.constants)
     consistent = make_consistent(model, matrix, solution.parameters, prior.scale)
     base = base_parameters(model)
     values = base.regrouping @ solution.parameters
-    count = len(model.parameters)
-    errors = _base_errors(base, spread, count)
+    errors = base.errors(spread)
     at_rest = tuple(
         joint
         for k, joint in enumerate(model.arm.joint_names)
@@ -234,6 +295,11 @@ def _conclude(
     )
     unseen = open_ended(regression, prior, solution)
     estimates = judge(model, prior, base, consistent, solution.constants, spread, regression.grids, at_rest, unseen)
+    environment = Environment(
+        judge_vacuum(model.parameters, solution.parameters, spread, prior.scale, _freedom(fit)),
+        gravity,
+        without_temperature(model, regression.motions),
+    )
     identified_model = IdentifiedModel(model, consistent, solution.constants, bandwidth.cutoff_hz, dict(provenance))
     return Identified(
         model=identified_model,
@@ -242,19 +308,23 @@ def _conclude(
         base_values=values,
         base_errors=errors,
         covariance=spread,
-        consistency_shift=_shift(base, consistent - solution.parameters, errors),
+        consistency_shift=base.shift(consistent - solution.parameters, errors),
         residual_sigma_Nm=np.array([np.sqrt(np.mean(r**2)) if len(r) else np.nan for r in fit.residuals]),
         rows=np.array([len(r) for r in fit.residuals]),
         bandwidth=bandwidth,
         choices=choices,
         solver=solver,
         joints_at_rest=at_rest,
-        notes=(*_notes(regression.motions, at_rest), *fit.stages),
+        notes=(*_notes(regression.motions, at_rest), *environment.notes, *fit.stages),
+        environment=environment,
     )
 
 
-def _covariance(fit: _Fit) -> FloatArray:
-    """Covariance of parameters and constants (the latter in their own units)."""
+def _covariance(fit: _Fit, further: Sequence[FloatArray] = ()) -> FloatArray:
+    """Covariance of parameters and constants (the latter in their own units), and of what else is unknown.
+
+    `further`: per joint, columns (M, d) of unknowns numbered last, gravity's, believed within `GRAVITY_SCALE`.
+    """
     regression, solution = fit.regression, fit.solution
     count = len(regression.model.parameters)
     columns, numbers = all_columns(regression, solution)
@@ -267,16 +337,17 @@ def _covariance(fit: _Fit) -> FloatArray:
                 columns[joint] = np.column_stack([columns[joint], column])
                 numbers[joint].append(count + first + k)
     correlation = [[noise.correlation_rows for noise in joint] for joint in fit.noise]
-    width = count + len(regression.model.constants)
-    by_logarithm = covariance(regression, fit.prior, columns, numbers, fit.residuals, correlation, width)
-    unit = np.concatenate([np.ones(count), solution.constants])
+    prior, known = fit.prior, count + len(regression.model.constants)
+    more = further[0].shape[1] if further else 0
+    if further:
+        columns = [np.column_stack(pair) for pair in zip(columns, further)]
+        numbers = [[*own, *range(known, known + more)] for own in numbers]
+        beliefs = np.pad(prior.rows, ((0, more), (0, known + more - count)))
+        beliefs[len(prior.rows) :, known:] = np.eye(more) / GRAVITY_SCALE
+        prior = replace(prior, rows=beliefs)
+    by_logarithm = covariance(regression, prior, columns, numbers, fit.residuals, correlation, known + more)
+    unit = np.concatenate([np.ones(count), solution.constants, np.ones(more)])
     return np.asarray(by_logarithm * np.outer(unit, unit))
-
-
-def _shift(base: BaseParameters, change: FloatArray, errors: FloatArray) -> float:
-    """Largest change of a base parameter in its standard errors."""
-    known = errors > 0
-    return float(np.max(np.abs(base.regrouping @ change)[known] / errors[known], initial=0.0))
 
 
 def _notes(motions: Sequence[Motion], at_rest: Sequence[str]) -> tuple[str, ...]:

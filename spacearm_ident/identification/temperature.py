@@ -23,7 +23,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from ..dynamics.arm import FloatArray
-from ..dynamics.effects.friction import WARM_FROM, TemperatureFriction
+from ..dynamics.effects.friction import TemperatureFriction
+from ..dynamics.friction import WARM_FROM
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.motion import Motion

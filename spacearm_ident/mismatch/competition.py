@@ -120,7 +120,8 @@ class Competition:
 
     def _candidates(self, excluded: Sequence[str]) -> Iterator[Effect]:
         arm = self.evidence.base.model.arm
-        warm = all(motion.temperature is not None for motion in self.evidence.field.motions)
+        measured = [motion.temperature for motion in self.evidence.field.motions]
+        warm = all(signal is not None and bool(np.isfinite(signal).all()) for signal in measured)
         for kind, effect in EFFECTS.items():
             if kind in excluded:
                 continue

@@ -31,6 +31,7 @@ from ..identification.solvers import SEPARABLE, require_solver
 from ..mismatch.finding import NO_MISMATCH
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
 from ..session import AUTO
+from .identifier_environment import surroundings_of
 from .identifier_messages import mismatch_figures, parameters_message, residual_messages, validation_figures
 from .jobs import Done, Explained, ExplainJob, IdentifyJob, Job
 from .message_buffer import Capture, MessageBuffer
@@ -107,6 +108,7 @@ class Identifier(LiveNode):
         if self._structure and self._friction != AUTO:
             raise UserError(f"parameter structure: it has its own friction law: leave friction at {AUTO}")
         self._solver = require_solver(self.parameter("solver", SEPARABLE, "Solver, as spacearm identify --solver"))
+        self._surroundings = surroundings_of(self.parameter)
         self._seed = self.parameter("seed", 0, "Of the solver's particle swarm", low=0)
         bandwidth = self.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
         self._bandwidth = bandwidth or None
@@ -249,6 +251,7 @@ class Identifier(LiveNode):
             structure=self._structure,
             solver=self._solver,
             seed=self._seed,
+            **self._surroundings,
             captures=captures,
             bag=bag,
             known=known,

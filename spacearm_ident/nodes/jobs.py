@@ -17,6 +17,7 @@ from ..identification.solvers import SEPARABLE
 from ..mismatch.finding import Explanation
 from ..mismatch_session import explain_session
 from ..recording import Recording, describe
+from ..report.store import load_prior
 from ..session import AUTO, Session, find_arm, identify_session, read_bags, settings_for, within
 from .message_buffer import Capture, write_captures
 
@@ -69,7 +70,8 @@ class IdentifyJob:
         directory: Result folder.
         arm: URDF or arm YAML; None: of the bags' `/robot_description`.
         gravity: (3,) m/s^2 instead of the arm's; None: the arm's.
-        friction, cutoff_hz, structure, solver, seed: As `session.settings_for`.
+        friction, cutoff_hz, structure, solver, seed, temperature, estimate_gravity: As `session.settings_for`.
+        prior: Result folder, or the model.yaml in one, to update.
         captures: Written to `bag` before anything else.
         bag: Where to.
         known: Identification of `fitted`, where there is one.
@@ -85,6 +87,9 @@ class IdentifyJob:
     structure: Path | None = None
     solver: str = SEPARABLE
     seed: int = 0
+    temperature: tuple[str, ...] = ()
+    estimate_gravity: str = ""
+    prior: Path | None = None
     captures: tuple[Capture, ...] = ()
     bag: Path | None = None
     known: Identified | None = None
@@ -104,6 +109,12 @@ class IdentifyJob:
             words += ["--structure", str(self.structure)]
         if self.solver != SEPARABLE:
             words += ["--solver", self.solver, "--seed", str(self.seed)]
+        if self.temperature:
+            words += ["--temperature", ",".join(self.temperature)]
+        if self.estimate_gravity:
+            words += ["--estimate-gravity", self.estimate_gravity]
+        if self.prior is not None:
+            words += ["--prior", str(self.prior)]
         if self.cutoff_hz is not None:
             words += ["--bandwidth", f"{self.cutoff_hz:g}"]
         return shlex.join([*words, "--out", str(self.directory)])
@@ -131,12 +142,23 @@ class IdentifyJob:
         again = self.holds_nothing_out
         validated = fitted if again else read_bags(self.validated, within(progress, 0.2, 0.3))
         recordings: list[Recording] = [*fitted, *(() if again else validated)]
-        arm = find_arm(self.arm, self.gravity, recordings)
+        prior = load_prior(self.prior) if self.prior else None
+        arm = find_arm(self.arm, self.gravity, recordings, prior)
         session = identify_session(
             fitted,
             validated,
             arm,
-            settings_for(arm, self.friction, self.cutoff_hz, self.structure, self.solver, self.seed),
+            settings_for(
+                arm,
+                self.friction,
+                self.cutoff_hz,
+                self.structure,
+                self.solver,
+                self.seed,
+                self.temperature,
+                self.estimate_gravity,
+                prior,
+            ),
             self.directory,
             command=self.command,
             known=self.known,

@@ -48,7 +48,7 @@ class Motion:
         stride: Filtered blocks a row.
         periods: How many periods were averaged; 1 where nothing repeats.
         noise_Nm: (n,) standard deviation of a reduced torque row's pure error, from period-to-period scatter.
-        temperature: (N, n) °C, where recorded.
+        temperature: (N, n) °C, NaN for a joint of which none was recorded; None where of no joint.
         source: Which recording it came from (index in the caller's list).
     """
 

@@ -161,14 +161,13 @@ def _without_spikes(torque: FloatArray) -> FloatArray:
 
 
 def _temperature(recording: Recording, grid: FloatArray) -> FloatArray | None:
-    """(N, n) °C on the grid, or None unless every joint reports one."""
-    columns = []
-    for joint in recording.joints:
+    """(N, n) °C on the grid, NaN for a joint that reports none; None where none does."""
+    columns = np.full((len(grid), len(recording.joints)), np.nan)
+    for k, joint in enumerate(recording.joints):
         series = recording.temperatures.get(joint)
-        if series is None or not len(series.time):
-            return None
-        columns.append(np.interp(grid, series.time, series.values))
-    return np.stack(columns, axis=1)
+        if series is not None and len(series.time):
+            columns[:, k] = np.interp(grid, series.time, series.values)
+    return None if np.isnan(columns).all() else columns
 
 
 def _motions(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, asked: bool, source: int) -> list[Motion]:

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from ..identification.identified import Identified
-from .markup import Markup, element, join, number
+from ..identification.updated import TOLD
+from .markup import Markup, element, join, measured, number, unit_text
 from .provenance import FITTED, VALIDATED
 
 
@@ -37,6 +38,39 @@ def structure(identified: Identified) -> Markup:
             element("p", "In chi-square units, everything fitted again with the term in the model.", class_="quiet")
         )
     return join(*parts)
+
+
+def since_the_prior(identified: Identified) -> Markup | None:
+    """What an update moved, the farthest first; nothing without a prior."""
+    if not identified.moves:
+        return None
+    heads = ("", "prior ± sd", "now ± standard error", "moved, sd of the prior", "told by the data", "unit")
+    header = element(
+        "tr", *(element("th", head, class_="text" if k in (0, 5) else None) for k, head in enumerate(heads))
+    )
+    rows = [
+        element(
+            "tr",
+            element("td", move.name, class_="text"),
+            element("td", measured(move.before, move.spread)),
+            element("td", measured(move.after, move.standard_error)),
+            element("td", f"{move.deviations:+.2f}"),
+            element("td", f"{move.told:.0%}"),
+            element("td", unit_text(move.unit), class_="text"),
+            class_=None if move.told > TOLD else "minor",
+        )
+        for move in sorted(identified.moves, key=lambda move: -abs(move.deviations))
+    ]
+    return join(
+        element("h2", "Since the prior"),
+        element(
+            "p",
+            "The prior's standard deviation has room for a change of friction since. Told by the data: the share of "
+            "the prior's variance that they took away; grey rows are the prior's.",
+            class_="quiet",
+        ),
+        element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide"),
+    )
 
 
 def obtained(identified: Identified) -> Markup:

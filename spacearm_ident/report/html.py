@@ -12,7 +12,7 @@ import numpy as np
 
 from ..identification.identified import Fit, JointValidation
 from . import figures
-from .details import obtained, structure
+from .details import obtained, since_the_prior, structure
 from .markup import NOTHING, Markup, breakable, element, join, number, percent
 from .parameter_tables import base_table, determination_key, matrix, whole_list
 from .store import Result
@@ -36,6 +36,7 @@ def report_html(result: Result) -> str:
         _validation(result),
         *_signals(result),
         _parameters(result),
+        since_the_prior(identified),
         structure(identified),
         obtained(identified),
     )

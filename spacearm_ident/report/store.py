@@ -1,7 +1,7 @@
 """A result as files that give it back: `model.yaml`, `result.json` and `result.npz`.
 
-The report is made from these alone, without the recordings. `result.json` carries the SHA-256 of the other two, so
-that a folder holding parts of two results is recognised.
+The report is made from these alone, without the recordings, and a later identification may take them for its prior.
+`result.json` carries the SHA-256 of the other two, so that a folder holding parts of two results is recognised.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ import numpy as np
 from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
+from ..identification.environment import Environment
+from ..identification.from_prior import GroundPrior
 from ..identification.identified import (
     Choice,
     Determination,
@@ -27,6 +29,7 @@ from ..identification.identified import (
     Identified,
     JointValidation,
     LackOfFit,
+    Move,
     Trace,
     Validation,
 )
@@ -34,6 +37,7 @@ from ..recording.bandwidth import Bandwidth
 
 SCHEMA = "spacearm_ident/result/1"
 MODEL, FIGURES, ARRAYS = "model.yaml", "result.json", "result.npz"
+PRIOR_ADVICE = "give the model.yaml in a result folder of 'spacearm identify'"
 _TRACE_ARRAYS = ("time", "position", "velocity", "measured", "predicted", "moving")
 
 
@@ -81,6 +85,35 @@ def load_result(directory: Path) -> Result:
         raise UserError(f"the result in {directory} is incomplete ({what}): identify again") from error
 
 
+def load_prior(path: Path) -> GroundPrior:
+    """The model of a result folder with its covariance.
+
+    Args:
+        path: `model.yaml` of a result folder, or the folder.
+
+    Raises:
+        UserError: No model, no covariance beside it, or that of another model.
+    """
+    file = path / MODEL if path.is_dir() else path
+    model = load_model(file)
+    folder = file.parent
+    try:
+        sums = dict(json.loads((folder / FIGURES).read_text(encoding="utf-8"))["sha256"])
+        with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
+            covariance = np.asarray(arrays["covariance"], dtype=np.float64)
+    except OSError as error:
+        missing = Path(error.filename or folder / ARRAYS).name
+        raise UserError(f"{file} has no covariance beside it ({missing}), a prior needs one: {PRIOR_ADVICE}") from error
+    except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise UserError(f"the covariance beside {file} cannot be read: {PRIOR_ADVICE}, or identify again") from error
+    if sums.get(MODEL) != _checksum(file) or sums.get(ARRAYS) != _checksum(folder / ARRAYS):
+        raise UserError(f"{file} is not the model that the covariance beside it was written with: {PRIOR_ADVICE}")
+    prior = GroundPrior(model, covariance, f"{file} (SHA-256 {sums[MODEL][:12]})")
+    if covariance.shape != (len(prior.names),) * 2 or not np.isfinite(covariance).all():
+        raise UserError(f"the covariance beside {file} does not fit it: identify again")
+    return prior
+
+
 def _checksum(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -118,6 +151,8 @@ def _plain(result: Result) -> dict[str, Any]:
         "solver": identified.solver,
         "joints_at_rest": list(identified.joints_at_rest),
         "notes": list(identified.notes),
+        "environment": identified.environment.as_dict(),
+        "moves": [asdict(move) for move in identified.moves],
         "validation": {
             "joints": {name: asdict(joint) for name, joint in validation.joints.items()},
             "traces": [trace.source for trace in validation.traces],
@@ -157,6 +192,8 @@ def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> R
         solver=data["solver"],
         joints_at_rest=tuple(data["joints_at_rest"]),
         notes=tuple(data["notes"]),
+        environment=Environment.from_dict(data.get("environment", {})),
+        moves=tuple(Move(**move) for move in data.get("moves", ())),
         **{name: arrays[name] for name in ("base_values", "base_errors", "covariance", "residual_sigma_Nm", "rows")},
     )
     return Result(identified, _validation(data["validation"], arrays), data["written"])

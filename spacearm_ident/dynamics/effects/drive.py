@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
 from ..background import Background
+from ..friction import excess_temperature
 from ..term import Columns, Constant, Parameter
 from .effect import Effect, Options, Shown, each, known_joint, known_joints, nothing, own
-from .friction import WARM_FROM
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,11 @@ class TorqueConstant(Effect):
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """The model's torque."""
         row = motion.joints.index(self.place["joint"])
-        if background is None or (self.needs_temperature and motion.temperature is None):
+        if background is None:
             return nothing(motion, [row], 1)
         torque = background.torque[:, row]
         if self.needs_temperature:
-            assert motion.temperature is not None
-            torque = torque * (motion.temperature[:, row] - WARM_FROM)
+            torque = torque * excess_temperature(motion, row)
         return own(row, torque)
 
 

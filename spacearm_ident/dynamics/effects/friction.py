@@ -11,12 +11,9 @@ import numpy as np
 from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
 from ..background import Background
-from ..friction import bristle_state
+from ..friction import bristle_state, excess_temperature
 from ..term import Columns, Constant, Parameter
 from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own
-
-WARM_FROM = 20.0
-"""T_0 of the paper's temperature law, °C."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +82,13 @@ class TemperatureFriction(_Friction):
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """At one joint: `of` names what follows the temperature."""
+        """At one joint: `of` names what follows the temperature; `rising` lets friction grow with it."""
         joint = known_joint(arm, place)
+        # Lubricants thin out: friction falls, unless a bearing's preload grows. Whoever asks for it is told which.
+        highest = np.inf if place.get("rising") else 0.0
         known = {
-            "f_c": Parameter("alpha_c", joint, "N m/K", scale=1.0, upper=0.0),
-            "k_v1": Parameter("alpha_v", joint, "N m s/(rad K)", scale=1.0, upper=0.0),
+            "f_c": Parameter("alpha_c", joint, "N m/K", scale=1.0, upper=highest),
+            "k_v1": Parameter("alpha_v", joint, "N m s/(rad K)", scale=1.0, upper=highest),
         }
         return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), place=place)
 
@@ -101,9 +100,7 @@ class TemperatureFriction(_Friction):
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """Direction and velocity times the excess temperature; nothing where no temperature was recorded."""
         row = self.row(motion)
-        if motion.temperature is None:
-            return nothing(motion, [row], len(self.parameters))
-        excess = motion.temperature[:, row] - WARM_FROM
+        excess = excess_temperature(motion, row)
         signals = {"f_c": direction(motion, row) * excess, "k_v1": motion.velocity[:, row] * excess}
         return own(row, *(signals[of] for of in self.place.get("of", ["f_c"])))
 
