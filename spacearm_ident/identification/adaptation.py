@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from ..dynamics.effects.friction import WARM_FROM, TemperatureFriction
+from ..dynamics.effects.friction import TemperatureFriction
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.rigid_body import RigidBody
 from ..errors import UserError
@@ -322,6 +322,3 @@ def _offsets(columns: FloatArray, residuals: FloatArray, motion: Motion) -> tupl
         noise = residual_noise(residual - offset[joint] * column, place, motion.white_correlation)
         information[joint] = size / max(noise.sigma_Nm**2 * noise.correlation_rows, 1e-12)
     return offset, information
-
-
-__all__ = ["CLEAR", "WARM_FROM", "Adaptation", "Change", "Levels", "Share", "adapt", "with_gravity"]

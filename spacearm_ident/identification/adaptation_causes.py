@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from .adaptation import CLEAR, WARM_FROM, Adaptation, Change
+from ..dynamics.friction import WARM_FROM
+from .adaptation import CLEAR, Adaptation, Change
 from .temperature import LEAST_SPAN_K
 
 GRAVITY_m_s2 = 0.05

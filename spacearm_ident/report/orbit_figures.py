@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ..identification.adaptation import WARM_FROM, Adaptation
+from ..dynamics.friction import WARM_FROM
+from ..identification.adaptation import Adaptation
 from ..identification.identified import Validation
 from .figures import name_axes
 from .markup import Markup
