@@ -102,8 +102,6 @@ def solve(
         matrix, _ = system(current, prior, constants)
         consistent = make_consistent(model, matrix, parameters, prior.scale)
         runs = [loop.simulate(consistent, constants) for loop in loops]
-        for loop in loops:
-            loop.match()
         motions, _ = prepare(runs, model.arm.joint_names, cutoff_hz, average=False)
         return _alike(motions, regression.motions)
 

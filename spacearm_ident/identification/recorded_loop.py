@@ -10,13 +10,13 @@ A recording does not hold the controller. What of it shows in the motion is told
   the arm sticks until the loop has built up torque. It is simulated (`simulated_loop.py`), and how large the recorded
   one is beside the simulated one says how stiff the recorded loop was.
 
-Without commands, or with some that the arm did not follow, the reference is the recorded motion with the simulated
-droop taken out, low-passed: what was told is smooth. Noise slower than that low-pass stays in it.
+Without commands, or with some that the arm did not follow, the reference is the recorded motion itself, droop and all,
+low-passed with zero phase, and the loop is so stiff that nothing is added. Noise slower than that low-pass stays in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +36,8 @@ SHIFTS_S = np.arange(-0.02, 0.1601, 0.02)
 """Reach of the filter from command to motion: a position loop of 6 Hz forgets within."""
 LARGEST_MISS = 0.02
 """Share of a joint's motion that the commands may leave unexplained, or they are not what it followed."""
+FITTED_SAMPLES = 20_000
+"""Stamps that the filter is fitted to, at most twice as many."""
 BANDWIDTHS_HZ = (3.0, 250.0)
 LARGEST_CHANGE = 4.0
 """Factor by which a bandwidth changes at once."""
@@ -60,7 +62,6 @@ class RecordedLoop:
         """
         self._model = model
         self._recording = recording.in_order(model.arm.joint_names)
-        self.bandwidth_hz = np.full(len(model.arm.joints), bandwidth_hz)
         command = _command(self._recording)
         self._stretches = [
             (segment, _Stretch(self._recording.time[segment], self._recording.position[segment], command, cutoff_hz))
@@ -68,19 +69,22 @@ class RecordedLoop:
             if segment.stop - segment.start >= max(32, self._recording.rate_hz)
         ]
         self.commanded = all(stretch.commanded for _, stretch in self._stretches)
+        first_hz = bandwidth_hz if self.commanded else BANDWIDTHS_HZ[1]
+        self.bandwidth_hz = np.full(len(model.arm.joints), first_hz)
 
     def simulate(self, parameters: FloatArray, constants: FloatArray) -> Recording:
-        """The recording with the positions of a simulated arm of these (p,) parameters and (c,) constants."""
-        position = self._recording.position.copy()
-        for segment, stretch in self._stretches:
-            position[segment] = stretch.simulate(self._model, parameters, constants, self.bandwidth_hz)
-        return replace(self._recording, position=position, velocity=None)
+        """The recording with the positions of a simulated arm of these (p,) parameters and (c,) constants.
 
-    def match(self) -> None:
-        """Make each joint's loop as stiff as the recorded one, going by the droop of the last simulation."""
-        longest = max((stretch for _, stretch in self._stretches), key=lambda stretch: len(stretch.time))
-        share = np.clip(longest.reference()[1], LARGEST_CHANGE**-2, LARGEST_CHANGE**2)
+        Each joint's loop is first made as stiff as the recorded one, going by the droop of the simulation before.
+        """
+        references = [stretch.reference() for _, stretch in self._stretches]
+        _, share = max(references, key=lambda found: len(found[0]))
+        share = np.clip(share, LARGEST_CHANGE**-2, LARGEST_CHANGE**2)
         self.bandwidth_hz = np.clip(self.bandwidth_hz / np.sqrt(share), *BANDWIDTHS_HZ)
+        position = self._recording.position.copy()
+        for (segment, stretch), (reference, _) in zip(self._stretches, references):
+            position[segment] = stretch.simulate(self._model, parameters, constants, reference, self.bandwidth_hz)
+        return replace(self._recording, position=position, velocity=None)
 
 
 def _command(recording: Recording) -> BSpline | None:
@@ -96,36 +100,42 @@ class _Stretch:
     """An uninterrupted part of a recording, and its simulation on an even grid."""
 
     def __init__(self, time: FloatArray, position: FloatArray, command: BSpline | None, cutoff_hz: float) -> None:
-        self.time, self._position, self._command, self._cutoff_hz = time, position, command, cutoff_hz
+        self._time, self._position, self._command, self._cutoff_hz = time, position, command, cutoff_hz
         self._grid = time[0] + np.arange(int((time[-1] - time[0]) * SIMULATION_HZ) + 2) / SIMULATION_HZ
-        self._even = np.asarray(make_interp_spline(time, position, k=3)(np.minimum(self._grid, time[-1])))
-        self._droop = np.zeros_like(self._even)
+        self._droop: FloatArray | None = None
         self._torque: FloatArray | None = None
         self.commanded = command is not None and self._followed()
 
     def simulate(
-        self, model: TorqueModel, parameters: FloatArray, constants: FloatArray, bandwidth_hz: FloatArray
+        self,
+        model: TorqueModel,
+        parameters: FloatArray,
+        constants: FloatArray,
+        reference: FloatArray,
+        bandwidth_hz: FloatArray,
     ) -> FloatArray:
-        """(N, n) positions of the simulated arm at the stamps."""
-        reference = sampled(model.arm.joint_names, SIMULATION_HZ, self.reference()[0])
-        reached = follow(model, parameters, constants, reference, bandwidth_hz)
-        self._droop = reached - reference.position
+        """(N, n) positions at the stamps of the simulated arm, told to follow `reference` (K, n)."""
+        joints = model.arm.joint_names
+        reached = follow(model, parameters, constants, sampled(joints, SIMULATION_HZ, reference), bandwidth_hz)
+        self._droop = reached - reference
         if self.commanded:
             # Along the smoothed command, not the reference: of that the torque is a part, and would feed on itself.
-            told = _smooth(self._told(self._grid)[0], self._cutoff_hz)
+            told = sampled(joints, SIMULATION_HZ, _smooth(self._told(self._grid, np.zeros(1))[0], self._cutoff_hz))
             smooth = tuple(kind for kind in model.structure if kind != StribeckFriction.kind)
-            self._torque = model.torque(
-                sampled(model.arm.joint_names, SIMULATION_HZ, told), parameters, constants, smooth
-            )
+            self._torque = model.torque(told, parameters, constants, smooth)
         return self._at_stamps(reached)
 
     def reference(self) -> tuple[FloatArray, FloatArray]:
         """What the arm was told.
 
         Returns:
-            (K, n) positions on the grid, without the droop; (n,) the recorded droop over the last simulation's.
+            (K, n) positions on the grid, without the droop; (n,) the recorded droop over the last simulation's, 1 where
+            there was none.
         """
-        return self._from_commands() if self.commanded else self._from_positions()
+        if self.commanded:
+            return self._from_commands()
+        even = make_interp_spline(self._time, self._position, k=3)(np.minimum(self._grid, self._time[-1]))
+        return _smooth(even, RECORDED_SHARE * self._cutoff_hz), np.ones(self._position.shape[1])
 
     def _followed(self) -> bool:
         """Whether every joint went where it was told."""
@@ -133,40 +143,38 @@ class _Stretch:
         moved = self._position.std(axis=0)
         return bool((missed < LARGEST_MISS * np.maximum(moved, 0.01 * moved.max())).all())
 
-    def _from_positions(self) -> tuple[FloatArray, FloatArray]:
-        low_pass_hz = RECORDED_SHARE * self._cutoff_hz
-        smooth = _smooth(self._even - self._droop, low_pass_hz)
-        rough = self._even - _smooth(self._even, low_pass_hz)
-        droop = self._droop - _smooth(self._droop, low_pass_hz)
-        size = np.sum(droop**2, axis=0)
-        return smooth, np.divide(np.sum(rough * droop, axis=0), size, out=np.zeros_like(size), where=size > 0)
-
     def _from_commands(self) -> tuple[FloatArray, FloatArray]:
-        stamps, grid = self._told(self.time), self._told(self._grid)
-        reference, share = grid[0].copy(), np.zeros(grid.shape[2])
+        thin = slice(None, None, max(1, len(self._time) // FITTED_SAMPLES))
+        shifts = np.concatenate([[0.0], SHIFTS_S])
+        fitted, grid = self._told(self._time[thin], shifts), self._told(self._grid, shifts)
+        loads = [signal for signal in (self._torque, self._droop) if signal is not None]
+        at_stamps = [self._at_stamps(signal)[thin] for signal in loads]
+        reference, share = grid[0].copy(), np.ones(grid.shape[2])
         for joint in range(len(share)):
-            matrix = self._filter_columns(stamps[..., joint], joint, self._at_stamps)
-            behind = self._position[:, joint] - stamps[0, :, joint]
+            matrix = _columns(fitted, at_stamps, joint)
             scale = np.linalg.norm(matrix, axis=0) + 1e-12
+            behind = self._position[thin, joint] - fitted[0, :, joint]
             found = np.linalg.lstsq(matrix / scale, behind, rcond=1e-6)[0] / scale
-            share[joint], found[0] = found[0], 0.0
-            reference[:, joint] += self._filter_columns(grid[..., joint], joint, lambda signal: signal) @ found
+            if self._droop is not None:
+                # What dry friction holds the arm back by is for the simulation to say.
+                share[joint], found[-1] = found[-1], 0.0
+            reference[:, joint] += _columns(grid, loads, joint) @ found
         return reference, share
 
-    def _filter_columns(self, told: FloatArray, joint: int, sample: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """(T, s + 3) droop, offset, torque and shifted commands less the command `told[0]`, at the times of `told`."""
-        torque = np.zeros_like(self._droop) if self._torque is None else self._torque
-        own = [sample(signal[:, joint]) for signal in (self._droop, np.ones_like(self._droop), torque)]
-        return np.concatenate([np.stack(own, axis=1), (told[1:] - told[0]).T], axis=1)
-
     def _at_stamps(self, on_grid: FloatArray) -> FloatArray:
-        return np.asarray(make_interp_spline(self._grid, on_grid, k=3)(self.time))
+        return np.asarray(make_interp_spline(self._grid, on_grid, k=3)(self._time))
 
-    def _told(self, time: FloatArray) -> FloatArray:
-        """(1 + s, T, n) the command at the times (T,), and shifted by each of `SHIFTS_S`; held outside its span."""
+    def _told(self, time: FloatArray, shifts: FloatArray) -> FloatArray:
+        """(s, T, n) the command at times (T,) less each of the shifts (s,), s; held outside its span."""
         assert self._command is not None
-        shifted = time - np.concatenate([[0.0], SHIFTS_S])[:, None]
+        shifted = time - shifts[:, None]
         return np.asarray(self._command(np.clip(shifted, self._command.t[0], self._command.t[-1])))
+
+
+def _columns(told: FloatArray, loads: Sequence[FloatArray], joint: int) -> FloatArray:
+    """(T, 1 + s + l) offset, shifted commands less the command told[0], and the loads (T, n) on a joint."""
+    shifted = (told[1:, :, joint] - told[0, :, joint]).T
+    return np.column_stack([np.ones(told.shape[1]), shifted, *(load[:, joint] for load in loads)])
 
 
 def _smooth(signal: FloatArray, low_pass_hz: float) -> FloatArray:
