@@ -133,15 +133,15 @@ def _tracking_error(
 ) -> FloatArray:
     """(N, n) how far the arm is behind its reference, rad; all windows of the motion are simulated side by side."""
     h = 1.0 / reference.rate_hz
-    own: FloatArray = np.diagonal(inertia, axis1=1, axis2=2).mean(axis=0)
-    stiffness, damping = own * omega**2, 2.0 * own * omega
+    own = np.diagonal(inertia, axis1=1, axis2=2).mean(axis=0)
+    stiffness, damping = np.asarray(own * omega**2), np.asarray(2.0 * own * omega)
     implicit = inertia + np.diag(h * damping + h**2 * stiffness)
-    inverse = np.linalg.inv(implicit)
+    inverse = np.asarray(np.linalg.inv(implicit), dtype=np.float64)
     samples, joints = reference.velocity.shape
     length, before = round(WINDOW_S / h), round(MEMORY / omega.min() / h)
     starts = np.arange(0, samples, length)
     errors = np.zeros((len(starts) * length, joints))
-    error, rate = np.zeros((2, len(starts), joints))
+    error, rate = np.zeros((len(starts), joints)), np.zeros((len(starts), joints))
     velocity = reference.velocity[np.maximum(starts - before, 0)]
     for k in range(-before, length):
         now = np.clip(starts + k, 0, samples - 1)
