@@ -229,6 +229,8 @@ def _base_errors(base: BaseParameters, spread: FloatArray, count: int) -> FloatA
 
 
 def _solver_words(settings: Settings, solution: Solution) -> str:
+    if settings.solver == CLOE:
+        return f"{CLOE}, {solution.status} after {solution.iterations} simulations"
     seed = f" (seed {settings.seed})" if settings.solver in SEEDED else ""
     return f"{settings.solver}{seed}, Levenberg-Marquardt on all: {solution.status} after {solution.iterations} steps"
 

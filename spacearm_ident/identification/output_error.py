@@ -125,7 +125,7 @@ def solve(
         current,
         Solution(parameters, constants, cost, number, status),
         least_squares,
-        _words(loops, current.motions, regression.motions, cutoff_hz, number, status),
+        _words(loops, current.motions, regression.motions, cutoff_hz),
     )
 
 
@@ -156,8 +156,6 @@ def _words(
     simulated: Sequence[Motion],
     recorded: Sequence[Motion],
     cutoff_hz: float,
-    number: int,
-    status: str,
 ) -> str:
     """How the arm was simulated, in a sentence."""
     apart = np.max(
@@ -171,6 +169,5 @@ def _words(
         what = f"recorded positions (there are no commands that the arm followed): noise below {limit:.2g} Hz stays"
     return (
         f"simulated in closed loop along {what}; joints' loops of {bandwidths.min():.3g} to {bandwidths.max():.3g} Hz; "
-        f"simulated and recorded motion up to {1e3 * apart[worst]:.2g} mrad RMS apart ({recorded[0].joints[worst]}); "
-        f"{status} after {number} simulations"
+        f"simulated and recorded motion up to {1e3 * apart[worst]:.2g} mrad RMS apart ({recorded[0].joints[worst]})"
     )
