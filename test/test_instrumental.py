@@ -11,9 +11,10 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.base_parameters import base_parameters
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.errors import UnfitDataError
+from spacearm_ident.identification.comparison import compare
 from spacearm_ident.identification.identified import Identified
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.identification.instrumental import compare, halves, split_motions
+from spacearm_ident.identification.instrumental import halves, split_motions
 from spacearm_ident.recording.recording import Recording
 
 PLANTED = two_link_run([Friction(f_c=f_c, J_m=J_m, k_v2=0.0, k_v3=0.0) for f_c, J_m in ((5.0, 0.5), (3.0, 0.2))])
@@ -84,10 +85,10 @@ def test_the_verdict_names_the_worst():
     truth = np.zeros(base.regrouping.shape[1])
     moved = truth.copy()
     moved[base.independent[2]] = 3.0
-    assert compare(base, truth, truth, errors).agree
-    comparison = compare(base, moved, truth, errors)
+    assert compare("instrumental variables", base, truth, truth, errors).agree
+    comparison = compare("instrumental variables", base, moved, truth, errors)
     assert not comparison.agree and comparison.worst == base.names[2]
     assert "at 1 base parameters" in comparison.words and "3 standard errors" in comparison.words
     # One that is held fixed has no standard error, and is no disagreement.
     errors[2] = 0.0
-    assert compare(base, moved, truth, errors).agree
+    assert compare("instrumental variables", base, moved, truth, errors).agree

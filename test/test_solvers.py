@@ -105,7 +105,9 @@ def test_the_same_seed_gives_the_same_result_and_another_another(results):
 
 
 def test_an_unknown_solver_is_refused_with_those_there_are():
-    with pytest.raises(UserError, match=r"no solver 'magic': choose one of separable, pso-lm, pso-separable, idim-iv"):
+    with pytest.raises(
+        UserError, match=r"no solver 'magic': choose one of separable, pso-lm, pso-separable, idim-iv, cloe"
+    ):
         settings_for(ARM, solver="magic")
     with pytest.raises(UserError, match="no solver 'magic'"):
         identify([small_arm.recording(duration_s=4.0)], ARM, Settings(solver="magic"))

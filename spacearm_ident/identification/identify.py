@@ -26,7 +26,8 @@ from ..errors import UnfitDataError, UserError
 from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare, require_joints
-from . import instrumental, pso_lm
+from . import instrumental, output_error, pso_lm
+from .comparison import compare
 from .consistency import make_consistent
 from .determination import judge, open_ended
 from .environment import GRAVITY_SCALE, Environment, GravityEstimate, judge_vacuum, without_temperature
@@ -37,7 +38,7 @@ from .prior import Prior, make_prior
 from .regression import Regression
 from .separable import PRESENCE_GATE, Solution, solve, system, without_constants
 from .solution_columns import all_columns, residuals_of
-from .solvers import IDIM_IV, PSO_LM, SEEDED, SEPARABLE, Search, require_solver, search_of
+from .solvers import CLOE, IDIM_IV, PSO_LM, SEEDED, SEPARABLE, Search, require_solver, search_of
 from .structure import choose_structure
 from .uncertainty import covariance
 from .updated import identify_from_prior
@@ -121,6 +122,8 @@ def identify(
     report(0.2, "searching the friction constants")
     choices: tuple[Choice, ...] = ()
     model = TorqueModel(arm, over_temperature(settings.structure or structure_of(arm), arm, settings.temperature))
+    if settings.solver == CLOE:
+        output_error.require_simulated(model.structure)
     weighing = _weighing(settings, arm, motions)
     if settings.solver == PSO_LM:
         fit = _fit_as_published(TorqueModel(arm, pso_lm.as_published(model.structure)), motions, settings.seed)
@@ -136,6 +139,9 @@ def identify(
     if settings.solver == IDIM_IV:
         report(0.7, "comparing with instrumental variables")
         fit = _fit_instrumental(fit, recordings, bandwidth.cutoff_hz)
+    elif settings.solver == CLOE:
+        report(0.7, "simulating the closed loop")
+        fit = _fit_output_error(fit, recordings, bandwidth.cutoff_hz)
     report(0.8, "standard errors and physical consistency")
     fit, gravity = weighing.conclude(fit)
     further = weighing.further(fit)
@@ -153,7 +159,7 @@ def _weighing(settings: Settings, arm: Arm, motions: list[Motion]) -> Weighing[_
         UserError: The solver asked for cannot.
     """
     for asked, words in ((settings.gravity, "gravity"), (settings.temperature, "friction over temperature")):
-        if asked and settings.solver in (PSO_LM, IDIM_IV):
+        if asked and settings.solver in (PSO_LM, IDIM_IV, CLOE):
             raise UserError(f"the solver {settings.solver} does not estimate {words}: take {SEPARABLE}")
     search = search_of(settings.solver, settings.seed)
     return Weighing(
@@ -234,22 +240,43 @@ def _fit_instrumental(known: _Fit, recordings: Sequence[Recording], cutoff_hz: f
     """Instrumental variables in the structure that least squares chose, and the verdict on how far apart they are."""
     model = known.regression.model
     plain, first, second = instrumental.split_motions(recordings, model.arm.joint_names, cutoff_hz)
-    regression = Regression(model, plain)
-    prior = make_prior(model, plain)
-    _first_weights(regression)
-    solution, noise = reweighted(regression, prior, solve(regression, prior, known.solution.constants))
+    regression, prior, solution, noise = _refitted(known, plain)
     parameters = instrumental.instrumental(
         regression, Regression(model, first), Regression(model, second), prior, solution
     )
     residuals = residuals_of(regression, solution)
-    base = base_parameters(model)
     fit = _Fit(regression, prior, replace(solution, parameters=parameters), residuals, noise)
-    errors = base.errors(_covariance(fit))
-    verdict = instrumental.compare(base, parameters, solution.parameters, errors)
-    return replace(fit, stages=(verdict.words,))
+    return _compared("instrumental variables", fit, solution.parameters)
+
+
+def _fit_output_error(known: _Fit, recordings: Sequence[Recording], cutoff_hz: float) -> _Fit:
+    """Closed-loop output error in the structure that least squares chose, and the verdict on how far apart they are."""
+    plain, _ = prepare(recordings, known.regression.model.arm.joint_names, cutoff_hz, average=False)
+    regression, prior, solution, noise = _refitted(known, plain)
+    found = output_error.solve(recordings, regression, prior, solution, cutoff_hz)
+    residuals = residuals_of(found.regression, found.solution)
+    fit = _Fit(found.regression, prior, found.solution, residuals, noise, (found.words,))
+    return _compared("closed-loop output errors", fit, found.least_squares)
+
+
+def _refitted(known: _Fit, motions: list[Motion]) -> tuple[Regression, Prior, Solution, list[list[Noise]]]:
+    """Least squares on the same recordings made ready in another way, from the constants that are known."""
+    regression = Regression(known.regression.model, motions)
+    prior = make_prior(known.regression.model, motions)
+    _first_weights(regression)
+    return regression, prior, *reweighted(regression, prior, solve(regression, prior, known.solution.constants))
+
+
+def _compared(method: str, fit: _Fit, least_squares: FloatArray) -> _Fit:
+    """The fit, with the verdict on how far from least squares (p,) it is."""
+    base = base_parameters(fit.regression.model)
+    verdict = compare(method, base, fit.solution.parameters, least_squares, base.errors(_covariance(fit)))
+    return replace(fit, stages=(*fit.stages, verdict.words))
 
 
 def _solver_words(settings: Settings, solution: Solution) -> str:
+    if settings.solver == CLOE:
+        return f"{CLOE}, {solution.status} after {solution.iterations} simulations"
     seed = f" (seed {settings.seed})" if settings.solver in SEEDED else ""
     return f"{settings.solver}{seed}, Levenberg-Marquardt on all: {solution.status} after {solution.iterations} steps"
 

@@ -18,13 +18,12 @@ whether noise in the columns counts. Differences beyond the standard errors are 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from ..dynamics.arm import FloatArray
-from ..dynamics.base_parameters import BaseParameters
 from ..errors import UnfitDataError
 from ..recording.motion import Motion
 from ..recording.recording import Recording
@@ -33,44 +32,6 @@ from .prior import Prior
 from .regression import Regression
 from .separable import Solution
 from .solution_columns import all_columns
-
-DISAGREEMENT = 2.0
-"""Base parameters this many standard errors apart are held to disagree. Both estimates share the torque's noise, so
-without noise in the columns they are far closer than that."""
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Instrumental variables beside least squares, in standard errors of a base parameter.
-
-    Attributes:
-        apart: (b,) differences; 0 where there is no standard error.
-        worst: Name of the base parameter that is farthest off.
-    """
-
-    apart: FloatArray
-    worst: str
-
-    @property
-    def agree(self) -> bool:
-        """Whether no base parameter is farther apart than `DISAGREEMENT`."""
-        return bool(np.abs(self.apart).max(initial=0.0) <= DISAGREEMENT)
-
-    @property
-    def words(self) -> str:
-        """The verdict in a sentence."""
-        most = float(np.abs(self.apart).max(initial=0.0))
-        if self.agree:
-            return (
-                f"instrumental variables agree with least squares: no base parameter is more than {most:.2g} standard "
-                "errors apart"
-            )
-        many = int(np.sum(np.abs(self.apart) > DISAGREEMENT))
-        return (
-            f"instrumental variables disagree with least squares at {many} base parameters, most at {self.worst} "
-            f"({most:.2g} standard errors): noise in the measured positions biases least squares; trust these values "
-            "rather, or record with less noise or faster motion"
-        )
 
 
 def halves(recording: Recording) -> tuple[Recording, Recording]:
@@ -158,12 +119,3 @@ def _keys(regression: Regression, joint: int) -> np.ndarray:
     """(M,) increasing numbers that name a joint's rows by motion and place."""
     rows = regression.rows[joint]
     return np.asarray(rows.owner.astype(np.int64) * 2**32 + rows.place)
-
-
-def compare(
-    base: BaseParameters, instrumental: FloatArray, least_squares: FloatArray, errors: FloatArray
-) -> Comparison:
-    """Both estimates (p,) in base parameters, apart by how many of their standard errors (b,)."""
-    apart = base.regrouping @ (instrumental - least_squares)
-    apart = np.divide(apart, errors, out=np.zeros_like(apart), where=errors > 0)
-    return Comparison(apart, base.names[int(np.argmax(np.abs(apart)))])

@@ -2,7 +2,7 @@
 
 `separable` and `pso-separable` differ in how the nonlinear constants are searched, and share everything else: the
 weights, the prior, the refinement. `pso-lm` is the paper's, with the paper's unknowns, unit weights and no prior.
-`idim-iv` takes the structure and constants of `separable`, and tells whether noise in the positions biases it.
+`idim-iv` and `cloe` take the structure and constants of `separable`, and tell whether noise in the positions biases it.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from . import pso_separable
 from .prior import Prior
 from .regression import Regression
 
-SEPARABLE, PSO_LM, PSO_SEPARABLE, IDIM_IV = "separable", "pso-lm", "pso-separable", "idim-iv"
-SOLVERS = (SEPARABLE, PSO_LM, PSO_SEPARABLE, IDIM_IV)
+SEPARABLE, PSO_LM, PSO_SEPARABLE, IDIM_IV, CLOE = "separable", "pso-lm", "pso-separable", "idim-iv", "cloe"
+SOLVERS = (SEPARABLE, PSO_LM, PSO_SEPARABLE, IDIM_IV, CLOE)
 SEEDED = (PSO_LM, PSO_SEPARABLE)
 
 Search = Callable[[Regression, Prior, float], FloatArray | None]
