@@ -2,11 +2,16 @@
 
 The paper's arm with torque from its own model: what is measured is the tracker, not the model. `--hours` is the length
 of the stationary runs in which every change found is a false alarm.
+
+`--live SECONDS` measures the node instead: simulated arm, CAN, driver and identifier, each a process, joint states at
+1 kHz over ROS 2; the CPU time of the tracking's thread over the length of the data, and that of the whole node.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import tempfile
 import time
 from collections import Counter
 from dataclasses import replace
@@ -87,9 +92,15 @@ def cost(model: IdentifiedModel, payload: bool, temperature: bool, seconds: floa
 
 
 def tracked_run(
-    model: IdentifiedModel, by: dict[str, float], seconds: float, at_s: float, seed: int, ar: float
+    model: IdentifiedModel,
+    by: dict[str, float],
+    seconds: float,
+    at_s: float,
+    seed: int,
+    ar: float,
+    payload: bool = True,
 ) -> list[Change]:
-    tracked = TrackedModel(model, payload=True)
+    tracked = TrackedModel(model, payload)
     motion = motion_of(model, seconds, 200.0, seed)
     names = [parameter.name for parameter in tracked.model.model.parameters]
     values = tracked.model.parameters.copy()
@@ -103,12 +114,54 @@ def tracked_run(
     return Tracker(tracked).add(rows_of(tracked, replace(motion, torque=torque)))
 
 
-def changes(model: IdentifiedModel, runs: int) -> None:
+def live(seconds: float) -> None:
+    """The node beside the simulated arm while that moves, without tracking and with more and more of it."""
+    from bench_publish import cpu_s
+
+    from spacearm_ident.cli.demo import Plan, begin, node_parameters, write_trajectory
+    from spacearm_ident.nodes.chain import Chain
+
+    plan = Plan("excitation", 1, max(1, round(seconds * 0.1)), 0.1)
+    choices = {
+        "no tracking": {"tracking": False},
+        "levels": {},
+        "levels, payload, alpha": {"tracking_payload": True, "tracking_temperature": True},
+    }
+    for what, choice in choices.items():
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = Path(scratch)
+            parameters = node_parameters(folder)
+            parameters["identifier"] |= {"model": str(MODEL), "auto_identify": False, **choice}
+            with Chain(folder, parameters) as chain:
+                begin(chain)
+                chain.set_parameter("trajectory", "trajectory_file", str(write_trajectory(plan, folder)))
+                # What has just been enabled is known to the trajectory node a little later.
+                time.sleep(2.0)
+                chain.call("/excitation/start")
+                chain.wait(lambda: chain.excitation["state"] == "running", "the run", 60.0)
+                pid, begun = chain.processes["identifier"], os.times().elapsed
+                before = cpu_s(pid)
+                chain.wait(lambda: chain.excitation["state"] != "running", "the end of the run", 60.0 + 2 * seconds)
+                elapsed = os.times().elapsed - begun
+                share, values = (cpu_s(pid) - before) / elapsed, chain.values("identifier: tracking")
+                thread = f"tracking {float(values['core_share']):.1%}, " if values else ""
+                print(
+                    f"{what:<24} {elapsed:.0f} s: {thread}the node {share:.1%} of a core"
+                    + (f"; changes {values['changes']}, informed {values['informed']}" if values else "")
+                    + (f"; {chain.status('identifier: tracking')}" if values.get("joint") else "")
+                )
+                chain.call("/driver/enable", False)
+
+
+def changes(model: IdentifiedModel, runs: int, payload: bool) -> None:
+    print("with a payload followed" if payload else "levels alone followed")
     for words, by in CHANGES.items():
+        if not payload and any(name.startswith("dm") for name in by):
+            continue
         delay, error, named, others = [np.nan], [np.nan], Counter[str](), 0
         for seed in range(runs):
             at_s = 20.0 + 5.0 * seed / runs
-            found = tracked_run(model, by, 40.0, at_s, seed, 0.5)
+            found = tracked_run(model, by, 40.0, at_s, seed, 0.5, payload)
             others += max(0, len(found) - 1)
             if found:
                 delay.append(found[0].found_s - at_s)
@@ -126,11 +179,16 @@ def main() -> None:
     arguments.add_argument("--seconds", type=float, default=60.0, help="of data for the cost")
     arguments.add_argument("--runs", type=int, default=20, help="a change")
     arguments.add_argument("--hours", type=float, default=1.0, help="of stationary motion for each kind of noise")
+    arguments.add_argument("--live", type=float, metavar="SECONDS", help="measure the node, this long each, instead")
     options = arguments.parse_args()
+    if options.live:
+        live(options.live)
+        return
     model = replace(load_model(MODEL), cutoff_hz=CUTOFF_HZ)
     for payload, temperature in ((False, False), (True, False), (True, True)):
         cost(model, payload, temperature, options.seconds)
-    changes(model, options.runs)
+    for payload in (False, True):
+        changes(model, options.runs, payload)
     for ar in (0.0, 0.9, 0.99, 0.998):
         runs = max(1, round(options.hours * 4))
         found = [change for seed in range(runs) for change in tracked_run(model, {}, 900.0, 0.0, seed, ar)]

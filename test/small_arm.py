@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 
+from spacearm_ident.dynamics.arm import arm_from_urdf
+from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
 from spacearm_ident.recording import Recording
 
 JOINTS = ("shoulder", "elbow")
@@ -47,3 +51,19 @@ def recording(
     torque = rigid + COULOMB * np.sign(qd) + VISCOUS * qd + ROTOR * qdd
     torque += noise * rng.standard_normal(torque.shape) * np.array([10.0, 5.0])
     return Recording(JOINTS, time, q, qd, torque, (slice(0, len(time)),), 1_700_000_000_000_000_000, urdf=urdf)
+
+
+def identified() -> IdentifiedModel:
+    """What the small arm is, as if it had been identified to the last digit."""
+    arm = arm_from_urdf(URDF)
+    model = TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}, **FRICTION_LAWS["coulomb-viscous"]})
+    levels = {"f_c": COULOMB, "f_b": COULOMB, "k_v1": VISCOUS, "J_m": ROTOR}
+    values = [levels[p.symbol][JOINTS.index(p.joint)] if p.symbol in levels else p.prior for p in model.parameters]
+    return IdentifiedModel(model, np.array(values), np.zeros(len(model.constants)), 10.0)
+
+
+def with_step(run: Recording, from_s: float, size: float = 0.5) -> Recording:
+    """The elbow's Coulomb friction is larger from `from_s` on."""
+    assert run.velocity is not None and run.effort is not None
+    more = size * np.sign(run.velocity[:, 1]) * (run.time >= from_s)
+    return replace(run, effort=run.effort + np.column_stack([np.zeros_like(more), more]))

@@ -11,31 +11,12 @@ import pytest
 import small_arm
 from live_nodes import wait_for
 
-from spacearm_ident.dynamics.arm import arm_from_urdf
-from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
 from spacearm_ident.identification.tracking import Change
 from spacearm_ident.nodes.tracking_stream import TrackingChoice, TrackingStream
 from spacearm_ident.nodes.tracking_thread import LONGEST_WAITING, Broken, TrackingThread
 from spacearm_ident.recording import Recording, cdr
 
-STEP_S, STEP_NM = 25.0, 0.5
-
-
-def known() -> IdentifiedModel:
-    """What the small arm is."""
-    arm = arm_from_urdf(small_arm.URDF)
-    model = TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}, **FRICTION_LAWS["coulomb-viscous"]})
-    levels = {"f_c": small_arm.COULOMB, "f_b": small_arm.COULOMB, "k_v1": small_arm.VISCOUS, "J_m": small_arm.ROTOR}
-    values = [
-        levels[p.symbol][small_arm.JOINTS.index(p.joint)] if p.symbol in levels else p.prior for p in model.parameters
-    ]
-    return IdentifiedModel(model, np.array(values), np.zeros(len(model.constants)), 10.0)
-
-
-def with_step(run: Recording) -> Recording:
-    """The elbow's Coulomb friction is larger from `STEP_S` on."""
-    more = STEP_NM * np.sign(run.velocity[:, 1]) * (run.time >= STEP_S)
-    return replace(run, effort=run.effort + np.column_stack([np.zeros_like(more), more]))
+STEP_S = 25.0
 
 
 def with_payload(run: Recording) -> Recording:
@@ -72,8 +53,8 @@ def run() -> Recording:
 
 @pytest.mark.parametrize(("size", "order"), [(40, (1, 0)), (400, (0, 1))])
 def test_a_friction_step_is_dated_by_the_stamps(run, size, order):
-    stream = TrackingStream(known(), TrackingChoice())
-    (change,) = feed(stream, messages(with_step(run), order), size)
+    stream = TrackingStream(small_arm.identified(), TrackingChoice())
+    (change,) = feed(stream, messages(small_arm.with_step(run, STEP_S), order), size)
     at_s = run.start_ns / 1e9 + STEP_S
     assert (change.joint, change.what, change.rivals) == ("elbow", "f_c", ("load",))  # The joint has not reversed yet.
     assert abs(change.time_s - at_s) < 0.5 and change.earliest_s <= change.time_s < change.found_s < at_s + 5.0
@@ -85,7 +66,7 @@ def test_a_friction_step_is_dated_by_the_stamps(run, size, order):
 
 
 def test_a_payload_is_one_change_where_it_is_followed(run):
-    stream = TrackingStream(known(), TrackingChoice(payload=True))
+    stream = TrackingStream(small_arm.identified(), TrackingChoice(payload=True))
     (change,) = feed(stream, messages(with_payload(run)))
     assert (change.what, change.joint, change.unit) == ("payload", "elbow", "kg")
     assert abs(change.time_s - run.start_ns / 1e9 - STEP_S) < 0.5
@@ -95,7 +76,7 @@ def test_a_payload_is_one_change_where_it_is_followed(run):
 
 
 def test_standing_still_after_a_gap_changes_nothing(run):
-    stream = TrackingStream(known(), TrackingChoice())
+    stream = TrackingStream(small_arm.identified(), TrackingChoice())
     feed(stream, messages(small_arm.recording(15.0)))
     still = small_arm.recording(20.0, still=(0, 1))
     at_rest = messages(replace(still, effort=still.effort + 3.0), after_s=20.0)
@@ -121,7 +102,7 @@ def test_what_cannot_be_used_is_counted_and_spoils_nothing():
         cdr.encode_joint_states([stamp], small_arm.JOINTS, row)[0],
         cdr.encode_joint_states([stamp], small_arm.JOINTS, row, effort=row * np.nan)[0],
     ]
-    clean, spoilt = (TrackingStream(known(), TrackingChoice()) for _ in range(2))
+    clean, spoilt = (TrackingStream(small_arm.identified(), TrackingChoice()) for _ in range(2))
     feed(clean, payloads)
     assert feed(spoilt, [*odd[:2], *payloads[:1400], *odd[2:], *payloads[1400:]]) == []
     assert spoilt.figures()["messages_left_out"] == 5
@@ -131,7 +112,7 @@ def test_what_cannot_be_used_is_counted_and_spoils_nothing():
 
 def test_temperatures_count_once_all_joints_have_told_theirs():
     payloads = messages(small_arm.recording(40.0))
-    stream = TrackingStream(known(), TrackingChoice(temperature=True))
+    stream = TrackingStream(small_arm.identified(), TrackingChoice(temperature=True))
 
     def told() -> float:
         item = next(item for item in stream.state().parameters if item.name == "alpha_c[shoulder]")
