@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
-from spacearm_ident.recording import Recording
+from spacearm_ident.recording import Recording, cdr
 
 JOINTS = ("shoulder", "elbow")
 URDF = """<robot name="small_arm">
@@ -67,3 +67,12 @@ def with_step(run: Recording, from_s: float, size: float = 0.5) -> Recording:
     assert run.velocity is not None and run.effort is not None
     more = size * np.sign(run.velocity[:, 1]) * (run.time >= from_s)
     return replace(run, effort=run.effort + np.column_stack([np.zeros_like(more), more]))
+
+
+def payloads(run: Recording, order: tuple[int, ...] = (0, 1), after_s: float = 0.0) -> list[bytes]:
+    """Joint states of a run as messages, joints in an order of their own, `after_s` later than recorded."""
+    assert run.effort is not None
+    stamps = run.start_ns + np.round((run.time + after_s) * 1e9).astype(np.int64)
+    columns = list(order)
+    names = [run.joints[k] for k in columns]
+    return cdr.encode_joint_states(stamps, names, run.position[:, columns], effort=run.effort[:, columns])

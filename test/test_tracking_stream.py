@@ -30,14 +30,6 @@ def with_payload(run: Recording) -> Recording:
     return replace(run, effort=run.effort + more)
 
 
-def messages(run: Recording, order: tuple[int, ...] = (0, 1), after_s: float = 0.0) -> list[bytes]:
-    """Joint states of a run, joints in an order of their own."""
-    stamps = run.start_ns + np.round((run.time + after_s) * 1e9).astype(np.int64)
-    columns = list(order)
-    names = [run.joints[k] for k in columns]
-    return cdr.encode_joint_states(stamps, names, run.position[:, columns], effort=run.effort[:, columns])
-
-
 def feed(stream: TrackingStream, payloads: list[bytes], size: int = 40) -> list[Change]:
     return [change for first in range(0, len(payloads), size) for change in stream.add(payloads[first : first + size])]
 
@@ -54,7 +46,7 @@ def run() -> Recording:
 @pytest.mark.parametrize(("size", "order"), [(40, (1, 0)), (400, (0, 1))])
 def test_a_friction_step_is_dated_by_the_stamps(run, size, order):
     stream = TrackingStream(small_arm.identified(), TrackingChoice())
-    (change,) = feed(stream, messages(small_arm.with_step(run, STEP_S), order), size)
+    (change,) = feed(stream, small_arm.payloads(small_arm.with_step(run, STEP_S), order), size)
     at_s = run.start_ns / 1e9 + STEP_S
     assert (change.joint, change.what, change.rivals) == ("elbow", "f_c", ("load",))  # The joint has not reversed yet.
     assert abs(change.time_s - at_s) < 0.5 and change.earliest_s <= change.time_s < change.found_s < at_s + 5.0
@@ -67,7 +59,7 @@ def test_a_friction_step_is_dated_by_the_stamps(run, size, order):
 
 def test_a_payload_is_one_change_where_it_is_followed(run):
     stream = TrackingStream(small_arm.identified(), TrackingChoice(payload=True))
-    (change,) = feed(stream, messages(with_payload(run)))
+    (change,) = feed(stream, small_arm.payloads(with_payload(run)))
     assert (change.what, change.joint, change.unit) == ("payload", "elbow", "kg")
     assert abs(change.time_s - run.start_ns / 1e9 - STEP_S) < 0.5
     # The payload's moment of inertia is not followed: a tenth of its torque here.
@@ -77,9 +69,9 @@ def test_a_payload_is_one_change_where_it_is_followed(run):
 
 def test_standing_still_after_a_gap_changes_nothing(run):
     stream = TrackingStream(small_arm.identified(), TrackingChoice())
-    feed(stream, messages(small_arm.recording(15.0)))
+    feed(stream, small_arm.payloads(small_arm.recording(15.0)))
     still = small_arm.recording(20.0, still=(0, 1))
-    at_rest = messages(replace(still, effort=still.effort + 3.0), after_s=20.0)
+    at_rest = small_arm.payloads(replace(still, effort=still.effort + 3.0), after_s=20.0)
     # The last rows of the motion wait for those of the rest to be a whole batch.
     feed(stream, at_rest[:400])
     before = values(stream)
@@ -87,12 +79,12 @@ def test_standing_still_after_a_gap_changes_nothing(run):
     assert values(stream) == before
     assert stream.figures()["restarts"] == 1
     # And it goes on where it was.
-    assert feed(stream, messages(small_arm.recording(10.0, seed=1), after_s=60.0)) == []
+    assert feed(stream, small_arm.payloads(small_arm.recording(10.0, seed=1), after_s=60.0)) == []
     assert values(stream) != before
 
 
 def test_what_cannot_be_used_is_counted_and_spoils_nothing():
-    payloads = messages(small_arm.recording(15.0))
+    payloads = small_arm.payloads(small_arm.recording(15.0))
     stamp = small_arm.recording(1.0).start_ns + 7_002_000_000
     row = np.zeros((1, 2))
     odd = [
@@ -111,7 +103,7 @@ def test_what_cannot_be_used_is_counted_and_spoils_nothing():
 
 
 def test_temperatures_count_once_all_joints_have_told_theirs():
-    payloads = messages(small_arm.recording(40.0))
+    payloads = small_arm.payloads(small_arm.recording(40.0))
     stream = TrackingStream(small_arm.identified(), TrackingChoice(temperature=True))
 
     def told() -> float:
