@@ -45,7 +45,7 @@ class LiveTracking:
 
     def feed(self, payloads: Sequence[bytes], temperatures: Sequence[bytes], arrived_ns: int) -> None:
         """Hand over joint states and temperatures in the order of arrival; the last came at `arrived_ns`."""
-        if payloads and not self._broken:
+        if (payloads or temperatures) and not self._broken:
             self._thread.feed(payloads, temperatures, arrived_ns)
 
     def poll(self) -> list[Change]:

@@ -100,7 +100,7 @@ class TrackingThread:
                 figures = self._stream.figures()
                 if figures:
                     spent = time.thread_time() - start
-                    figures["core_share"] = spent / self._stream.data_s
+                    figures |= {"data_s": self._stream.data_s, "core_share": spent / self._stream.data_s}
                     state = self._stream.state()
                     self._news.put(Followed(self._stream.newest_s, block.arrived_ns, tuple(changes), state, figures))
         except Exception as error:
