@@ -3,20 +3,21 @@
 The paper's arm with torque from its own model: what is measured is the tracker, not the model. `--hours` is the length
 of the stationary runs in which every change found is a false alarm.
 
-`--live SECONDS` measures the node instead: simulated arm, CAN, driver and identifier, each a process, joint states at
-1 kHz over ROS 2; the CPU time of the tracking's thread over the length of the data, and that of the whole node.
+`--live SECONDS` measures the node instead, fed over ROS 2 at 1 kHz with a recording of the simulated arm: the CPU time
+of the tracking's thread over the length of the data (`core_share`), and that of the whole node.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
+import signal
+import subprocess
+import sys
 import tempfile
 import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import lfilter
@@ -25,10 +26,10 @@ from spacearm_ident.dynamics.model import IdentifiedModel
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.identification.tracking import Change, Tracker
 from spacearm_ident.identification.tracking_rows import RowStream, TrackedModel, rows_of
+from spacearm_ident.recording import cdr
+from spacearm_ident.recording.bag import read_bag
+from spacearm_ident.recording.messages import STATES_TOPIC, TEMPERATURES_TOPIC, TOPIC_TYPES
 from spacearm_ident.recording.motion import Motion
-
-if TYPE_CHECKING:
-    from spacearm_ident.nodes.chain import Chain
 
 MODEL = Path(__file__).parent.parent / "config" / "paper_arm_model.yaml"
 CUTOFF_HZ = 10.0
@@ -119,63 +120,71 @@ def tracked_run(
 
 
 def live(seconds: float) -> None:
-    """The node beside the simulated arm while that moves, without tracking and with more and more of it."""
-    from spacearm_ident.cli.demo import Plan, begin, node_parameters, write_trajectory
-    from spacearm_ident.nodes.chain import Chain
+    """The node fed with the simulated arm at 1 kHz, without tracking and with more and more of it."""
+    from spacearm_ident.cli.demo import Plan, write_trajectory
 
-    plan = Plan("excitation", 1, max(1, round(seconds * 0.1)), 0.1)
     choices = {
-        "no tracking": {"tracking": False},
-        "levels": {},
-        "levels, payload, alpha": {"tracking_payload": True, "tracking_temperature": True},
+        "no tracking": ("tracking:=false",),
+        "levels": (),
+        "levels, payload, alpha": ("tracking_payload:=true", "tracking_temperature:=true"),
     }
-    for what, choice in choices.items():
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = Path(scratch)
-            file = write_trajectory(plan, folder)
-            parameters = node_parameters(folder)
-            parameters["identifier"] |= {"model": str(MODEL), "auto_identify": False, **choice}
-            with Chain(folder, parameters) as chain:
-                begin(chain)
-                chain.set_parameter("trajectory", "trajectory_file", str(file))
-                while (measured := live_run(chain, seconds)) is None:
-                    print(f"{what:<24} the run was broken off: again", flush=True)
-                lasted, node, thread = measured
-                values = chain.values("identifier: tracking")
-                print(
-                    f"{what:<24} {lasted:.0f} s: tracking {thread:.1%}, the node {node:.1%} of a core"
-                    + (f"; changes {values['changes']}, informed {values['informed']}" if values else "")
-                    + (f"; {chain.status('identifier: tracking')}" if values.get("joint") else ""),
-                    flush=True,
-                )
-                chain.call("/driver/enable", False)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        file = write_trajectory(Plan("excitation", 1, max(1, round(seconds * 0.1)), 0.1), folder)
+        words = ["--model", MODEL, "--arm", MODEL.with_name("paper_arm.yaml"), "--trajectory", file]
+        command = [sys.executable, "-m", "spacearm_ident.cli.main", "simulate", *words, "--out", folder / "run.mcap"]
+        subprocess.run([*map(str, command), "--quiet"], check=True)
+        streams = read_bag(folder / "run.mcap", {STATES_TOPIC: TOPIC_TYPES[STATES_TOPIC].name}).streams
+        for what, choice in choices.items():
+            print(f"{what:<24} {node_fed_with(list(streams[STATES_TOPIC].payloads), choice)}", flush=True)
 
 
-def live_run(chain: Chain, seconds: float) -> tuple[float, float, float] | None:
-    """Length of an excitation run, and CPU time of identifier and tracking over it; None for less than half a run.
-
-    A machine too busy for the 1 kHz cycle breaks runs off.
-    """
+def node_fed_with(payloads: list[bytes], choice: tuple[str, ...]) -> str:
+    """What the identifier needs and says while these joint states come to it at 1 kHz."""
+    import rclpy
     from bench_publish import cpu_s
+    from diagnostic_msgs.msg import DiagnosticArray
+    from sensor_msgs.msg import JointState, Temperature
 
-    from spacearm_ident.cli.demo import enable
+    from spacearm_ident.canbus.realtime import come_first
+    from spacearm_ident.nodes.runtime import STREAM
 
-    def spent() -> tuple[float, float, float, float]:
-        figures = chain.values("identifier: tracking")
-        data_s = float(figures.get("data_s", 0.0))
-        return os.times().elapsed, cpu_s(pid), data_s, data_s * float(figures.get("core_share", 0.0))
+    parameters = [word for one in (f"model:={MODEL}", *choice) for word in ("-p", one)]
+    command = [sys.executable, "-m", "spacearm_ident.cli.main", "node", "identifier", "--ros-args", *parameters]
+    said: dict[str, dict[str, str]] = {}
 
-    enable(chain)
-    # The trajectory node hears of it a little later.
-    time.sleep(2.0)
-    chain.call("/excitation/start")
-    chain.wait(lambda: chain.excitation["state"] in ("running", "done"), "the run", 60.0)
-    pid = chain.processes["identifier"]
-    before = spent()
-    chain.wait(lambda: chain.excitation["state"] != "running", "the end of the run", 60.0 + 2 * seconds)
-    lasted, node, data, thread = (now - then for now, then in zip(spent(), before))
-    chain.wait(lambda: chain.excitation["state"] == "done", "the end of the run", 60.0)
-    return (lasted, node / lasted, thread / data if data else 0.0) if lasted > 0.5 * seconds else None
+    def keep(message: DiagnosticArray) -> None:
+        said.update({s.name: {pair.key: pair.value for pair in s.values} for s in message.status})
+
+    rclpy.init()
+    with subprocess.Popen(command, start_new_session=True) as process:
+        try:
+            come_first(process.pid)
+            node = rclpy.create_node("bench")
+            states = node.create_publisher(JointState, STATES_TOPIC, STREAM)
+            warmth = node.create_publisher(Temperature, TEMPERATURES_TOPIC, STREAM)
+            node.create_subscription(DiagnosticArray, "/diagnostics", keep, 100)
+            while not (states.get_subscription_count() and warmth.get_subscription_count() and said):
+                rclpy.spin_once(node, timeout_sec=0.1)
+            for joint in range(1, 7):
+                warmth.publish(cdr.encode_temperature(0, f"joint_{joint}", 25.0))
+            before, begun = cpu_s(process.pid), time.monotonic()
+            for number, payload in enumerate(payloads):
+                time.sleep(max(0.0, begun + number / 1000.0 - time.monotonic()))
+                states.publish(payload)
+            elapsed = time.monotonic() - begun
+            share = (cpu_s(process.pid) - before) / elapsed
+            said.clear()
+            end = time.monotonic() + 3.0
+            while time.monotonic() < end:
+                rclpy.spin_once(node, timeout_sec=0.1)
+        finally:
+            process.send_signal(signal.SIGINT)
+            rclpy.shutdown()
+    followed, received = said.get("identifier: tracking", {}), said["identifier"]["received"]
+    told = [f"{key} {followed[key]}" for key in ("core_share", "data_s", "informed", "changes") if followed]
+    line = f"{elapsed:.0f} s, {received} of {len(payloads)} samples: the node {share:.1%} of a core"
+    return ", ".join([line, *told])
 
 
 def changes(model: IdentifiedModel, runs: int, payload: bool) -> None:
