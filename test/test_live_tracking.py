@@ -47,6 +47,13 @@ class TestWindow:
                 taken.append(stretch)
         assert taken == [(8, 12), (21, 25)]
 
+    def test_who_asks_late_gets_the_same(self):
+        window = ChangeWindow(10.0)
+        for number in range(40):
+            window.add(T0 + number + 20.5, 100 * number, [CHANGE] if number == 6 else [])
+        assert window.take() == (501, 1500)
+        assert window.take() is None
+
     def test_a_clock_set_back_ends_what_was_begun(self):
         window = ChangeWindow(5.0)
         window.add(T0 + 25.0, 1, [])

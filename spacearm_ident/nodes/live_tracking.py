@@ -128,9 +128,12 @@ class ChangeWindow:
         """First and last time of arrival, ns, of a stretch that is complete; told once."""
         if self._from_s is None or self._marks[-1][0] < self._from_s + self._length_s:
             return None
-        start = next(arrived_ns for newest_s, arrived_ns in self._marks if newest_s >= self._from_s)
+        start, stop = (
+            next(arrived_ns for newest_s, arrived_ns in self._marks if newest_s >= stamp_s)
+            for stamp_s in (self._from_s, self._from_s + self._length_s)
+        )
         self._from_s = None
-        return start + 1, self._marks[-1][1]
+        return start + 1, stop
 
 
 def sentence(change: Change) -> str:
