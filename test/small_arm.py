@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 
-from spacearm_ident.recording import Recording
+from spacearm_ident.dynamics.arm import arm_from_urdf
+from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
+from spacearm_ident.recording import Recording, cdr
 
 JOINTS = ("shoulder", "elbow")
 URDF = """<robot name="small_arm">
@@ -47,3 +51,28 @@ def recording(
     torque = rigid + COULOMB * np.sign(qd) + VISCOUS * qd + ROTOR * qdd
     torque += noise * rng.standard_normal(torque.shape) * np.array([10.0, 5.0])
     return Recording(JOINTS, time, q, qd, torque, (slice(0, len(time)),), 1_700_000_000_000_000_000, urdf=urdf)
+
+
+def identified() -> IdentifiedModel:
+    """What the small arm is, as if it had been identified to the last digit."""
+    arm = arm_from_urdf(URDF)
+    model = TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}, **FRICTION_LAWS["coulomb-viscous"]})
+    levels = {"f_c": COULOMB, "f_b": COULOMB, "k_v1": VISCOUS, "J_m": ROTOR}
+    values = [levels[p.symbol][JOINTS.index(p.joint)] if p.symbol in levels else p.prior for p in model.parameters]
+    return IdentifiedModel(model, np.array(values), np.zeros(len(model.constants)), 10.0)
+
+
+def with_step(run: Recording, from_s: float, size: float = 0.5) -> Recording:
+    """The elbow's Coulomb friction is larger from `from_s` on."""
+    assert run.velocity is not None and run.effort is not None
+    more = size * np.sign(run.velocity[:, 1]) * (run.time >= from_s)
+    return replace(run, effort=run.effort + np.column_stack([np.zeros_like(more), more]))
+
+
+def payloads(run: Recording, order: tuple[int, ...] = (0, 1), after_s: float = 0.0) -> list[bytes]:
+    """Joint states of a run as messages, joints in an order of their own, `after_s` later than recorded."""
+    assert run.effort is not None
+    stamps = run.start_ns + np.round((run.time + after_s) * 1e9).astype(np.int64)
+    columns = list(order)
+    names = [run.joints[k] for k in columns]
+    return cdr.encode_joint_states(stamps, names, run.position[:, columns], effort=run.effort[:, columns])

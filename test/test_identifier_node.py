@@ -18,9 +18,10 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spa
 
 from diagnostic_msgs.msg import DiagnosticArray
 from live_nodes import LIVE, Probe, Processes, end, output
+from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import JointState
 
-from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.nodes.message_buffer import BLOCK_MESSAGES
 from spacearm_ident.nodes.runtime import LATCHED, STREAM
 from spacearm_ident.recording import read_recording, write_recording
@@ -159,7 +160,11 @@ def test_two_runs_give_parameters_residuals_and_a_result_folder(bags, processes,
     graph.tell(f"play {bags['third']}")
     graph.wait_for(lambda: len(graph.residuals) > 600, "residuals")
     live = graph.values("identifier: residual")
-    assert graph.latched_parameters() == parameters
+    now = graph.latched_parameters()
+    assert {name: now[name] for name in parameters} == parameters
+    assert set(now) - set(parameters) == {
+        f"tracked {symbol}[{joint}]" for symbol in ("f_b", "f_c", "k_v1") for joint in small_arm.JOINTS
+    }
     assert end(node) == 0 and "Traceback" not in output(node)
 
     identify_by_command(processes, bags["first"], "--validate", bags["second"], "--out", by_command)
@@ -238,6 +243,7 @@ def test_replay_is_the_command(bags, processes, tmp_path):
         (("friction:=sticky",), 2, "sticky"),
         (("gravity:=[0.0, 1.0]",), 2, "three numbers"),
         (("buffer_s:=-3.0",), 2, "buffer_s"),
+        (("mismatch_on_change:=true", "tracking:=false"), 2, "set tracking to true"),
     ],
 )
 def test_what_cannot_work_says_so_and_ends(bags, processes, tmp_path, parameters, code, words):
@@ -305,3 +311,36 @@ def test_a_model_file_gives_residuals_and_parameters_at_once(bags, processes, gr
         assert float(parameters[item.name]["value"]) == value
         assert parameters[item.name]["determination"] == "from a model file"
     assert np.abs([m.effort for m in graph.residuals]).mean() < 0.2
+
+
+def test_a_friction_step_is_found_dated_and_explained(graph, tmp_path):
+    save_model(small_arm.identified(), tmp_path / "model.yaml")
+    run, at_s = small_arm.recording(45.0), 25.0
+    write_recording(tmp_path / "step.mcap", small_arm.with_step(run, at_s))
+    out, model = tmp_path / "live", tmp_path / "model.yaml"
+    options = (f"result_directory:={out}", "mismatch_on_change:=true", "mismatch_window_s:=15")
+    node = graph.identifier(f"model:={model}", *options)
+    graph.tell(f"play {tmp_path / 'step.mcap'}")
+    graph.wait_for(graph.said("identifier: tracking", "at elbow changed by +0.5"), "the change")
+    found = graph.values("identifier: tracking")
+    assert graph.level("identifier: tracking") == 1 and found["changes"] == "1"
+    assert (found["joint"], found["what"], found["unit"]) == ("elbow", "f_c", "N m")
+    assert abs(float(found["time_s"]) - run.start_ns / 1e9 - at_s) < 0.5
+    assert 0.0 < float(found["core_share"]) < 1.0
+    parameters = graph.latched_parameters()
+    tracked = parameters["tracked f_c[elbow]"]
+    assert abs(float(tracked["value"]) - 2.0) < 4 * float(tracked["standard_error"]) < 0.5
+    assert parameters["f_c[elbow]"]["value"] == tracked["identified"] == "1.5"
+    # The parameter services work as well: a node's own names must not hide rclpy's.
+    client = graph.node.create_client(GetParameters, "/identifier/get_parameters")
+    graph.wait_for(client.service_is_ready, "the parameter services")
+    reply = client.call_async(GetParameters.Request(names=["tracking_memory_s"]))
+    graph.wait_for(reply.done, "a parameter")
+    assert reply.result().values[0].double_value == 60.0
+
+    graph.wait_for(graph.said("identifier: mismatch", "friction_drift at elbow"), "the verdict")
+    assert graph.values("identifier: mismatch")["reference"] == str(model)
+    explained = read_recording(out / "change.mcap")
+    begun = 1e-9 * (explained.start_ns - run.start_ns)
+    assert at_s - 0.5 < begun < at_s + 3.0 and 13.0 < explained.time[-1] < 19.0
+    assert end(node) == 0 and "Traceback" not in output(node)

@@ -1,6 +1,7 @@
 """The launch file, against stand-ins of the `launch` modules: what it starts, with which arguments."""
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -67,15 +68,20 @@ def test_every_argument_is_described_and_used(entities):
     assert used(of_kind(entities, "Node")) == {argument.args[0] for argument in arguments}
 
 
+def source_of(node: str) -> str:
+    """The modules that a node's parameters may be declared in."""
+    return "".join(path.read_text() for path in (ROOT / "spacearm_ident" / "nodes").glob(f"{node}*.py"))
+
+
 def test_every_node_is_started_by_its_name_with_its_parameters(entities):
     nodes = of_kind(entities, "Node")
     assert {node.kwargs["executable"] for node in nodes} == set(NODES)
     for node in nodes:
         assert node.kwargs["name"] == node.kwargs["executable"] and node.kwargs["package"] == "spacearm_ident"
-        source = (ROOT / "spacearm_ident" / "nodes" / f"{node.kwargs['executable']}.py").read_text()
+        source = source_of(node.kwargs["executable"])
         assert used(node.kwargs["parameters"][0]) == {"params"}
         for name in node.kwargs["parameters"][1]:
-            assert f'parameter("{name}"' in source or f'parameter(\n            "{name}"' in source
+            assert re.search(rf'(parameter|_file)\((node, )?\s*"{name}"', source)
 
 
 def test_only_the_simulated_arm_depends_on_sim(entities):
@@ -88,6 +94,6 @@ def test_the_parameter_file_names_only_parameters_that_exist():
     given = yaml.safe_load((ROOT / "config" / "spacearm.yaml").read_text())
     assert set(given) == set(NODES)
     for node, parameters in given.items():
-        source = (ROOT / "spacearm_ident" / "nodes" / f"{node}.py").read_text()
+        source = source_of(node)
         for name in parameters["ros__parameters"]:
             assert f'"{name}"' in source, f"{node} has no parameter {name}"

@@ -271,7 +271,7 @@ class Tracker:
         """Deal with a change, and say what it was."""
         hypothesis = found.hypothesis
         earliest, latest = self._watch.times(found)
-        self._watch.replay(found, self.filters, self._layout.loosened(hypothesis))
+        self._watch.replay(found, self.filters, self._layout.loosened((hypothesis, *found.rivals)))
         self._watch.forget()
         self._past.clear()
         symbols = ("m", "mcx", "mcy", "mcz")

@@ -31,6 +31,7 @@ from .tracking_filter import InformationFilter
 CONFIRM_BATCHES = 2
 OLDEST_SHARE = 0.25
 BEYOND = 500.0
+TIE = 1e-6
 AMBIGUOUS = 6.0
 """A rival whose likelihood ratio is within so much of the best is named with it."""
 
@@ -150,7 +151,8 @@ class ChangeWatch:
         # What it is, and how large, only rows say that are clearly before or after.
         free, fisher = self._scores(*(np.array([number]) for number in self._around(place)))
         sure = _log_chance(self._ratios(free, fisher)[0], self._freedom)
-        number = int(np.argmin(sure))
+        # Until a joint reverses, friction and load are the same to the last digit: the first named it is.
+        number = int(np.flatnonzero(sure < sure.min() + TIE)[0])
         winner = self._hypotheses[number]
         covariance = np.linalg.inv(self._precision(winner, fisher[0]))
         jump = covariance @ winner.basis.T @ free[0, winner.block]

@@ -6,7 +6,7 @@ then there is one filter with n k + s unknowns. Unknowns are departures from the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -172,15 +172,17 @@ class Layout:
             ways.append(Hypothesis(PAYLOAD, self._joints - 1, 0, basis, self.shared_scale))
         return ways
 
-    def loosened(self, hypothesis: Hypothesis) -> FloatArray:
-        """(J, p) by how much what is known before a change is given up: all friction of the joint, or what else it is.
+    def loosened(self, hypotheses: Iterable[Hypothesis]) -> FloatArray:
+        """(J, p) by how much what is known before a change is given up, for a change that is one of `hypotheses`.
 
-        Which level of a joint changed is not sure at once; that it was that joint is.
+        Which level of a joint changed is not sure at once; that it was that joint is. Nor is it before the next
+        reversal whether it was friction or a load: what then is not given up, would be found to change again and again.
         """
         own, shared = np.zeros_like(self.scale), np.zeros_like(self.shared_scale)
-        if hypothesis.what == PAYLOAD:
-            shared = self.shared_scale
-        else:
+        for hypothesis in hypotheses:
+            if hypothesis.what == PAYLOAD:
+                shared = self.shared_scale
+                continue
             concerned = (LOAD,) if hypothesis.what == LOAD else LEVELS
             which = [self._tracked.symbols.index(symbol) for symbol in concerned]
             own[hypothesis.joint, which] = self.scale[hypothesis.joint, which]

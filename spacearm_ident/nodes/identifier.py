@@ -7,33 +7,41 @@ runs lie as bags, too. `/identifier/identify` starts over from all that is buffe
 from a bag of it: the last third is held out. With `mismatch_reference` every run is compared with the healthy arm as
 well, as `spacearm mismatch` would, and the verdict is on `/diagnostics`. All of it runs in a process of its own
 (`worker`).
+
+With a model, the friction levels are followed on line (`tracking`) and published beside the identified ones; a jump is
+a warning on `/diagnostics`, and with `mismatch_on_change` the stretch behind it is explained like a run.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 
-from ..dynamics.model import FRICTION_LAWS, IdentifiedModel
+from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..errors import UserError
 from ..identification.identified import Identified
-from ..identification.solvers import SEPARABLE, require_solver
 from ..mismatch.finding import NO_MISMATCH
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
-from ..session import AUTO
-from .identifier_environment import surroundings_of
-from .identifier_messages import mismatch_figures, parameters_message, residual_messages, validation_figures
+from .identifier_messages import (
+    mismatch_figures,
+    parameter_statuses,
+    parameters_message,
+    residual_messages,
+    tracked_statuses,
+    validation_figures,
+)
+from .identifier_settings import declare
 from .jobs import Done, Explained, ExplainJob, IdentifyJob, Job
+from .live_tracking import LiveTracking, sentence
 from .message_buffer import Capture, MessageBuffer
 from .residual_stream import ResidualStream
 from .runtime import LATCHED, STREAM, Level, LiveNode, Status, run
@@ -42,13 +50,15 @@ from .worker import Failed, Step, Worker
 RATE_HZ = 1000.0
 """Rate for which `buffer_s` is meant: slower joint states are kept for longer."""
 WATCH_S = 0.05
-RESIDUAL_S = 0.2
-"""Residuals are computed in pieces of this length: shorter ones cost more."""
+STREAM_S = 0.2
+"""Residual and tracking are computed in pieces of this length: shorter ones cost more."""
 UNDER_WAY = frozenset({"approach", "running", "returning", "stopping"})
 SHORTEST_S = 2.0
 LONGEST_PENDING = 4
-MISMATCH_FOLDER = "mismatch"
+MISMATCH_FOLDER, CHANGE_FOLDER = "mismatch", "change"
 """Within the result folder."""
+LATEST_TEMPERATURES = 100
+"""So many messages before a model came hold a temperature of every joint."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +75,8 @@ class Identifier(LiveNode):
 
     def __init__(self) -> None:
         super().__init__("identifier")
-        self._declare()
-        limit = max(1, int(self._buffer_s * RATE_HZ))
+        self._settings = declare(self)
+        limit = max(1, int(self._settings.buffer_s * RATE_HZ))
         self._states = MessageBuffer(STATES_TOPIC, limit)
         self._temperatures = MessageBuffer(TEMPERATURES_TOPIC, limit // 10)
         self._description: Capture | None = None
@@ -80,64 +90,21 @@ class Identifier(LiveNode):
         self._last = Status(Level.OK, "nothing identified yet", part="identification")
         self._to_explain: ExplainJob | None = None
         self._verdict = Status(Level.OK, "nothing compared yet", part="mismatch")
+        self._model_file = self._settings.model
+        self._statuses: list[DiagnosticStatus] = []
         self._stream: ResidualStream | None = None
-        self._seen = 0
-        self._parameters = self.create_publisher(DiagnosticArray, "/identifier/parameters", LATCHED)
+        self._tracking: LiveTracking | None = None
+        self._seen = self._seen_warm = 0
+        self._parameters_out = self.create_publisher(DiagnosticArray, "/identifier/parameters", LATCHED)
         self._residuals = self.create_publisher(JointState, "/identifier/residuals", STREAM)
         self._subscribe()
         self.offer("/identifier/identify", self._identify_buffer)
         self.create_timer(WATCH_S, self._watch)
-        self.create_timer(RESIDUAL_S, self._publish_residuals)
+        self.create_timer(STREAM_S, self._go_on)
         if self._model_file:
             self._use(load_model(self._model_file), None)
-        if self._replay:
-            self._start(self._new_job((self._replay,), self._replay_validate))
-
-    def _declare(self) -> None:
-        text = "Gravity in the base frame, m/s^2, as [0.0, 0.0, -9.81]; nan: the arm's own"
-        self._gravity = _gravity(self.parameter("gravity", [math.nan] * 3, text))
-        self._arm = _path(self.parameter("arm", "", "URDF or arm YAML; empty: of /robot_description"))
-        self._friction = self.parameter("friction", AUTO, "Friction law, as spacearm identify --friction")
-        if self._friction not in (AUTO, *FRICTION_LAWS):
-            raise UserError(
-                f"parameter friction: no law {self._friction!r}: one of {', '.join((AUTO, *FRICTION_LAWS))}"
-            )
-        self._structure = _path(
-            self.parameter("structure", "", "Model file whose terms to identify, effects included; instead of friction")
-        )
-        if self._structure and self._friction != AUTO:
-            raise UserError(f"parameter structure: it has its own friction law: leave friction at {AUTO}")
-        self._solver = require_solver(self.parameter("solver", SEPARABLE, "Solver, as spacearm identify --solver"))
-        self._surroundings = surroundings_of(self.parameter)
-        self._seed = self.parameter("seed", 0, "Of the solver's particle swarm", low=0)
-        bandwidth = self.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
-        self._bandwidth = bandwidth or None
-        self._buffer_s = self.parameter(
-            "buffer_s", 300.0, "Joint states kept, s at 1 kHz; the oldest go first", low=5.0, high=7200.0
-        )
-        self._auto = self.parameter("auto_identify", True, "Identify (then validate) when a run has ended")
-        self._directory = Path(self.parameter("result_directory", "identified", "Result folder")).expanduser()
-        self._row_rate = self.parameter(
-            "residual_rate_hz", 50.0, "Rate of /identifier/residuals, Hz", low=0.1, high=1000.0
-        )
-        self._model_file = _path(self.parameter("model", "", "model.yaml to watch the residual of from the start"))
-        self._replay = _path(self.parameter("replay", "", "Bag to identify off line at start, instead of waiting"))
-        validate = _path(self.parameter("replay_validate", "", "Bag to validate the replay on; empty: hold-out"))
-        self._replay_validate = (validate,) if validate else ()
-        self._exit_after = self.parameter("exit_after_replay", False, "End when the replay is done")
-        self._reference = _path(
-            self.parameter(
-                "mismatch_reference",
-                "",
-                "Bag or model.yaml of the healthy arm, to explain every run; empty: not",
-            )
-        )
-        for file in filter(None, (self._arm, self._structure, self._replay, validate, self._reference)):
-            if not file.exists():
-                raise UserError(
-                    f"{file}: no such file or folder: correct the parameter arm, structure, replay, replay_validate or "
-                    "mismatch_reference"
-                )
+        if self._settings.replay:
+            self._start(self._new_job((self._settings.replay.bag,), self._settings.replay.validated))
 
     def _subscribe(self) -> None:
         # In no executor: a wake-up a message would cost three times what taking them by the fifty does.
@@ -174,7 +141,7 @@ class Identifier(LiveNode):
                 self._under_way = RunMark(name, time.time_ns())
             return
         self._under_way = None
-        if known is None or state != "done" or known.name != name or not self._auto:
+        if known is None or state != "done" or known.name != name or not self._settings.auto:
             return
         if not complete:
             self.get_logger().info(f"run {name} was stopped early: not identified")
@@ -192,15 +159,17 @@ class Identifier(LiveNode):
         elif self._to_explain is not None:
             job, self._to_explain = self._to_explain, None
             self._start(job)
+        elif self._tracking is not None and (stretch := self._tracking.to_explain()) is not None:
+            self._start(self._change_job(*stretch))
 
     def _start_run(self, mark: RunMark) -> None:
         """Identify from a finished run, or validate on it."""
         captures = self._captures(mark.start_ns, mark.stop_ns)
         if self._known is None:
-            bag = self._directory / "excitation.mcap"
+            bag = self._settings.directory / "excitation.mcap"
             self._start(self._new_job((bag,), (bag,), captures, bag))
         else:
-            bag = self._directory / "validation.mcap"
+            bag = self._settings.directory / "validation.mcap"
             self._start(self._new_job(self._fitted, (bag,), captures, bag, self._known))
 
     def _identify_buffer(self) -> str:
@@ -214,16 +183,16 @@ class Identifier(LiveNode):
         span = (last - first) / 1e9
         if not len(self._states):
             raise UserError("no joint states have come: start the driver, or whatever publishes /joint_states")
-        if self._arm is None and self._description is None:
+        if self._settings.how.arm is None and self._description is None:
             raise UserError("no /robot_description has come: publish it, or give the parameter arm")
         count = len(self._states)
         if count < SHORTEST_S * 10:
             raise UserError(f"only {count} joint states are buffered: move the arm first")
-        bag = self._directory / "buffer.mcap"
+        bag = self._settings.directory / "buffer.mcap"
         self._pending.clear()
         self._start(self._new_job((bag,), (), self._captures(first, last), bag))
         return f"identifying from {count} joint states that came within {span:.1f} s; the result goes to " + str(
-            self._directory
+            self._settings.directory
         )
 
     def _captures(self, start_ns: int, stop_ns: int) -> tuple[Capture, ...]:
@@ -243,23 +212,26 @@ class Identifier(LiveNode):
         return IdentifyJob(
             fitted=fitted,
             validated=validated,
-            directory=self._directory,
-            arm=self._arm,
-            gravity=self._gravity,
-            friction=self._friction,
-            cutoff_hz=self._bandwidth,
-            structure=self._structure,
-            solver=self._solver,
-            seed=self._seed,
-            **self._surroundings,
+            directory=self._settings.directory,
             captures=captures,
             bag=bag,
             known=known,
+            **vars(self._settings.how),
         )
+
+    def _change_job(self, start_ns: int, stop_ns: int) -> ExplainJob:
+        """Explain what came between two times of arrival, behind a change."""
+        bag, healthy = self._settings.directory / "change.mcap", self._settings.reference
+        model = self._model_file
+        assert model is not None
+        how, folder = self._settings.how, self._settings.directory / CHANGE_FOLDER
+        # The model in use knows its arm and gravity.
+        place = (None, None) if healthy is None else (how.arm, how.gravity)
+        return ExplainJob((bag,), (), (healthy or model,), folder, *place, self._captures(start_ns, stop_ns), bag)
 
     def _start(self, job: IdentifyJob | ExplainJob) -> None:
         self._step = Step(0.0, "starting")
-        self._job = replace(job, captures=()) if isinstance(job, IdentifyJob) else job
+        self._job = replace(job, captures=())
         self._worker = Worker(job)
         self.get_logger().info(f"{job.name}, as {job.command}")
         self.publish_diagnostics()
@@ -274,16 +246,17 @@ class Identifier(LiveNode):
             assert job is not None
             if isinstance(event, Failed):
                 self._fail(job, event)
-            elif isinstance(event, Explained):
+            elif isinstance(event, Explained) and isinstance(job, ExplainJob):
                 self._report(job, event)
-            elif isinstance(job, IdentifyJob):
+            elif isinstance(event, Done) and isinstance(job, IdentifyJob):
                 self._finish(job, event)
             self.publish_diagnostics()
-            if self._replay is not None and self._replay in job.bags and self._exit_after and not self._to_explain:
+            replay = self._settings.replay
+            if replay is not None and replay.exit_after and replay.bag in job.bags and not self._to_explain:
                 self.exit_code = event.code if isinstance(event, Failed) else 0
 
     def _fail(self, job: Job, event: Failed) -> None:
-        status = Status(Level.ERROR, event.reason, {"bags": _names(job)}, job.name)
+        status = Status(Level.ERROR, event.reason, {"bags": _files(job.bags)}, job.name)
         if isinstance(job, IdentifyJob):
             self._last = status
         else:
@@ -296,53 +269,80 @@ class Identifier(LiveNode):
         if job.known is None:
             # Runs of a fit with a hold-out are not validated further: the fit has not seen all of its bag.
             self._known, self._fitted = (session.identified, job.fitted) if job.holds_nothing_out else (None, ())
+            self._model_file = job.directory / "model.yaml"
             self._use(session.identified.model, session.identified)
         for line in done.findings:
             self.get_logger().info(line)
-        figures = {"report": session.page, "bags": _names(job), **validation_figures(session.validation)}
+        figures = {"report": session.page, "bags": _files(job.bags), **validation_figures(session.validation)}
         message = f"identified and validated {session.validation.what}"
         self._last = Status(Level.OK, message, figures, "identification")
         self.get_logger().info(f"{message}; report: {session.page}")
-        if self._reference is not None:
+        if self._settings.reference is not None:
             judged = () if job.holds_nothing_out else job.validated
-            folder = self._directory / MISMATCH_FOLDER
-            self._to_explain = ExplainJob(job.fitted, judged, (self._reference,), folder, self._arm, self._gravity)
+            folder = self._settings.directory / MISMATCH_FOLDER
+            how = self._settings.how
+            self._to_explain = ExplainJob(job.fitted, judged, (self._settings.reference,), folder, how.arm, how.gravity)
 
-    def _report(self, job: Job, explained: Explained) -> None:
+    def _report(self, job: ExplainJob, explained: Explained) -> None:
         """Publish a verdict."""
         explanation = explained.explanation
-        figures = {"report": explained.page, "bags": _names(job), "reference": self._reference}
+        figures = {"report": explained.page, "bags": _files(job.bags), "reference": _files(job.reference)}
         level = Level.OK if explanation.verdict == NO_MISMATCH else Level.WARN
         message = explanation.headline
         self._verdict = Status(level, message, {**figures, **mismatch_figures(explanation)}, job.name)
         self.get_logger().info(f"{message}; report: {explained.page}")
 
     def _use(self, model: IdentifiedModel, identified: Identified | None) -> None:
-        """Publish a model's parameters; from now on the residual is its."""
-        arm = model.model.arm.name
-        self.hardware_id = arm
-        self._parameters.publish(parameters_message(arm, self.get_clock().now().to_msg(), model, identified))
-        self._stream = ResidualStream(model, self._row_rate)
-        self._seen = self._states.stored
+        """Publish a model's parameters; from now on the residual is its, and what is followed begins at it."""
+        self.hardware_id = model.model.arm.name
+        self._statuses = parameter_statuses(self.hardware_id, model, identified)
+        self._publish_parameters()
+        self._stream = ResidualStream(model, self._settings.row_rate_hz)
+        self._seen, self._seen_warm = self._states.stored, self._temperatures.stored - LATEST_TEMPERATURES
+        if self._tracking is not None:
+            self._tracking.stop()
+        choice = self._settings.tracking
+        self._tracking = None if choice is None else LiveTracking(model, choice, self._settings.change_window_s)
 
-    def _publish_residuals(self) -> None:
-        stream = self._stream
-        if stream is None:
+    def _publish_parameters(self, tracked: Sequence[DiagnosticStatus] = ()) -> None:
+        now = self.get_clock().now().to_msg()
+        self._parameters_out.publish(parameters_message(now, [*self._statuses, *tracked]))
+
+    def _go_on(self) -> None:
+        """Residual and tracking of what has arrived since."""
+        if self._stream is None:
             return
         payloads = self._states.since(self._seen)
         self._seen = self._states.stored
-        for message in residual_messages(stream.joints, stream.add(payloads)):
+        for message in residual_messages(self._stream.joints, self._stream.add(payloads)):
             self._residuals.publish(message)
+        if self._tracking is not None:
+            self._track(self._tracking, payloads)
+
+    def _track(self, tracking: LiveTracking, payloads: Sequence[bytes]) -> None:
+        """Hand over what has arrived, say what was found in what had."""
+        temperatures = self._temperatures.since(self._seen_warm)
+        self._seen_warm = self._temperatures.stored
+        tracking.feed(payloads, temperatures, self._states.span_ns()[1])
+        found = tracking.poll()
+        for change in found:
+            self.get_logger().warning(sentence(change))
+        if (state := tracking.due()) is not None:
+            self._publish_parameters(tracked_statuses(self.hardware_id, state))
+        if found:
+            self.publish_diagnostics()
 
     def diagnose(self) -> Sequence[Status]:
-        """The buffer, the last identification, the residual."""
+        """The buffer, the last identification, the verdict, the residual, the tracking."""
         statuses = [self._buffer_status(), self._last]
-        if self._reference is not None:
+        if self._settings.reference is not None or self._settings.change_window_s is not None:
             statuses.append(self._verdict)
         if self._stream is not None:
             figures = self._stream.figures()
             message = "live" if figures else "waiting for joint states"
             statuses.append(Status(Level.OK, message, figures, "residual"))
+        if self._tracking is not None:
+            statuses.append(self._tracking.status())
         return statuses
 
     def _buffer_status(self) -> Status:
@@ -371,27 +371,15 @@ class Identifier(LiveNode):
         return Status(level, message, values)
 
     def close(self) -> None:
-        """End the worker; what it was writing is discarded."""
+        """End the tracking, and the worker; what that was writing is discarded."""
+        if self._tracking is not None:
+            self._tracking.stop()
         if self._worker is not None:
             self._worker.stop()
 
 
-def _path(text: str) -> Path | None:
-    return Path(text).expanduser() if text else None
-
-
-def _names(job: Job) -> str:
-    """The bags of a job, each once."""
-    return ", ".join(map(str, job.bags))
-
-
-def _gravity(values: list[float]) -> tuple[float, float, float] | None:
-    """Three finite numbers, or None for the arm's own."""
-    if all(math.isnan(value) for value in values):
-        return None
-    if len(values) != 3 or not all(math.isfinite(value) for value in values):
-        raise UserError(f"parameter gravity: {values} are not three numbers, such as [0.0, 0.0, -9.81]")
-    return values[0], values[1], values[2]
+def _files(paths: Sequence[Path]) -> str:
+    return ", ".join(map(str, paths))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -11,10 +11,12 @@ from sensor_msgs.msg import JointState
 
 from ..dynamics.model import IdentifiedModel
 from ..identification.identified import Identified, Validation
+from ..identification.tracking import TrackingState
 from ..mismatch.finding import Explanation
 from .residual_stream import Row
 
 FROM_FILE = "from a model file"
+TRACKED = "tracked"
 
 
 @dataclass(frozen=True)
@@ -30,20 +32,43 @@ class _Entry:
     note: str = ""
 
 
-def parameters_message(arm: str, stamp: Time, model: IdentifiedModel, known: Identified | None) -> DiagnosticArray:
-    """`/identifier/parameters`: one status a parameter, named as `f_c[joint_1]`; its message says what it rests on.
+def parameters_message(stamp: Time, statuses: Iterable[DiagnosticStatus]) -> DiagnosticArray:
+    """`/identifier/parameters`: one status a parameter."""
+    message = DiagnosticArray(status=list(statuses))
+    message.header.stamp = stamp
+    return message
+
+
+def parameter_statuses(arm: str, model: IdentifiedModel, known: Identified | None) -> list[DiagnosticStatus]:
+    """Identified parameters, named as `f_c[joint_1]`; the message of each says what it rests on.
 
     Numbers have all their digits: they read back to those of `model.yaml`.
 
     Args:
         arm: Name of the arm, the hardware id.
-        stamp: Now.
         model: Whose values to publish.
         known: The identification it comes from; None: a model file, which knows no standard errors.
     """
-    message = DiagnosticArray(status=[_status(arm, entry) for entry in _entries(model, known)])
-    message.header.stamp = stamp
-    return message
+    return [_status(arm, entry) for entry in _entries(model, known)]
+
+
+def tracked_statuses(arm: str, state: TrackingState) -> list[DiagnosticStatus]:
+    """Followed parameters as they are now, named as `tracked f_c[joint_1]`, beside where each was identified.
+
+    Args:
+        arm: Name of the arm.
+        state: What the tracking knows; the stamps' time of its last row goes with each.
+    """
+    statuses = []
+    for item in state.parameters:
+        note = "" if item.informed else "no motion has told of it yet"
+        entry = _Entry(item.symbol, item.joint, item.unit, item.value, item.standard_error, TRACKED, note)
+        status = _status(arm, entry)
+        status.name = f"{TRACKED} {status.name}"
+        further = {"identified": repr(item.identified), "time_s": f"{state.time_s:.3f}"}
+        status.values = [*status.values, *(KeyValue(key=key, value=value) for key, value in further.items())]
+        statuses.append(status)
+    return statuses
 
 
 def _entries(model: IdentifiedModel, known: Identified | None) -> Iterator[_Entry]:

@@ -177,6 +177,8 @@ class ExplainJob:
         reference: Bags of the healthy arm, or one model file.
         directory: Result folder.
         arm, gravity: As `explain_session`.
+        captures: Written to `bag` before anything else.
+        bag: Where to.
     """
 
     field: tuple[Path, ...]
@@ -185,6 +187,8 @@ class ExplainJob:
     directory: Path
     arm: Path | None = None
     gravity: tuple[float, float, float] | None = None
+    captures: tuple[Capture, ...] = ()
+    bag: Path | None = None
 
     name = "mismatch"
 
@@ -203,11 +207,14 @@ class ExplainJob:
         return (*self.field, *self.judged)
 
     def perform(self, progress: Progress) -> Explained:
-        """Explain, write the result.
+        """Write the captures, explain, write the result.
 
         Raises:
             UserError: As `explain_session`.
         """
+        if self.bag is not None:
+            progress(0.0, "writing the recording")
+            write_captures(self.bag, self.captures)
         session = explain_session(
             self.field,
             self.reference,

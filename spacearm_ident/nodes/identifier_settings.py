@@ -1,0 +1,172 @@
+"""The parameters of the identifier node, read once at its start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..dynamics.model import FRICTION_LAWS
+from ..errors import UserError
+from ..identification.solvers import SEPARABLE, require_solver
+from ..session import AUTO
+from .identifier_environment import surroundings_of
+from .runtime import LiveNode
+from .tracking_stream import TrackingChoice
+
+
+@dataclass(frozen=True)
+class How:
+    """How to identify; as `IdentifyJob`."""
+
+    arm: Path | None
+    gravity: tuple[float, float, float] | None
+    friction: str
+    cutoff_hz: float | None
+    structure: Path | None
+    solver: str
+    seed: int
+    temperature: tuple[str, ...]
+    estimate_gravity: str
+    prior: Path | None
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A bag to identify at start, bags to validate on (none: hold-out), and whether to end then."""
+
+    bag: Path
+    validated: tuple[Path, ...]
+    exit_after: bool
+
+
+@dataclass(frozen=True)
+class IdentifierSettings:
+    """Decisions of the user.
+
+    Attributes:
+        how: How to identify.
+        buffer_s: Joint states kept, s at 1 kHz.
+        auto: Whether a finished run is identified.
+        directory: Result folder.
+        row_rate_hz: Of the published residual.
+        model: File to begin with.
+        replay: What to identify at start.
+        reference: The healthy arm, for explanations of every run.
+        tracking: What to follow on line; None: nothing.
+        change_window_s: Length of what is explained behind a change; None: changes are not explained.
+    """
+
+    how: How
+    buffer_s: float
+    auto: bool
+    directory: Path
+    row_rate_hz: float
+    model: Path | None
+    replay: Replay | None
+    reference: Path | None
+    tracking: TrackingChoice | None
+    change_window_s: float | None
+
+
+def declare(node: LiveNode) -> IdentifierSettings:
+    """Declare the parameters and read them.
+
+    Raises:
+        UserError: One cannot be used.
+    """
+    how = _how(node)
+    buffer_s = node.parameter(
+        "buffer_s", 300.0, "Joint states kept, s at 1 kHz; the oldest go first", low=5.0, high=7200.0
+    )
+    text = "Bag or model.yaml of the healthy arm, to explain every run; empty: not"
+    tracking = _tracking(node)
+    return IdentifierSettings(
+        how=how,
+        buffer_s=buffer_s,
+        auto=node.parameter("auto_identify", True, "Identify (then validate) when a run has ended"),
+        directory=Path(node.parameter("result_directory", "identified", "Result folder")).expanduser(),
+        row_rate_hz=node.parameter("residual_rate_hz", 50.0, "Rate of /identifier/residuals, Hz", low=0.1, high=1000.0),
+        model=_file(node, "model", "model.yaml to watch the residual of from the start"),
+        replay=_replay(node),
+        reference=_file(node, "mismatch_reference", text),
+        tracking=tracking,
+        change_window_s=_change_window(node, tracking is not None, buffer_s),
+    )
+
+
+def _how(node: LiveNode) -> How:
+    text = "Gravity in the base frame, m/s^2, as [0.0, 0.0, -9.81]; nan: the arm's own"
+    gravity = _gravity(node.parameter("gravity", [math.nan] * 3, text))
+    arm = _file(node, "arm", "URDF or arm YAML; empty: of /robot_description")
+    friction = node.parameter("friction", AUTO, "Friction law, as spacearm identify --friction")
+    if friction not in (AUTO, *FRICTION_LAWS):
+        raise UserError(f"parameter friction: no law {friction!r}: one of {', '.join((AUTO, *FRICTION_LAWS))}")
+    structure = _file(node, "structure", "Model file whose terms to identify, effects included; instead of friction")
+    if structure and friction != AUTO:
+        raise UserError(f"parameter structure: it has its own friction law: leave friction at {AUTO}")
+    solver = require_solver(node.parameter("solver", SEPARABLE, "Solver, as spacearm identify --solver"))
+    seed = node.parameter("seed", 0, "Of the solver's particle swarm", low=0)
+    bandwidth = node.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
+    surroundings = surroundings_of(node.parameter)
+    return How(arm, gravity, friction, bandwidth or None, structure, solver, seed, **surroundings)
+
+
+def _replay(node: LiveNode) -> Replay | None:
+    bag = _file(node, "replay", "Bag to identify off line at start, instead of waiting")
+    validate = _file(node, "replay_validate", "Bag to validate the replay on; empty: hold-out")
+    exit_after = node.parameter("exit_after_replay", False, "End when the replay is done")
+    return Replay(bag, (validate,) if validate else (), exit_after) if bag else None
+
+
+def _tracking(node: LiveNode) -> TrackingChoice | None:
+    wanted = node.parameter("tracking", True, "Follow the friction levels of a known model on line, report jumps")
+    choice = TrackingChoice(
+        node.parameter("tracking_payload", False, "Follow a body on the last link as well: where there is a gripper"),
+        node.parameter("tracking_temperature", False, "Follow how friction goes with the joint temperatures as well"),
+        node.parameter(
+            "tracking_memory_s", 60.0, "Moving time after which what was learned has faded, s", low=5.0, high=3600.0
+        ),
+    )
+    return choice if wanted else None
+
+
+def _change_window(node: LiveNode, tracking: bool, buffer_s: float) -> float | None:
+    wanted = node.parameter(
+        "mismatch_on_change",
+        False,
+        "Explain a change that the tracking has found, against mismatch_reference or else the model in use",
+    )
+    window_s = node.parameter(
+        "mismatch_window_s", 30.0, "Length of the stretch behind a change that is explained, s", low=5.0, high=600.0
+    )
+    if not wanted:
+        return None
+    if not tracking:
+        raise UserError("parameter mismatch_on_change: without tracking no change is found: set tracking to true")
+    if window_s > buffer_s:
+        raise UserError(
+            f"parameter mismatch_window_s: {window_s:g} s do not fit into the buffer of {buffer_s:g} s: "
+            "enlarge buffer_s"
+        )
+    return window_s
+
+
+def _file(node: LiveNode, name: str, text: str) -> Path | None:
+    """A file or folder, or None where none is given."""
+    given = node.parameter(name, "", text)
+    if not given:
+        return None
+    path = Path(given).expanduser()
+    if not path.exists():
+        raise UserError(f"parameter {name}: {path}: no such file or folder")
+    return path
+
+
+def _gravity(values: list[float]) -> tuple[float, float, float] | None:
+    """Three finite numbers, or None for the arm's own."""
+    if all(math.isnan(value) for value in values):
+        return None
+    if len(values) != 3 or not all(math.isfinite(value) for value in values):
+        raise UserError(f"parameter gravity: {values} are not three numbers, such as [0.0, 0.0, -9.81]")
+    return values[0], values[1], values[2]
