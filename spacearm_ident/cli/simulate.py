@@ -47,6 +47,15 @@ def add(commands: Any) -> None:
     )
     command.add_argument("--conceal", type=Path, metavar="FILE", help="physics to add that the model does not know")
     command.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default 0)")
+    command.add_argument(
+        "--base-imu",
+        type=float,
+        nargs="?",
+        const=200.0,
+        default=0.0,
+        metavar="HZ",
+        help="record an IMU on the base as /base_imu (at 200 Hz unless said); see the effect floating_base of --conceal",
+    )
     command.add_argument("--noise", type=float, default=1.0, metavar="FACTOR", help="times the default noise; 0: none")
     common.add_output_options(command)
     command.set_defaults(run=run)
@@ -56,6 +65,8 @@ def run(options: argparse.Namespace) -> int:
     """Load, simulate, write."""
     if options.noise < 0:
         raise UserError(f"--noise {options.noise:g} is negative: give 0 for none, 1 for the default")
+    if options.base_imu < 0:
+        raise UserError(f"--base-imu {options.base_imu:g} is negative: give its rate in Hz, such as 200")
     model = load_model(options.model)
     arm = model.model.arm if options.arm is None else load_arm(options.arm)
     parameters, effects = simulated_arm(model, arm.urdf)
@@ -63,7 +74,9 @@ def run(options: argparse.Namespace) -> int:
     if options.conceal is not None:
         effects += load_concealed(options.conceal, parameters.joints)
     with common.progress(options) as report:
-        recording = record(parameters, trajectory, arm, options.seed, options.noise, report, effects)
+        recording = record(
+            parameters, trajectory, arm, options.seed, options.noise, report, effects, imu_rate_hz=options.base_imu
+        )
         write_recording(options.out, recording)
     if options.json:
         common.print_json({"bag": str(options.out), "samples": len(recording.time), "joints": list(recording.joints)})
@@ -80,6 +93,8 @@ def record(
     noise: float,
     report: common.Report,
     effects: Sequence[Effect] = (),
+    *,
+    imu_rate_hz: float = 0.0,
 ) -> Recording:
     """Simulate one run of an arm under its drives, with `effects` concealed in it."""
     if trajectory.joints != parameters.joints:
@@ -88,13 +103,16 @@ def record(
         )
     usual = SensorNoise()
     sensors = (
-        SensorNoise.none()
+        SensorNoise.none(imu_rate_hz)
         if noise == 0
         else SensorNoise(
             effort_white=noise * usual.effort_white,
             effort_coloured=noise * usual.effort_coloured,
             velocity_noise=noise * usual.velocity_noise,
             temperature_noise=noise * usual.temperature_noise,
+            imu_rate_hz=imu_rate_hz,
+            gyro_noise=noise * usual.gyro_noise,
+            accelerometer_noise=noise * usual.accelerometer_noise,
         )
     )
     drives = DriveData.plain(

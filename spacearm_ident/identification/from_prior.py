@@ -26,6 +26,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.base_link import placed
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError, UserError
 from ..recording.recording import Recording
@@ -159,7 +160,7 @@ def update(recordings: Sequence[Recording], ground: GroundPrior, changes: Mappin
     """
     wider = ground.widened(CHANGES if changes is None else changes)
     model, constants = ground.model.model, ground.model.constants
-    motions, _ = prepare(recordings, model.arm.joint_names, ground.model.cutoff_hz, average=False)
+    motions, _ = prepare(placed(recordings, model.arm), model.arm.joint_names, ground.model.cutoff_hz, average=False)
     regression = Regression(model, motions)
     regression.update_background(ground.model.parameters, constants)
     unit = np.concatenate([np.ones(len(ground.model.parameters)), np.where(constants > 0, constants, 1.0)])

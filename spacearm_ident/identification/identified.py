@@ -76,6 +76,19 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class BaseBody:
+    """What a free base's momentum balance says of the body that carries the arm.
+
+    Attributes:
+        estimates: Its ten inertial parameters about the base link's frame, as the arm's own values have them.
+        combined: What the data determine of it: base parameters that one of the ten leads.
+    """
+
+    estimates: tuple[Estimate, ...]
+    combined: tuple[Estimate, ...]
+
+
+@dataclass(frozen=True)
 class Identified:
     """Result of an identification.
 
@@ -95,6 +108,7 @@ class Identified:
         solver: How the solver ended, in words.
         joints_at_rest: Joints that never moved: nothing is known of their friction.
         notes: Further things a user should know.
+        base_body: The body that carries the arm, where its motion was recorded and nothing else holds it.
     """
 
     model: IdentifiedModel
@@ -111,6 +125,7 @@ class Identified:
     solver: str = ""
     joints_at_rest: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default_factory=tuple)
+    base_body: BaseBody | None = None
 
 
 @dataclass(frozen=True)

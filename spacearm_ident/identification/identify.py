@@ -1,7 +1,7 @@
 """From recordings to an `Identified` model: the one pass every front end calls.
 
 Recordings -> motions -> regression -> solution, reweighted by its own residual -> structure -> standard errors ->
-physically consistent full set -> what determined each of the parameters. The solver is the separable one unless
+physically consistent full set -> what determined each of the parameters -> the free base that carries the arm. The solver is the separable one unless
 another of `solvers` is asked for.
 """
 
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.base_link import base_notes, placed
 from ..dynamics.base_parameters import BaseParameters, base_parameters
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel, structure_of
 from ..errors import UnfitDataError, UserError
@@ -24,6 +25,7 @@ from . import instrumental, pso_lm
 from .consistency import make_consistent
 from .determination import judge, open_ended
 from .identified import Choice, Identified
+from .momentum import base_body
 from .prior import Prior, make_prior
 from .regression import Regression
 from .separable import PRESENCE_GATE, Solution, solve, system, without_constants
@@ -91,6 +93,8 @@ def identify(
     report = progress or (lambda share, what: None)
     _check(recordings, arm)
     report(0.0, "filtering")
+    on_base = base_notes(recordings, arm)
+    recordings = placed(recordings, arm)
     motions, bandwidth = prepare(recordings, arm.joint_names, settings.cutoff_hz)
     report(0.2, "searching the friction constants")
     choices: tuple[Choice, ...] = ()
@@ -110,6 +114,8 @@ def identify(
         fit = _fit_instrumental(fit, recordings, bandwidth.cutoff_hz)
     report(0.8, "standard errors and physical consistency")
     result = _conclude(fit, provenance or {}, choices, bandwidth, _solver_words(settings, fit.solution))
+    body, words = base_body(motions, result.model, result.covariance)
+    result = replace(result, base_body=body, notes=(*result.notes, *on_base, *words))
     report(1.0, "done")
     return result
 
@@ -190,11 +196,16 @@ def _fit_instrumental(known: _Fit, recordings: Sequence[Recording], cutoff_hz: f
         regression, Regression(model, first), Regression(model, second), prior, solution
     )
     residuals = residuals_of(regression, solution)
-    base = base_parameters(model)
+    base = _base_parameters(regression)
     fit = _Fit(regression, prior, replace(solution, parameters=parameters), residuals, noise)
     errors = _base_errors(base, _covariance(fit), len(parameters))
     verdict = instrumental.compare(base, parameters, solution.parameters, errors)
     return replace(fit, stages=(verdict.words,))
+
+
+def _base_parameters(regression: Regression) -> BaseParameters:
+    moving = any(motion.base is not None for motion in regression.motions)
+    return base_parameters(regression.model, moving_base=moving)
 
 
 def _base_errors(base: BaseParameters, spread: FloatArray, count: int) -> FloatArray:
@@ -223,7 +234,7 @@ def _conclude(
     spread = _covariance(fit)
     matrix, _ = system(regression, prior, solution.constants)
     consistent = make_consistent(model, matrix, solution.parameters, prior.scale)
-    base = base_parameters(model)
+    base = _base_parameters(regression)
     values = base.regrouping @ solution.parameters
     count = len(model.parameters)
     errors = _base_errors(base, spread, count)
