@@ -16,9 +16,8 @@ from spacearm_ident.recording.recording import BaseSensor, Recording
 
 URDF = urdf_of(THREE_LINKS)
 JOINTS = tuple(link.name for link in THREE_LINKS)
-BASE = pin.Inertia(
-    25.0, np.array([0.05, -0.03, -0.2]), np.array([[1.2, 0.1, -0.05], [0.1, 1.0, 0.08], [-0.05, 0.08, 0.8]])
-)
+TURNING = np.array([[1.2, 0.1, -0.05], [0.1, 1.0, 0.08], [-0.05, 0.08, 0.8]])
+BASE = pin.Inertia(25.0, np.array([0.05, -0.03, -0.2]), TURNING)
 COULOMB, VISCOUS, ROTOR = np.array([0.6, 0.8, 0.4]), np.array([0.5, 0.7, 0.3]), np.array([0.2, 0.25, 0.1])
 ORIGIN = np.array([0.12, -0.05, 0.3])
 """Of the IMU that does not sit in the base link's frame."""

@@ -54,7 +54,7 @@ def add(commands: Any) -> None:
         const=200.0,
         default=0.0,
         metavar="HZ",
-        help="record an IMU on the base as /base_imu (at 200 Hz unless said); see the effect floating_base of --conceal",
+        help="record an IMU on the base, /base_imu (200 Hz unless said); the effect floating_base moves it",
     )
     command.add_argument("--noise", type=float, default=1.0, metavar="FACTOR", help="times the default noise; 0: none")
     common.add_output_options(command)

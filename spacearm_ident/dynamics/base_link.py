@@ -50,8 +50,8 @@ def _placed(sensor: BaseSensor, arm: Arm) -> BaseSensor:
     if frame is None or frame.parentJoint != 0:
         why = "no frame of the URDF" if frame is None else "not fixed to its base"
         raise UserError(
-            f"{sensor.topic} is in the frame {sensor.frame!r}, {why}: let it be {model.frames[1].name!r}, or join it to "
-            "that by a fixed joint of the URDF (--arm); --fixed-base leaves the topic out"
+            f"{sensor.topic} is in the frame {sensor.frame!r}, {why}: let it be {model.frames[1].name!r}, or join it "
+            "to that by a fixed joint of the URDF (--arm); --fixed-base leaves the topic out"
         )
     return replace(sensor, rotation=np.array(frame.placement.rotation), origin=np.array(frame.placement.translation))
 

@@ -1,8 +1,8 @@
 """From recordings to an `Identified` model: the one pass every front end calls.
 
 Recordings -> motions -> regression -> solution, reweighted by its own residual -> structure -> standard errors ->
-physically consistent full set -> what determined each of the parameters -> the free base that carries the arm. The solver is the separable one unless
-another of `solvers` is asked for.
+physically consistent full set -> what determined each of the parameters -> the free base that carries the arm. The
+solver is the separable one unless another of `solvers` is asked for.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ ROUNDS = 2
 """Of instruments made with the last estimate."""
 VAGUE = 100.0
 """The prior believes the base's mass known to so many times its CAD mass or the arm's, about a metre from its frame."""
-HAC_S = 1.0
-"""Lag up to which residuals may be correlated, s."""
+HAC_S = 0.3
+"""Lag up to which residuals may be correlated, s: a period and a half of the narrowest bandwidth."""
 SMOOTH_S = 0.25
 HELD_SHARE = 0.3
 """A base whose slow force or moment is by more than this share not of the arm's making is not free."""
@@ -213,7 +213,8 @@ def _size(values: FloatArray) -> FloatArray | None:
 
 def _parameters(arm: Arm) -> list[Parameter]:
     """The inertial parameters of the base and of all links."""
-    names = (base_link(arm.urdf), *arm.joint_names)
+    name = base_link(arm.urdf)
+    names = (f"{name} link" if name in arm.joint_names else name, *arm.joint_names)
     return [Parameter(symbol, name, unit) for name in names for symbol, unit in zip(INERTIAL_SYMBOLS, INERTIAL_UNITS)]
 
 

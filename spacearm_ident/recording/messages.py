@@ -1,8 +1,8 @@
 """The ROS 2 message types a recording is made of: names, definition texts, type hashes.
 
-Written from the public interface definitions of ROS 2 Jazzy (`std_msgs`, `sensor_msgs`, `nav_msgs`, `geometry_msgs`), comments left out.
-A definition text is in the `ros2msg` schema encoding of MCAP: the definition itself, then each type it
-depends on behind a line of 80 `=` and a line `MSG: package/Name`.
+Written from the public interface definitions of ROS 2 Jazzy (`std_msgs`, `sensor_msgs`, `nav_msgs`, `geometry_msgs`),
+comments left out. A definition text is in the `ros2msg` schema encoding of MCAP: the definition itself, then each type
+it depends on behind a line of 80 `=` and a line `MSG: package/Name`.
 """
 
 from __future__ import annotations

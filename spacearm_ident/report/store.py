@@ -20,6 +20,7 @@ from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
 from ..identification.identified import (
+    BaseBody,
     Choice,
     Determination,
     Estimate,
@@ -106,7 +107,7 @@ def _plain(result: Result) -> dict[str, Any]:
     bandwidth = identified.bandwidth
     return {
         "written": result.written,
-        "estimates": [{**asdict(item), "determination": item.determination.value} for item in identified.estimates],
+        "estimates": [_estimate_dict(item) for item in identified.estimates],
         "base": {
             "independent": list(identified.base.independent),
             "names": list(identified.base.names),
@@ -118,6 +119,11 @@ def _plain(result: Result) -> dict[str, Any]:
         "solver": identified.solver,
         "joints_at_rest": list(identified.joints_at_rest),
         "notes": list(identified.notes),
+        "base_body": identified.base_body
+        and {
+            name: [_estimate_dict(item) for item in getattr(identified.base_body, name)]
+            for name in ("estimates", "combined")
+        },
         "validation": {
             "joints": {name: asdict(joint) for name, joint in validation.joints.items()},
             "traces": [trace.source for trace in validation.traces],
@@ -125,6 +131,10 @@ def _plain(result: Result) -> dict[str, Any]:
             "held_out": validation.held_out,
         },
     }
+
+
+def _estimate_dict(item: Estimate) -> dict[str, Any]:
+    return {**asdict(item), "determination": item.determination.value}
 
 
 def _as_json(value: Any) -> Any:
@@ -157,9 +167,14 @@ def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> R
         solver=data["solver"],
         joints_at_rest=tuple(data["joints_at_rest"]),
         notes=tuple(data["notes"]),
+        base_body=_base_body(data.get("base_body")),
         **{name: arrays[name] for name in ("base_values", "base_errors", "covariance", "residual_sigma_Nm", "rows")},
     )
     return Result(identified, _validation(data["validation"], arrays), data["written"])
+
+
+def _base_body(data: dict[str, Any] | None) -> BaseBody | None:
+    return BaseBody(**{name: tuple(map(_estimate, items)) for name, items in data.items()}) if data else None
 
 
 def _estimate(item: dict[str, Any]) -> Estimate:
