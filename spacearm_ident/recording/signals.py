@@ -193,19 +193,17 @@ def _motions(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, ask
 def _filtered(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, source: int) -> list[Motion]:
     """The stretch low-passed, without its edges; nothing where it is all edge."""
     rate, cutoff = stretch.rate_hz, bandwidth.cutoff_hz
-    if len(stretch.position) / rate < SHORTEST_CUTOFF_PERIODS / cutoff:
+    # A base answers to accelerations, not to friction: what it does above the motion's bandwidth is its sensor's noise.
+    slowest = cutoff if stretch.base is None else min(cutoff, bandwidth.motion_hz)
+    if len(stretch.position) / rate < SHORTEST_CUTOFF_PERIODS / slowest:
         return []
-    padding = int(PADDING_CUTOFF_PERIODS * rate / cutoff)
-    low_pass = butter(4, cutoff, fs=rate, output="sos")
-
-    def smooth(signal: FloatArray) -> FloatArray:
-        return np.asarray(sosfiltfilt(low_pass, signal, axis=0, padlen=padding))
-
-    position = smooth(stretch.position)
+    position = _low_passed(stretch.position, rate, cutoff)
     velocity = _differentiate(position, rate)
     acceleration = _differentiate(velocity, rate)
-    base = None if stretch.base is None else stretch.base.motion(smooth, lambda signal: _differentiate(signal, rate))
-    edge = int(np.ceil(EDGE_CUTOFF_PERIODS * rate / cutoff))
+    base = stretch.base and stretch.base.motion(
+        lambda signal: _low_passed(signal, rate, slowest), lambda signal: _differentiate(signal, rate)
+    )
+    edge = int(np.ceil(EDGE_CUTOFF_PERIODS * rate / slowest))
     inner = slice(edge, len(position) - edge)
     position, velocity, acceleration, kept = position[inner], velocity[inner], acceleration[inner], stretch[inner]
     noise = _speed_noise(bandwidth.position_noise, rate, cutoff)
@@ -225,7 +223,7 @@ def _filtered(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, so
             cutoff_hz=cutoff,
             stride=max(1, int(rate / block / (4 * cutoff))),
             temperature=kept.temperature,
-            base=None if base is None else base[inner],
+            base=base and base[inner],
             source=source,
         )
     ]
@@ -264,6 +262,12 @@ def _averaged(
     )
     rows = np.stack([motion.reduce(one) for one in torque])
     return replace(motion, noise_Nm=np.sqrt(rows.var(axis=0, ddof=1).mean(axis=0) / period.count))
+
+
+def _low_passed(signal: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:
+    """Zero-phase Butterworth along the first axis."""
+    padding = int(PADDING_CUTOFF_PERIODS * rate_hz / cutoff_hz)
+    return np.asarray(sosfiltfilt(butter(4, cutoff_hz, fs=rate_hz, output="sos"), signal, axis=0, padlen=padding))
 
 
 def _speed_noise(position_noise: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:
