@@ -7,6 +7,7 @@ its acceleration and the torques from Pinocchio's Newton-Euler on the free flyer
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -46,7 +47,7 @@ class Flight:
 
 
 def truth() -> dict[str, float]:
-    """Every inertial parameter by name, the base's among them."""
+    """Every inertial and rotor parameter by name, the base's among them, and friction."""
     bodies = {"base": BASE}
     model = pin.buildModelFromXML(URDF)
     bodies |= {name: model.inertias[k + 1] for k, name in enumerate(JOINTS)}
@@ -56,10 +57,26 @@ def truth() -> dict[str, float]:
         for name, body in bodies.items()
         for symbol, value in zip(symbols, body.toDynamicParameters())
     }
-    return named | {f"J_m[{name}]": float(value) for name, value in zip(JOINTS, ROTOR)}
+    for symbols, values in ((("J_m",), ROTOR), (("f_c", "f_b"), COULOMB), (("k_v1",), VISCOUS)):
+        named |= {f"{symbol}[{name}]": float(value) for symbol in symbols for name, value in zip(JOINTS, values)}
+    return named
 
 
-def fly(duration_s: float = 24.0, rate_hz: float = 200.0, seed: int = 0) -> Flight:
+def combination(name: str) -> float:
+    """The true value of a base parameter, such as `mcz[base] - 0.3 m[elbow]`; what is not known counts nothing."""
+    known, total, sign, factor = truth(), 0.0, 1.0, 1.0
+    for word in name.split(" "):
+        if word in "+-":
+            sign, factor = (1.0 if word == "+" else -1.0), 1.0
+        elif "[" in word:
+            total += sign * factor * known.get(word, 0.0)
+        else:
+            factor = float(word)
+    return total
+
+
+@cache
+def fly(duration_s: float = 20.0, rate_hz: float = 100.0, seed: int = 0) -> Flight:
     """The arm waves; the base answers."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, duration_s, 1.0 / rate_hz)
