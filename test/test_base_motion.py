@@ -12,7 +12,7 @@ from floating_arm import fly, recorded
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.base_link import base_link, base_notes, placed
 from spacearm_ident.errors import UserError
-from spacearm_ident.recording import RecordingWriter, cdr, messages, read_recording, write_recording
+from spacearm_ident.recording import RecordingWriter, cdr, copy_messages, messages, read_recording, write_recording
 from spacearm_ident.recording.base_motion import moves
 from spacearm_ident.recording.recording import BaseSensor
 from spacearm_ident.recording.signals import prepare
@@ -45,8 +45,6 @@ def bag(tmp_path, change=lambda k, message: message, shift_ns=0, **covariance):
     write_recording(tmp_path / "joints.mcap", replace(recording, base=None))
     path = tmp_path / "bag.mcap"
     first, second = covariance.get("rate", 0.0), covariance.get("force", 0.0)
-    from spacearm_ident.recording import copy_messages
-
     with RecordingWriter(path) as writer:
         copy_messages(tmp_path / "joints.mcap", writer)
         channel = writer.add_topic(messages.BASE_IMU_TOPIC, messages.IMU)
@@ -204,5 +202,5 @@ def test_a_base_at_rest_is_taken_for_fixed_and_odd_gravity_is_told():
     assert base_notes([at_rest], ARM) == ["recording 1: /base_imu: the base stands still and is taken for fixed"]
     (_, odd) = base_notes([at_rest], ARM.with_gravity(np.zeros(3)))
     assert "-9.81" in odd and "--gravity" in odd
-    turning = replace(at_rest, base=replace(at_rest.base, rate=still + [0.0, 0.0, 0.1]))
+    turning = replace(at_rest, base=replace(at_rest.base, rate=still + np.array([0.0, 0.0, 0.1])))
     assert moves(turning.base)
