@@ -52,7 +52,7 @@ class _BaseIntake:
         self._note(keep, "nan", "messages with NaN, infinite or absent values left out", stamps)
         self._note(~keep | (frames == frame), "base_frame", f"messages of other frames than {frame} left out", stamps)
         keep &= frames == frame
-        in_time = np.zeros(len(keep), dtype=bool)
+        in_time: BoolArray = np.zeros(len(keep), dtype=bool)
         in_time[keep] = increasing(stamps[keep])
         text = "messages with repeated stamps or stamps out of order left out"
         self._note(~keep | in_time, "backward_stamp", text, stamps)
@@ -116,11 +116,11 @@ class _BaseIntake:
 
     def _runs(self, time: FloatArray) -> tuple[slice, ...]:
         """Runs without a gap, and the finding that says for how long the joint states are without base motion."""
-        breaks = np.flatnonzero(np.diff(time) > gap_threshold_s(time)) + 1
+        breaks: IntArray = np.flatnonzero(np.diff(time) > gap_threshold_s(time)) + 1
         runs = tuple(slice(start, stop) for start, stop in pairwise([0, *breaks.tolist(), len(time)]))
         start = self._states.samples.stamp_ns[0]
         joints = (self._states.samples.stamp_ns - start) / 1e9
-        bare = np.ones(len(joints), dtype=bool)
+        bare: BoolArray = np.ones(len(joints), dtype=bool)
         for run in runs:
             bare &= (joints < time[run.start]) | (joints > time[run.stop - 1])
         step = float(np.median(np.diff(time)))
