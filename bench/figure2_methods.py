@@ -15,7 +15,7 @@ from spacearm_ident.dynamics.arm import FloatArray
 from spacearm_ident.dynamics.model import TorqueModel
 from spacearm_ident.identification import pso, pso_lm, separable
 from spacearm_ident.identification.consistency import make_consistent
-from spacearm_ident.identification.identify import reweighted, searched
+from spacearm_ident.identification.fit import reweighted, searched
 from spacearm_ident.identification.prior import Prior
 from spacearm_ident.identification.regression import Regression
 from spacearm_ident.identification.separable import Solution

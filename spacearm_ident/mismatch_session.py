@@ -41,6 +41,7 @@ def explain_session(
     arm: Path | None = None,
     gravity: Sequence[float] | None = None,
     excluded: Sequence[str] = (),
+    fixed_base: bool = False,
     command: str | None = None,
     progress: Progress | None = None,
 ) -> MismatchSession:
@@ -54,6 +55,7 @@ def explain_session(
         arm: URDF or arm YAML; None: the model's, or of the bags' `/robot_description`.
         gravity: (3,) m/s^2 instead of the arm's.
         excluded: Effects that are not to be considered.
+        fixed_base: Take the base for fixed though the bags hold its motion.
         command: How to do it again; kept with the result.
         progress: Called with a share done in 0..1 and what is being done.
 
@@ -62,8 +64,8 @@ def explain_session(
     """
     report = progress or (lambda share, what: None)
     reading = within(report, 0.0, 0.1)
-    known = _reference(reference, reading)
-    bags, judges = read_bags(field, reading), read_bags(judged, reading)
+    known = _reference(reference, reading, fixed_base)
+    bags, judges = read_bags(field, reading, fixed_base), read_bags(judged, reading, fixed_base)
     healthy = [] if isinstance(known, IdentifiedModel) else known
     recordings = (*bags, *healthy, *judges)
     its_arm = _arm(arm, gravity, known, recordings)
@@ -72,11 +74,11 @@ def explain_session(
     return MismatchSession(explanation, page, recordings)
 
 
-def _reference(paths: Sequence[Path], progress: Progress) -> list[Recording] | IdentifiedModel:
+def _reference(paths: Sequence[Path], progress: Progress, fixed_base: bool) -> list[Recording] | IdentifiedModel:
     """Bags, or the one model file."""
     models = [path for path in paths if path.suffix in MODEL_SUFFIXES]
     if not models:
-        return read_bags(paths, progress)
+        return read_bags(paths, progress, fixed_base)
     if len(paths) > 1:
         raise UserError("give bags of the healthy arm or one model file as reference, not both")
     return load_model(models[0])

@@ -7,7 +7,7 @@ same because the code is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -101,8 +101,8 @@ def _what(fitted: Sequence[Recording], validated: Sequence[Recording]) -> str:
     return ON_THE_FITTED if again else ON_OTHERS
 
 
-def read_bags(paths: Sequence[Path], progress: Progress) -> list[Recording]:
-    """Read bags one after the other.
+def read_bags(paths: Sequence[Path], progress: Progress, fixed_base: bool = False) -> list[Recording]:
+    """Read bags one after the other; with `fixed_base`, as if no base motion had been recorded.
 
     Raises:
         UserError: One cannot be read, or holds no joint states.
@@ -110,7 +110,8 @@ def read_bags(paths: Sequence[Path], progress: Progress) -> list[Recording]:
     recordings = []
     for number, path in enumerate(paths):
         progress(number / len(paths), f"reading {path.name}")
-        recordings.append(read_recording(path))
+        recording = read_recording(path)
+        recordings.append(replace(recording, base=None) if fixed_base else recording)
     return recordings
 
 

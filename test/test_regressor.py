@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from planted_arm import THREE_LINKS, Link, real, trees, urdf_of
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
-from spacearm_ident.dynamics.regressor import regressor, rigid_body_blocks
+from spacearm_ident.dynamics.regressor import BASE_LINK, BASE_ROWS, regressor, rigid_body_blocks
+from spacearm_ident.recording.base_motion import BaseMotion
 
 SAMPLES = 4
 
@@ -19,6 +20,8 @@ def pinocchio_position(model, q):
     for k in range(1, model.njoints):
         joint = model.joints[k]
         value = q[joint.idx_v]
+        if joint.nq == 7:  # A free base stays where it is: only its velocity and acceleration count.
+            continue
         whole[joint.idx_q : joint.idx_q + joint.nq] = (np.cos(value), np.sin(value)) if joint.nq == 2 else (value,)
     return whole
 
@@ -53,6 +56,38 @@ def test_it_is_pinocchio_s_on_any_tree(links, gravity, seed):
     np.testing.assert_allclose(mine, columns, rtol=0, atol=1e-10 * scale)
     inertials = np.concatenate([joint.inertial for joint in arm.joints])
     np.testing.assert_allclose(mine @ inertials, torque, rtol=0, atol=1e-9 * max(1.0, np.abs(torque).max()))
+
+
+@given(links=trees(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_on_a_moving_base_it_is_pinocchio_s_on_a_free_flyer(links, seed):
+    rng = np.random.default_rng(seed)
+    urdf = urdf_of(links)
+    arm = arm_from_urdf(urdf)
+    count = len(arm.joints)
+    q, qd, qdd = rng.uniform(-3, 3, (3, SAMPLES, count))
+    speed, rate, rate_dot, acceleration, gravity = rng.uniform(-3, 3, (5, SAMPLES, 3))
+    model = pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer())
+    # The joints' torque must not depend on how fast the base goes straight on, nor on what of its force is gravity.
+    base = BaseMotion(rate, rate_dot, acceleration - gravity)
+    blocks = rigid_body_blocks(arm, q, qd, qdd, base, base_rows=True)
+    for k in range(SAMPLES):
+        model.gravity.linear = gravity[k]
+        twist, joints = np.concatenate([speed[k], rate[k]]), np.zeros(model.nv)
+        # Pinocchio's spatial acceleration is the classical one less the angular times the linear velocity.
+        joints[:3], joints[3:6], joints[6:] = acceleration[k] - np.cross(rate[k], speed[k]), rate_dot[k], qdd[k]
+        position = pinocchio_position(model, np.concatenate([np.zeros(6), q[k]]))
+        theirs = pin.computeJointTorqueRegressor(
+            model, model.createData(), position, np.concatenate([twist, qd[k]]), joints
+        )
+        mine = np.zeros((6 + count, 10 * (1 + count)))
+        for (row, link), block in blocks.items():
+            mine[6 + row, 10 * (link + 1) : 10 * (link + 2)] = block[:, k]
+        np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-10 * max(1.0, np.abs(theirs).max()))
+    assert {(row, BASE_LINK) for row in BASE_ROWS} < set(blocks)
+    plain = rigid_body_blocks(arm, q, qd, qdd, base)
+    assert set(plain) == {place for place in blocks if place[0] >= 0}
+    assert all(np.array_equal(plain[place], blocks[place]) for place in plain)
 
 
 def test_blocks_are_there_exactly_where_a_joint_carries_a_link():

@@ -22,6 +22,7 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import (
+    BaseSensor,
     Recording,
     RecordingWriter,
     Series,
@@ -60,6 +61,7 @@ def recordings(draw) -> Recording:
         start_ns=START + draw(st.integers(0, 10**12)),
         command=Series(command_time + 0.5, matrix(len(command_time))) if draw(st.booleans()) else None,
         temperatures={joints[0]: Series(warm_time, 20.0 + warm_time)} if draw(st.booleans()) else {},
+        base=draw(st.sampled_from([None, on_base(time, odometry=False), on_base(time, odometry=True)])),
         urdf=draw(st.one_of(st.none(), st.text("<robot/> äö\n", min_size=1))),
     )
 
@@ -77,8 +79,21 @@ def example(count: int = 500) -> Recording:
         start_ns=START,
         command=Series(time[::4], values[::4]),
         temperatures={"j2": Series(np.array([0.0, 0.25]), np.array([20.0, 20.5]))},
+        base=on_base(time, odometry=False),
         urdf="<robot name='a'/>",
     )
+
+
+def on_base(time: np.ndarray, *, odometry: bool) -> BaseSensor:
+    """A sensor that turns slowly, 20 samples over the times."""
+    clock = np.rint(np.linspace(time[0], time[-1], 20) * 1e9) / 1e9
+    rate, linear = np.sin(np.outer(clock, [1.0, 2.0, 3.0])), np.cos(np.outer(clock, [3.0, 1.0, 2.0]))
+    runs = (slice(0, 20),)
+    if not odometry:
+        return BaseSensor(messages.BASE_IMU_TOPIC, "base", clock, rate, runs, force=linear)
+    half = 0.5 * clock
+    attitude = np.stack([np.sin(half), 0 * half, 0 * half, np.cos(half)], axis=1)
+    return BaseSensor(messages.BASE_ODOMETRY_TOPIC, "base", clock, rate, runs, velocity=linear, attitude=attitude)
 
 
 def assert_equal(one: Recording, other: Recording) -> None:
@@ -92,6 +107,11 @@ def assert_equal(one: Recording, other: Recording) -> None:
         assert np.array_equal(getattr(one, name), getattr(other, name))
     assert np.array_equal(one.velocity, other.velocity) if one.velocity is not None else other.velocity is None
     assert same(one.command, other.command)
+    assert (one.base is None) == (other.base is None)
+    if one.base is not None and other.base is not None:
+        assert (one.base.topic, one.base.frame, one.base.runs) == (other.base.topic, other.base.frame, other.base.runs)
+        for name in ("rate", "force", "velocity", "attitude"):
+            assert np.array_equal(getattr(one.base, name), getattr(other.base, name))
     assert one.temperatures.keys() == other.temperatures.keys()
     assert all(same(one.temperatures[name], other.temperatures[name]) for name in one.temperatures)
 
@@ -109,11 +129,12 @@ def test_rosbags_reads_the_folder_with_types_hashes_and_qos(tmp_path):
     recording = example()
     write_recording(tmp_path / "run", recording)
     with RosbagsReader(tmp_path / "run") as reader:
-        assert reader.message_count == 500 + 125 + 2 + 1
+        assert reader.message_count == 500 + 125 + 2 + 1 + 20
         assert reader.start_time == START and reader.end_time == START + 499_000_000 + 1
         assert reader.ros_distro == "jazzy"
         kinds = {c.topic: (c.msgtype, c.digest) for c in reader.connections}
-        assert kinds == {name: (kind.name, kind.type_hash) for name, kind in messages.TOPIC_TYPES.items()}
+        declared = {name: (kind.name, kind.type_hash) for name, kind in messages.TOPIC_TYPES.items()}
+        assert kinds == {name: kind for name, kind in declared.items() if name != messages.BASE_ODOMETRY_TOPIC}
         durability = {c.topic: c.ext.offered_qos_profiles[0].durability for c in reader.connections}
         assert durability[messages.DESCRIPTION_TOPIC] == QosDurability.TRANSIENT_LOCAL
         assert durability[messages.STATES_TOPIC] == QosDurability.VOLATILE
@@ -142,7 +163,7 @@ def test_the_single_file_is_indexed_in_time_order_and_decodes_with_mcap_ros2(tmp
             assert profile["durability"] == ("transient_local" if latched else "volatile")
         decoded = list(reader.iter_decoded_messages(log_time_order=False))
     times = [message.log_time for _, _, message, _ in decoded]
-    assert times == sorted(times) and len(times) == 628
+    assert times == sorted(times) and len(times) == 648
     [urdf] = [m.data for _, channel, _, m in decoded if channel.topic == messages.DESCRIPTION_TOPIC]
     assert urdf == "<robot name='a'/>"
 

@@ -37,6 +37,13 @@ def add_arm_options(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_base_option(command: argparse.ArgumentParser) -> None:
+    """`--fixed-base`."""
+    command.add_argument(
+        "--fixed-base", action="store_true", help="take the base for fixed though the bag holds its motion (/base_imu)"
+    )
+
+
 def add_output_options(command: argparse.ArgumentParser) -> None:
     """`--json` and `--quiet`."""
     command.add_argument("--json", action="store_true", help="print the result as JSON on standard output")

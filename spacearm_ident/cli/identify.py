@@ -36,6 +36,7 @@ def add(commands: Any) -> None:
     )
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="result folder")
     common.add_arm_options(command)
+    common.add_base_option(command)
     command.add_argument(
         "--bandwidth", type=float, metavar="HZ", help="low-pass cut-off; default: chosen from the data, and said"
     )
@@ -96,8 +97,8 @@ def _add_surroundings(command: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read, identify, validate, write."""
     with common.progress(options) as report:
-        fitted = common.read_bags(options.bags, common.within(report, 0.0, 0.2))
-        validated = common.read_bags(options.validate, common.within(report, 0.2, 0.3))
+        fitted = common.read_bags(options.bags, common.within(report, 0.0, 0.2), options.fixed_base)
+        validated = common.read_bags(options.validate, common.within(report, 0.2, 0.3), options.fixed_base)
         prior = load_prior(options.prior) if options.prior else None
         arm = common.arm_of(options, [*fitted, *validated], prior)
         session = identify_session(

@@ -45,6 +45,7 @@ def add(commands: Any) -> None:
         help="recordings to judge on; default: the last third of each BAG is held out",
     )
     common.add_arm_options(command)
+    common.add_base_option(command)
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="where to")
     command.add_argument(
         "--without", nargs="+", default=[], metavar="EFFECT", help="effects that are not to be considered"
@@ -68,6 +69,7 @@ def run(options: argparse.Namespace) -> int:
             arm=options.arm,
             gravity=options.gravity,
             excluded=options.without,
+            fixed_base=options.fixed_base,
             command=options.command_line,
             progress=report,
         )

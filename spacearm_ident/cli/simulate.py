@@ -60,6 +60,15 @@ def add(commands: Any) -> None:
         "--gravity", type=float, nargs=3, metavar=("X", "Y", "Z"), help="instead of the model's, m/s^2 (0 0 0 in orbit)"
     )
     command.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default 0)")
+    command.add_argument(
+        "--base-imu",
+        type=float,
+        nargs="?",
+        const=200.0,
+        default=0.0,
+        metavar="HZ",
+        help="record an IMU on the base, /base_imu (200 Hz unless said); the effect floating_base moves it",
+    )
     command.add_argument("--noise", type=float, default=1.0, metavar="FACTOR", help="times the default noise; 0: none")
     common.add_output_options(command)
     command.set_defaults(run=run)
@@ -69,6 +78,8 @@ def run(options: argparse.Namespace) -> int:
     """Load, simulate, write."""
     if options.noise < 0:
         raise UserError(f"--noise {options.noise:g} is negative: give 0 for none, 1 for the default")
+    if options.base_imu < 0:
+        raise UserError(f"--base-imu {options.base_imu:g} is negative: give its rate in Hz, such as 200")
     model = load_model(options.model)
     arm = model.model.arm if options.arm is None else load_arm(options.arm)
     parameters, effects = simulated_arm(model, arm.urdf)
@@ -79,7 +90,15 @@ def run(options: argparse.Namespace) -> int:
         effects += load_concealed(options.conceal, parameters.joints)
     with common.progress(options) as report:
         recording = record(
-            parameters, trajectory, arm, options.seed, options.noise, report, effects, options.temperature
+            parameters,
+            trajectory,
+            arm,
+            options.seed,
+            options.noise,
+            report,
+            effects,
+            options.temperature,
+            imu_rate_hz=options.base_imu,
         )
         write_recording(options.out, recording)
     if options.json:
@@ -98,6 +117,8 @@ def record(
     report: common.Report,
     effects: Sequence[Effect] = (),
     temperature: float = 20.0,
+    *,
+    imu_rate_hz: float = 0.0,
 ) -> Recording:
     """Simulate one run of an arm under its drives, with `effects` concealed in it, at a `temperature` (°C).
 
@@ -110,13 +131,16 @@ def record(
         )
     usual = SensorNoise()
     sensors = (
-        SensorNoise.none()
+        SensorNoise.none(imu_rate_hz)
         if noise == 0
         else SensorNoise(
             effort_white=noise * usual.effort_white,
             effort_coloured=noise * usual.effort_coloured,
             velocity_noise=noise * usual.velocity_noise,
             temperature_noise=noise * usual.temperature_noise,
+            imu_rate_hz=imu_rate_hz,
+            gyro_noise=noise * usual.gyro_noise,
+            accelerometer_noise=noise * usual.accelerometer_noise,
         )
     )
     drives = DriveData.plain(

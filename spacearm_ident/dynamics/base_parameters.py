@@ -6,14 +6,17 @@ random motions; their parameters regroup into the earlier ones: A x = A[:, indep
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..recording.base_motion import BaseMotion
 from ..recording.motion import Motion
 from .arm import FloatArray
 from .background import Background
 from .model import TorqueModel
+from .term import Parameter
 
 SAMPLES_A_PARAMETER = 6
 RANK_TOLERANCE = 1e-8
@@ -56,12 +59,22 @@ class BaseParameters:
         return float(np.max(np.abs(self.regrouping @ change)[known] / errors[known], initial=0.0))
 
 
-def base_parameters(model: TorqueModel, seed: int = 0) -> BaseParameters:
-    """The base parameters of a model, whatever the motion."""
-    columns = _random_columns(model, seed)
+def base_parameters(model: TorqueModel, seed: int = 0, *, moving_base: bool = False) -> BaseParameters:
+    """The base parameters of a model, whatever the motion; a base that moves, and is measured, reveals more."""
+    return regroup(_random_columns(model, seed, moving_base), model.parameters, _preference(model))
+
+
+def regroup(columns: FloatArray, parameters: Sequence[Parameter], preference: Sequence[int]) -> BaseParameters:
+    """The base parameters that columns on random motions show.
+
+    Args:
+        columns: (r, p), a column a parameter.
+        parameters: p, for the names.
+        preference: (p,) their numbers in the order in which they should lead.
+    """
     norms = np.linalg.norm(columns, axis=0)
     seen = norms > RANK_TOLERANCE * norms.max()
-    order = [k for k in _preference(model) if seen[k]]
+    order = [k for k in preference if seen[k]]
     scaled = columns[:, order] / norms[order]
     independent, dependent = _independent(scaled)
     solution = np.linalg.lstsq(scaled[:, independent], scaled[:, dependent], rcond=None)[0]
@@ -77,12 +90,17 @@ def base_parameters(model: TorqueModel, seed: int = 0) -> BaseParameters:
     sort = np.argsort(lead)
     regrouping = regrouping[sort]
     lead = [lead[k] for k in sort]
-    names = tuple(_name(model, row, first) for row, first in zip(regrouping, lead))
+    names = tuple(_name(parameters, row, first) for row, first in zip(regrouping, lead))
     unseen = tuple(int(k) for k in np.flatnonzero(~seen))
     return BaseParameters(tuple(lead), regrouping, names, unseen)
 
 
-def _random_columns(model: TorqueModel, seed: int) -> FloatArray:
+def random_base(rng: np.random.Generator, samples: int) -> BaseMotion:
+    """A base that moves at random."""
+    return BaseMotion(*rng.uniform(-2.0, 2.0, (3, samples, 3)))
+
+
+def _random_columns(model: TorqueModel, seed: int, moving_base: bool) -> FloatArray:
     """All columns on random motion states, (samples * n, p)."""
     joints = len(model.arm.joints)
     count = len(model.parameters)
@@ -91,11 +109,12 @@ def _random_columns(model: TorqueModel, seed: int) -> FloatArray:
     position, velocity, acceleration = rng.uniform(-2.0, 2.0, (3, samples, joints))
     zero = np.zeros(joints)
     torque = np.zeros_like(position)
-    warm = rng.uniform(0.0, 40.0, position.shape)
-    motion = Motion(
-        model.arm.joint_names, 1.0, 0.0, position, velocity, acceleration, torque, zero, zero, temperature=warm
-    )
     background = Background.known(rng.normal(size=position.shape))
+    base = random_base(rng, samples) if moving_base else None
+    names = model.arm.joint_names
+    warm = rng.uniform(0.0, 40.0, position.shape)
+    signals = position, velocity, acceleration, torque
+    motion = Motion(names, 1.0, 0.0, *signals, zero, zero, temperature=warm, base=base)
     whole = np.zeros((joints, samples, count))
     for term, first, _ in model.numbered():
         # The largest value a constant may have, so that its columns are felt at random speeds too.
@@ -125,13 +144,13 @@ def _independent(scaled: FloatArray) -> tuple[list[int], list[int]]:
     return independent, [k for k in range(scaled.shape[1]) if k not in set(independent)]
 
 
-def _name(model: TorqueModel, row: FloatArray, lead: int) -> str:
-    parts = [model.parameters[lead].name]
+def _name(parameters: Sequence[Parameter], row: FloatArray, lead: int) -> str:
+    parts = [parameters[lead].name]
     for k in np.flatnonzero(row):
         if k == lead:
             continue
         sign = "-" if row[k] < 0 else "+"
         size = abs(row[k])
         factor = "" if abs(size - 1) < 1e-6 else f"{size:.4g} "
-        parts.append(f"{sign} {factor}{model.parameters[k].name}")
+        parts.append(f"{sign} {factor}{parameters[k].name}")
     return " ".join(parts)

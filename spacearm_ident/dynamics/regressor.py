@@ -9,6 +9,10 @@ included), its angular velocity o and angular acceleration e,
 
 (Featherstone 2008, ch. 5; Atkeson, An and Hollerbach 1986, eq. 12). Every term is a product of vectors known for
 all samples, so there is no loop over time. Vectors are held as (3, N), one row a coordinate.
+
+A moving base changes where the recursion starts and nothing else: from its angular velocity and acceleration and its
+specific force instead of rest and minus gravity. Its own six rows, the wrench that would have to hold the base, come
+from six more twists (Dubowsky and Papadopoulos 1993): on a free base that wrench is zero.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..recording.base_motion import BaseMotion
 from .arm import Arm, FloatArray, Joint
 
 INERTIAL_SYMBOLS = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -32,8 +37,19 @@ class _LinkMotion:
     twists: dict[int, tuple[FloatArray, FloatArray]]
 
 
+BASE_ROWS = range(-6, 0)
+"""Rows of the base: force and moment at the base link's origin, in its axes."""
+BASE_LINK = -1
+
+
 def rigid_body_blocks(
-    arm: Arm, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    arm: Arm,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    base: BaseMotion | None = None,
+    *,
+    base_rows: bool = False,
 ) -> dict[tuple[int, int], FloatArray]:
     """The regressor's non-zero blocks.
 
@@ -42,21 +58,36 @@ def rigid_body_blocks(
         position: (N, n) rad or m.
         velocity: (N, n) rad/s or m/s.
         acceleration: (N, n) rad/s^2 or m/s^2.
+        base: Motion of the base; fixed where None.
+        base_rows: Whether the `BASE_ROWS` are wanted too, with the base link's own block.
 
     Returns:
-        (joint row, link) -> (10, N) columns, one row a parameter, N·m (N) per unit of it.
+        (joint row, link) -> (10, N) columns, one row a parameter, N·m (N) per unit of it. A base row is numbered as
+        in `BASE_ROWS`, the base link `BASE_LINK`.
     """
     motions: list[_LinkMotion] = []
-    samples = len(position)
-    base = _LinkMotion(np.zeros((3, samples)), np.zeros((3, samples)), np.tile(-arm.gravity[:, None], samples), {})
-    blocks = {}
+    root = _base_motion(arm, len(position), base, base_rows)
+    blocks = {(row, BASE_LINK): _block(*twist, root) for row, twist in root.twists.items()}
     for link, joint in enumerate(arm.joints):
-        carrier = base if joint.parent < 0 else motions[joint.parent]
+        carrier = root if joint.parent < 0 else motions[joint.parent]
         motion = _child_motion(joint, link, carrier, position[:, link], velocity[:, link], acceleration[:, link])
         motions.append(motion)
         for row, (linear, angular) in motion.twists.items():
             blocks[row, link] = _block(linear, angular, motion)
     return blocks
+
+
+def _base_motion(arm: Arm, samples: int, base: BaseMotion | None, rows: bool) -> _LinkMotion:
+    """Where the recursion starts, and the base's own six twists where they are wanted."""
+    twists = {}
+    if rows:
+        axes = np.eye(3)[:, :, None] * np.ones(samples)
+        zero = np.zeros((3, samples))
+        twists = {row: (axes[k], zero) if k < 3 else (zero, axes[k - 3]) for k, row in enumerate(BASE_ROWS)}
+    if base is None:
+        still = np.zeros((3, samples))
+        return _LinkMotion(still, still, np.tile(-arm.gravity[:, None], samples), twists)
+    return _LinkMotion(base.rate.T, base.rate_dot.T, base.force(arm.gravity).T, twists)
 
 
 def regressor(arm: Arm, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:

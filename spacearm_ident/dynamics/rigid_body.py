@@ -21,7 +21,7 @@ SMALLEST_SHARE = 0.1
 
 @dataclass(frozen=True)
 class RigidBody(Term):
-    """Mass, first moments and inertia about the joint frame of every link; gravity included."""
+    """Mass, first moments and inertia about the joint frame of every link; gravity and the base's motion included."""
 
     kind: ClassVar[str] = "rigid_body"
     words: ClassVar[str] = "rigid links"
@@ -47,7 +47,7 @@ class RigidBody(Term):
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """The joint-torque regressor."""
         assert self.arm is not None
-        blocks = rigid_body_blocks(self.arm, motion.position, motion.velocity, motion.acceleration)
+        blocks = rigid_body_blocks(self.arm, motion.position, motion.velocity, motion.acceleration, motion.base)
         rows: Columns = {}
         for row in range(len(self.arm.joints)):
             links = [link for (owner, link) in blocks if owner == row]

@@ -27,6 +27,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.base_link import placed
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..errors import UnfitDataError, UserError
 from ..recording.bandwidth import Bandwidth
@@ -188,7 +189,9 @@ def update(
     """
     wider = ground.widened(CHANGES if changes is None else changes)
     arm = ground.model.model.arm
-    motions, bandwidth = prepare(recordings, arm.joint_names, cutoff_hz or ground.model.cutoff_hz, average=False)
+    motions, bandwidth = prepare(
+        placed(recordings, arm), arm.joint_names, cutoff_hz or ground.model.cutoff_hz, average=False
+    )
     if not gravity:
         return _update(motions, bandwidth, wider)
     here, masses = arm.gravity, ground.model.parameters

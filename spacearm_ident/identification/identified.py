@@ -104,6 +104,19 @@ class Move:
 
 
 @dataclass(frozen=True)
+class BaseBody:
+    """What a free base's momentum balance says of the body that carries the arm.
+
+    Attributes:
+        estimates: Its ten inertial parameters about the base link's frame, as the arm's own values have them.
+        combined: What the data determine of it: base parameters that one of the ten leads.
+    """
+
+    estimates: tuple[Estimate, ...]
+    combined: tuple[Estimate, ...]
+
+
+@dataclass(frozen=True)
 class Identified:
     """Result of an identification.
 
@@ -125,6 +138,7 @@ class Identified:
         notes: Further things a user should know.
         environment: Vacuum or air, gravity, temperatures.
         moves: What was updated since the prior model, those of an update that have a spread; else empty.
+        base_body: The body that carries the arm, where its motion was recorded and nothing else holds it.
     """
 
     model: IdentifiedModel
@@ -143,6 +157,7 @@ class Identified:
     notes: tuple[str, ...] = field(default_factory=tuple)
     environment: Environment = field(default_factory=Environment)
     moves: tuple[Move, ...] = ()
+    base_body: BaseBody | None = None
 
 
 @dataclass(frozen=True)

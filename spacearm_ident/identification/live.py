@@ -27,8 +27,8 @@ from scipy.signal.windows import hann
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..recording.bandwidth import choose_bandwidth
+from ..recording.intake import GAP_MEDIANS
 from ..recording.motion import HALF_LENGTH, Motion
-from ..recording.reader import GAP_MEDIANS
 from ..recording.signals import STENCIL
 
 REACH = 1.5

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.base_link import placed
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.motion import Motion
@@ -35,7 +36,7 @@ def validate(model: IdentifiedModel, recordings: Sequence[Recording], what: str,
         UserError: A recording lacks a joint of the model.
     """
     joints = model.model.arm.joint_names
-    motions, _ = prepare(recordings, joints, model.cutoff_hz)
+    motions, _ = prepare(placed(recordings, model.model.arm), joints, model.cutoff_hz)
     traces, full = [], []
     for motion in motions:
         torque = model.torque(motion)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.base_link import placed
 from ..dynamics.model import IdentifiedModel
 from ..identification.identify import Settings, identify
 from ..recording.motion import Motion
@@ -74,7 +75,10 @@ def prepare_evidence(
     """
     known = reference if isinstance(reference, IdentifiedModel) else None
     healthy = [] if known is not None else list(reference)  # type: ignore[arg-type]
-    rates = [recording.rate_hz for recording in [*healthy, *field, *validation]]
+    healthy, field, validation = placed(healthy, arm), placed(field, arm), placed(validation, arm)
+    everything = [*healthy, *field, *validation]
+    rates = [recording.rate_hz for recording in everything]
+    rates += [recording.base.rate_hz for recording in everything if recording.base is not None]
     cutoff = min(CUTOFF_HZ, 0.2 * min(rates))
     base = known or identify(healthy or field, arm, Settings(cutoff_hz=cutoff)).model
     base = replace(base, cutoff_hz=cutoff)

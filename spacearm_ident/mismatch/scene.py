@@ -28,7 +28,7 @@ def coarse(motion: Motion, cutoff_hz: float, rate_hz: float = COARSE_HZ) -> Moti
     whole = len(motion.position) // step
 
     def mean(signal: FloatArray) -> FloatArray:
-        return np.asarray(signal[: whole * step].reshape(whole, step, -1).mean(axis=1))
+        return np.asarray(signal[: whole * step].reshape(whole, step, *signal.shape[1:]).mean(axis=1))
 
     rate = motion.rate_hz / step
     return replace(
@@ -40,6 +40,7 @@ def coarse(motion: Motion, cutoff_hz: float, rate_hz: float = COARSE_HZ) -> Moti
         acceleration=mean(motion.acceleration),
         torque=mean(motion.torque),
         temperature=None if motion.temperature is None else mean(motion.temperature),
+        base=None if motion.base is None else motion.base.mapped(mean),
         block=1,
         cutoff_hz=cutoff_hz,
         stride=max(1, int(rate / (4 * cutoff_hz))),

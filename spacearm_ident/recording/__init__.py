@@ -1,10 +1,11 @@
 """Bags in and out, and the signals in them: files to arrays (`Recording`) and back."""
 
 from spacearm_ident.recording.reader import describe, read_recording
-from spacearm_ident.recording.recording import FloatArray, Issue, Recording, Series, Source
+from spacearm_ident.recording.recording import BaseSensor, FloatArray, Issue, Recording, Series, Source
 from spacearm_ident.recording.writer import RecordingWriter, copy_messages, write_recording
 
 __all__ = [
+    "BaseSensor",
     "FloatArray",
     "Issue",
     "Recording",

@@ -44,6 +44,11 @@ class Bandwidth:
     position_noise: FloatArray
     reason: str
 
+    @property
+    def motion_hz(self) -> float:
+        """What the motion by itself needs, wherever the cut-off for torque was put."""
+        return float(np.clip(min(self.crossing_hz, DYNAMIC_FACTOR * self.dynamic_hz), *BOUNDS_HZ))
+
 
 def choose_bandwidth(position: FloatArray, rate_hz: float) -> Bandwidth:
     """Choose the low-pass cut-off for one evenly sampled stretch of joint positions.

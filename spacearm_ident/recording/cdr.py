@@ -1,4 +1,4 @@
-"""CDR, the wire format of ROS 2 messages: decode and encode the three types a recording holds.
+"""CDR, the wire format of ROS 2 messages: decode and encode the types a recording holds.
 
 A payload is a 4-byte encapsulation header (second byte: 0 big-endian, 1 little-endian; last two: options)
 followed by the plain CDR (XCDR1) body; alignment counts from the first byte after that header (OMG DDSI-RTPS
@@ -212,18 +212,35 @@ def decode_joint_states(payloads: Sequence[bytes]) -> tuple[list[JointStateBlock
     return blocks, sorted(bad)
 
 
-def decode_temperature(payload: bytes) -> tuple[int, str, float]:
-    """Decode a `sensor_msgs/msg/Temperature`: stamp in nanoseconds, frame_id, °C.
+def decode_stamped(payload: bytes, texts: int, numbers: int) -> tuple[int, tuple[str, ...], tuple[float, ...]]:
+    """Decode a message of a stamp, some strings, the first the frame_id, and float64 that are no sequence.
+
+    Args:
+        payload: CDR payload.
+        texts: How many strings.
+        numbers: How many float64 after them; more may follow.
+
+    Returns:
+        Stamp in nanoseconds, strings, numbers.
 
     Raises:
         CdrError: The payload is no such message.
     """
     cursor = _Cursor(payload)
     stamp_ns = cursor.stamp_ns()
-    frame_id = cursor.string()
+    words = tuple(cursor.string() for _ in range(texts))
     cursor.align(8)
-    temperature = struct.unpack_from(cursor.order + "d", payload, cursor.skip(8))[0]
-    return stamp_ns, frame_id, float(temperature)
+    return stamp_ns, words, struct.unpack_from(f"{cursor.order}{numbers}d", payload, cursor.skip(8 * numbers))
+
+
+def decode_temperature(payload: bytes) -> tuple[int, str, float]:
+    """Decode a `sensor_msgs/msg/Temperature`: stamp in nanoseconds, frame_id, °C.
+
+    Raises:
+        CdrError: The payload is no such message.
+    """
+    stamp_ns, (frame_id,), (temperature,) = decode_stamped(payload, 1, 1)
+    return stamp_ns, frame_id, temperature
 
 
 def decode_string(payload: bytes) -> str:
@@ -319,13 +336,20 @@ def encode_joint_states(
     return [everything[start : start + size] for start in range(0, len(everything), size)]
 
 
-def encode_temperature(stamp_ns: int, frame_id: str, temperature: float, variance: float = 0.0) -> bytes:
-    """Encode a `sensor_msgs/msg/Temperature` (°C; `frame_id` is the joint's name)."""
+def encode_stamped(stamp_ns: int, texts: Iterable[str], numbers: Iterable[float]) -> bytes:
+    """Encode a message of a stamp, strings and float64; counterpart of `decode_stamped`."""
     builder = _Builder()
     builder.stamp(stamp_ns)
-    builder.string(frame_id)
+    for text in texts:
+        builder.string(text)
     builder.align(8)
-    return bytes(builder.data) + struct.pack("<dd", temperature, variance)
+    values = tuple(numbers)
+    return bytes(builder.data) + struct.pack(f"<{len(values)}d", *values)
+
+
+def encode_temperature(stamp_ns: int, frame_id: str, temperature: float, variance: float = 0.0) -> bytes:
+    """Encode a `sensor_msgs/msg/Temperature` (°C; `frame_id` is the joint's name)."""
+    return encode_stamped(stamp_ns, (frame_id,), (temperature, variance))
 
 
 def encode_string(text: str) -> bytes:

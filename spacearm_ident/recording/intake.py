@@ -21,6 +21,9 @@ from spacearm_ident.recording.recording import FloatArray, Issue
 _VELOCITY_LOSS = 0.01  # share of samples without velocity above which velocity is given up, not the samples
 _EPOCH_NS = 10**17  # a clock beyond this (1973) counts from 1970: a stamp of zero is then an unset one
 
+GAP_MEDIANS = 5.0
+"""How many median intervals make a gap."""
+
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
@@ -99,6 +102,14 @@ def listing(names: Sequence[str], most: int = 8) -> str:
 def int64_ns(times_ns: Sequence[int]) -> IntArray:
     """Log times are unsigned on disk; one past the year 2262 is damage, and becomes negative here."""
     return np.array(times_ns, dtype=np.uint64).astype(np.int64)
+
+
+def gap_threshold_s(time: FloatArray) -> float:
+    """Interval above which a gap is declared, seconds (inf for fewer than three samples)."""
+    steps = np.diff(time)
+    if len(steps) < 2:
+        return float("inf")
+    return float(max(GAP_MEDIANS * np.median(steps), 2.0 * np.percentile(steps, 95)))
 
 
 def _main_joints(blocks: Sequence[cdr.JointStateBlock]) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """The ROS 2 message types a recording is made of: names, definition texts, type hashes.
 
-Written from the public interface definitions of ROS 2 Jazzy (`std_msgs`, `sensor_msgs`), comments left out.
-A definition text is in the `ros2msg` schema encoding of MCAP: the definition itself, then each type it
-depends on behind a line of 80 `=` and a line `MSG: package/Name`.
+Written from the public interface definitions of ROS 2 Jazzy (`std_msgs`, `sensor_msgs`, `nav_msgs`, `geometry_msgs`),
+comments left out. A definition text is in the `ros2msg` schema encoding of MCAP: the definition itself, then each type
+it depends on behind a line of 80 `=` and a line `MSG: package/Name`.
 """
 
 from __future__ import annotations
@@ -27,12 +27,22 @@ class MessageType:
 
 _TIME = "int32 sec\nuint32 nanosec\n"
 _HEADER = "builtin_interfaces/Time stamp\nstring frame_id\n"
+_GEOMETRY = {
+    "Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+    "Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
+    "Point": "float64 x\nfloat64 y\nfloat64 z\n",
+    "Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
+    "PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
+    "Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
+    "TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance\n",
+}
 
 
-def _with_header(text: str) -> str:
-    parts = ((None, text), ("std_msgs/Header", _HEADER), ("builtin_interfaces/Time", _TIME))
+def _with_header(text: str, *geometry: str) -> str:
+    used = [(f"geometry_msgs/{name}", _GEOMETRY[name]) for name in geometry]
+    parts = [("std_msgs/Header", _HEADER), ("builtin_interfaces/Time", _TIME), *used]
     rule = "=" * 80
-    return "".join(body if name is None else f"{rule}\nMSG: {name}\n{body}" for name, body in parts)
+    return text + "".join(f"{rule}\nMSG: {name}\n{body}" for name, body in parts)
 
 
 STRING = MessageType(
@@ -50,15 +60,38 @@ TEMPERATURE = MessageType(
     _with_header("std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n"),
     "RIHS01_72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8",
 )
+IMU = MessageType(
+    "sensor_msgs/msg/Imu",
+    _with_header(
+        "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
+        "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
+        "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n",
+        *("Quaternion", "Vector3"),
+    ),
+    "RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b",
+)
+ODOMETRY = MessageType(
+    "nav_msgs/msg/Odometry",
+    _with_header(
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
+        "geometry_msgs/TwistWithCovariance twist\n",
+        *("PoseWithCovariance", "Pose", "Point", "Quaternion", "TwistWithCovariance", "Twist", "Vector3"),
+    ),
+    "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+)
 
 DESCRIPTION_TOPIC = "/robot_description"
 STATES_TOPIC = "/joint_states"
 COMMAND_TOPIC = "/joint_command"
 TEMPERATURES_TOPIC = "/joint_temperatures"
+BASE_IMU_TOPIC = "/base_imu"
+BASE_ODOMETRY_TOPIC = "/base_odometry"
 
 TOPIC_TYPES: dict[str, MessageType] = {
     DESCRIPTION_TOPIC: STRING,
     STATES_TOPIC: JOINT_STATE,
     COMMAND_TOPIC: JOINT_STATE,
     TEMPERATURES_TOPIC: TEMPERATURE,
+    BASE_IMU_TOPIC: IMU,
+    BASE_ODOMETRY_TOPIC: ODOMETRY,
 }

@@ -17,6 +17,7 @@ from scipy.ndimage import convolve1d
 from scipy.signal.windows import hann
 from scipy.sparse import csr_array
 
+from .base_motion import BaseMotion
 from .recording import FloatArray
 
 HALF_LENGTH = 0.5
@@ -49,6 +50,7 @@ class Motion:
         periods: How many periods were averaged; 1 where nothing repeats.
         noise_Nm: (n,) standard deviation of a reduced torque row's pure error, from period-to-period scatter.
         temperature: (N, n) °C, NaN for a joint of which none was recorded; None where of no joint.
+        base: How the base moves; None: it is fixed, or nothing of it was recorded.
         source: Which recording it came from (index in the caller's list).
     """
 
@@ -67,6 +69,7 @@ class Motion:
     periods: int = 1
     noise_Nm: FloatArray | None = None
     temperature: FloatArray | None = None
+    base: BaseMotion | None = None
     source: int = 0
 
     @property
@@ -138,6 +141,7 @@ class Motion:
             acceleration=self.acceleration[part],
             torque=self.torque[part],
             temperature=None if self.temperature is None else self.temperature[part],
+            base=None if self.base is None else self.base[part],
         )
 
     def pieces(self, samples: int = PART_SAMPLES) -> Iterator[slice]:

@@ -10,6 +10,7 @@ What counts as sound (contracts.md §1):
   most 1 % of the samples lack a finite velocity those samples are dropped, otherwise the velocity is.
 * An interval is a gap when it exceeds both 5 times the median interval and twice its 95th percentile (uneven
   sampling is no gap).
+* Where a sensor on the base is recorded, joint states without it are of no use: see `base_intake`.
 """
 
 from __future__ import annotations
@@ -23,12 +24,10 @@ import numpy as np
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import cdr, messages
 from spacearm_ident.recording.bag import Bag, read_bag
-from spacearm_ident.recording.intake import Finding, Intake, IntArray, increasing, int64_ns, listing
+from spacearm_ident.recording.base_intake import read_base
+from spacearm_ident.recording.intake import Finding, Intake, IntArray, gap_threshold_s, increasing, int64_ns, listing
 from spacearm_ident.recording.mcap_reader import Defect, Progress
 from spacearm_ident.recording.recording import FloatArray, Issue, Recording, Series
-
-GAP_MEDIANS = 5.0
-"""How many median intervals make a gap."""
 
 
 def _read_states(bag: Bag, path: str, joints: Sequence[str] | None) -> tuple[Intake, bool]:
@@ -118,14 +117,6 @@ def _seconds(stamps_ns: IntArray, start_ns: int | np.int64) -> FloatArray:
     return (stamps_ns - start_ns) / 1e9
 
 
-def gap_threshold_s(time: FloatArray) -> float:
-    """Interval above which a gap is declared, seconds (inf for fewer than three samples)."""
-    steps = np.diff(time)
-    if len(steps) < 2:
-        return float("inf")
-    return float(max(GAP_MEDIANS * np.median(steps), 2.0 * np.percentile(steps, 95)))
-
-
 def _split(time: FloatArray, seams: IntArray) -> tuple[tuple[slice, ...], list[Issue]]:
     """Segments without a gap or seam inside, and the issue that reports the gaps."""
     steps = np.diff(time)
@@ -178,6 +169,7 @@ def read_recording(
     states, has_velocity = _read_states(bag, str(path), joints)
     command, command_findings = _read_command(bag, states)
     temperatures, temperature_findings = _read_temperatures(bag, states)
+    base, base_findings = read_base(bag, states)
     urdf, description_findings = _read_description(bag)
     samples = states.samples
     start_ns = int(samples.stamp_ns[0])
@@ -188,6 +180,7 @@ def read_recording(
         *states.findings,
         *command_findings,
         *temperature_findings,
+        *base_findings,
         *description_findings,
     ]
     return Recording(
@@ -200,6 +193,7 @@ def read_recording(
         start_ns=start_ns,
         command=command,
         temperatures=temperatures,
+        base=base,
         urdf=urdf,
         issues=(*(finding.as_issue(start_ns) for finding in findings), *gaps),
         sources=tuple(bag.sources),
@@ -220,6 +214,7 @@ def describe(recording: Recording) -> list[str]:
             ("velocity", recording.velocity is not None),
             ("set-points", recording.command is not None),
             (f"temperatures of {len(recording.temperatures)} joints", bool(recording.temperatures)),
+            (f"base motion on {recording.base.topic}" if recording.base else "", recording.base is not None),
             ("robot description", recording.urdf is not None),
         )
         if present

@@ -50,6 +50,40 @@ class Source:
 
 
 @dataclass(frozen=True)
+class BaseSensor:
+    """What a sensor fixed to the arm's base recorded, on its own clock; vectors in the sensor's axes. SI units.
+
+    Attributes:
+        topic: Where it was.
+        frame: The sensor's frame.
+        time: (K,) seconds from the recording's start, strictly increasing.
+        rate: (K, 3) angular velocity, rad/s.
+        force: (K, 3) specific force as an accelerometer feels it (acceleration less gravity), m/s^2; None: `velocity`.
+        velocity: (K, 3) velocity of the frame's origin against the world, m/s; None: `force`.
+        attitude: (K, 4) quaternion x y z w that turns sensor axes into the world's, where `velocity` is given.
+        runs: Runs of samples without a gap inside.
+        rotation: (3, 3) sensor axes to those of the base link; None as long as that is not known.
+        origin: (3,) of the sensor's frame in the base link, m; None as long as that is not known.
+    """
+
+    topic: str
+    frame: str
+    time: FloatArray
+    rate: FloatArray
+    runs: tuple[slice, ...]
+    force: FloatArray | None = None
+    velocity: FloatArray | None = None
+    attitude: FloatArray | None = None
+    rotation: FloatArray | None = None
+    origin: FloatArray | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sample rate in Hz."""
+        return float(1.0 / np.median(np.diff(self.time)))
+
+
+@dataclass(frozen=True)
 class Recording:
     """Joint signals of one run. SI units, output side; times strictly increasing; no NaN in the arrays.
 
@@ -63,6 +97,7 @@ class Recording:
         start_ns: Epoch time of `time == 0`, nanoseconds.
         command: Set-points (M, n) on their own clock, where recorded.
         temperatures: Joint name -> °C on its own clock.
+        base: What a sensor on the base recorded, where there is one.
         urdf: Robot description, where recorded.
         issues: What was found wrong and what was done about it.
         sources: The files behind it.
@@ -77,6 +112,7 @@ class Recording:
     start_ns: int = 0
     command: Series | None = None
     temperatures: dict[str, Series] = field(default_factory=dict)
+    base: BaseSensor | None = None
     urdf: str | None = None
     issues: tuple[Issue, ...] = ()
     sources: tuple[Source, ...] = ()
@@ -87,7 +123,7 @@ class Recording:
         return float(1.0 / np.median(np.diff(self.time)))
 
     def between(self, start_s: float, stop_s: float) -> Recording:
-        """The samples with start_s <= time < stop_s; times, command, temperatures and issues stay as they are."""
+        """The samples with start_s <= time < stop_s; times, command, temperatures, base and issues stay."""
         first, last = (int(k) for k in np.searchsorted(self.time, (start_s, stop_s)))
         cut = [slice(max(s.start, first) - first, min(s.stop, last) - first) for s in self.segments]
         part = slice(first, last)

@@ -12,6 +12,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from ..errors import UnfitDataError, UserError
 from .bandwidth import BOUNDS_HZ, WINDOW_S, Bandwidth, choose_bandwidth
+from .base_motion import BaseSamples, covered, on_grid
 from .motion import Motion
 from .periods import Period, find_period, fold, project
 from .recording import FloatArray, Recording
@@ -40,6 +41,7 @@ class _Stretch:
     position: FloatArray
     torque: FloatArray
     temperature: FloatArray | None
+    base: BaseSamples | None = None
 
     def __getitem__(self, part: slice) -> _Stretch:
         """The samples of `part`."""
@@ -49,6 +51,7 @@ class _Stretch:
             self.position[part],
             self.torque[part],
             None if self.temperature is None else self.temperature[part],
+            None if self.base is None else self.base[part],
         )
 
 
@@ -123,6 +126,7 @@ def _bandwidth(stretches: Sequence[_Stretch], cutoff_hz: float | None) -> Bandwi
     widest = max(chosen, key=lambda candidate: candidate.cutoff_hz)
     slowest = min(stretch.rate_hz for stretch in stretches)
     if cutoff_hz is None:
+        slowest = min([slowest, *(stretch.base.rate_hz for stretch in stretches if stretch.base is not None)])
         return replace(widest, cutoff_hz=min(widest.cutoff_hz, 0.2 * slowest))
     if not 0.0 < cutoff_hz < 0.4 * slowest:
         raise UserError(
@@ -136,7 +140,8 @@ def _even_stretches(recording: Recording) -> list[_Stretch]:
     """Each segment of a recording, interpolated onto an even grid where its stamps are uneven."""
     rate = recording.rate_hz
     stretches = []
-    for segment in recording.segments:
+    whole = [part for segment in recording.segments for part in covered(recording.base, recording.time, segment)]
+    for segment in whole:
         time = recording.time[segment]
         if len(time) < max(32, rate):
             continue
@@ -148,7 +153,8 @@ def _even_stretches(recording: Recording) -> list[_Stretch]:
             grid = grid[grid <= time[-1]]
             position = make_interp_spline(time, position, k=3)(grid)
             torque = make_interp_spline(time, torque, k=1)(grid)
-        stretches.append(_Stretch(rate, float(time[0]), position, torque, _temperature(recording, grid)))
+        base = None if recording.base is None else on_grid(recording.base, grid, rate)
+        stretches.append(_Stretch(rate, float(time[0]), position, torque, _temperature(recording, grid), base))
     return stretches
 
 
@@ -172,7 +178,8 @@ def _temperature(recording: Recording, grid: FloatArray) -> FloatArray | None:
 
 def _motions(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, asked: bool, source: int) -> list[Motion]:
     """The averaged periods of a stretch, if it has any, and what lies before and after them."""
-    period = find_period(stretch.position, stretch.rate_hz)
+    # Where the base moves, the joints' periods need not be those of all that acts on the torque.
+    period = find_period(stretch.position, stretch.rate_hz) if stretch.base is None else None
     if period is None:
         return _filtered(stretch, joints, bandwidth, source)
     return [
@@ -185,13 +192,17 @@ def _motions(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, ask
 def _filtered(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, source: int) -> list[Motion]:
     """The stretch low-passed, without its edges; nothing where it is all edge."""
     rate, cutoff = stretch.rate_hz, bandwidth.cutoff_hz
-    if len(stretch.position) / rate < SHORTEST_CUTOFF_PERIODS / cutoff:
+    # A base answers to accelerations, not to friction: what it does above the motion's bandwidth is its sensor's noise.
+    slowest = cutoff if stretch.base is None else min(cutoff, bandwidth.motion_hz)
+    if len(stretch.position) / rate < SHORTEST_CUTOFF_PERIODS / slowest:
         return []
-    padding = int(PADDING_CUTOFF_PERIODS * rate / cutoff)
-    position = sosfiltfilt(butter(4, cutoff, fs=rate, output="sos"), stretch.position, axis=0, padlen=padding)
+    position = _low_passed(stretch.position, rate, cutoff)
     velocity = _differentiate(position, rate)
     acceleration = _differentiate(velocity, rate)
-    edge = int(np.ceil(EDGE_CUTOFF_PERIODS * rate / cutoff))
+    base = stretch.base and stretch.base.motion(
+        lambda signal: _low_passed(signal, rate, slowest), lambda signal: _differentiate(signal, rate)
+    )
+    edge = int(np.ceil(EDGE_CUTOFF_PERIODS * rate / slowest))
     inner = slice(edge, len(position) - edge)
     position, velocity, acceleration, kept = position[inner], velocity[inner], acceleration[inner], stretch[inner]
     noise = _speed_noise(bandwidth.position_noise, rate, cutoff)
@@ -211,6 +222,7 @@ def _filtered(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, so
             cutoff_hz=cutoff,
             stride=max(1, int(rate / block / (4 * cutoff))),
             temperature=kept.temperature,
+            base=base and base[inner],
             source=source,
         )
     ]
@@ -249,6 +261,12 @@ def _averaged(
     )
     rows = np.stack([motion.reduce(one) for one in torque])
     return replace(motion, noise_Nm=np.sqrt(rows.var(axis=0, ddof=1).mean(axis=0) / period.count))
+
+
+def _low_passed(signal: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:
+    """Zero-phase Butterworth along the first axis."""
+    padding = int(PADDING_CUTOFF_PERIODS * rate_hz / cutoff_hz)
+    return np.asarray(sosfiltfilt(butter(4, cutoff_hz, fs=rate_hz, output="sos"), signal, axis=0, padlen=padding))
 
 
 def _speed_noise(position_noise: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:

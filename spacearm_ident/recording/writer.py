@@ -23,7 +23,7 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.recording import bag, cdr, messages
 from spacearm_ident.recording.mcap_reader import Channel
 from spacearm_ident.recording.messages import MessageType
-from spacearm_ident.recording.recording import FloatArray, Recording, Series
+from spacearm_ident.recording.recording import BaseSensor, FloatArray, Recording, Series
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _NOTHING = 2**63 - 1
@@ -239,6 +239,9 @@ def write_recording(path: str | Path, recording: Recording) -> None:
             channel = writer.add_topic(messages.TEMPERATURES_TOPIC, messages.TEMPERATURE)
             for joint, series in recording.temperatures.items():
                 rows += _temperature_rows(recording, channel, joint, series)
+        if recording.base is not None:
+            kind = messages.TOPIC_TYPES[recording.base.topic]
+            rows += _base_rows(recording, writer.add_topic(recording.base.topic, kind), recording.base)
         rows.sort(key=lambda row: row[0])
         for log_time, channel, payload in rows:
             writer.write(channel, log_time, payload)
@@ -252,6 +255,23 @@ def _stamps_ns(recording: Recording, time: FloatArray) -> cdr.IntArray:
 def _temperature_rows(recording: Recording, channel: int, joint: str, series: Series) -> Iterator[Row]:
     for stamp, value in zip(_stamps_ns(recording, series.time).tolist(), series.values.tolist(), strict=True):
         yield stamp, channel, cdr.encode_temperature(stamp, joint, value)
+
+
+def _base_rows(recording: Recording, channel: int, base: BaseSensor) -> Iterator[Row]:
+    """What an IMU or an odometry does not know here is marked unknown, or zero."""
+    stamps = _stamps_ns(recording, base.time).tolist()
+    if base.force is not None:
+        nothing = (0.0,) * 9
+        for stamp, rate, force in zip(stamps, base.rate.tolist(), base.force.tolist(), strict=True):
+            numbers = (0.0, 0.0, 0.0, 1.0, -1.0, *nothing[1:], *rate, *nothing, *force, *nothing)
+            yield stamp, channel, cdr.encode_stamped(stamp, (base.frame,), numbers)
+        return
+    assert base.velocity is not None and base.attitude is not None
+    twists = np.concatenate([base.velocity, base.rate], axis=1).tolist()
+    nothing = (0.0,) * 36
+    for stamp, attitude, twist in zip(stamps, base.attitude.tolist(), twists, strict=True):
+        numbers = (0.0, 0.0, 0.0, *attitude, *nothing, *twist, *nothing)
+        yield stamp, channel, cdr.encode_stamped(stamp, ("odom", base.frame), numbers)
 
 
 def copy_messages(

@@ -223,8 +223,11 @@ def name_axes(axes: Axes, title: str, below: str, beside: str) -> None:
 
 
 def parameters(identified: Identified) -> Markup:
-    """Every parameter with its 95 % interval: a panel a symbol, the joints side by side in one unit."""
-    listing = by_joint(identified)
+    """Every parameter with its 95 % interval: a panel a symbol, the joints side by side in one unit.
+
+    A satellite beside them would leave nothing of the links to be seen: the base is in the tables only.
+    """
+    listing = by_joint(identified, with_base=False)
     places = {joint: place for place, joint in enumerate(listing, start=1)}
     symbols: dict[str, list[Estimate]] = {}
     for estimates in listing.values():

@@ -17,7 +17,7 @@ from .markup import NOTHING, Markup, breakable, element, join, number, percent
 from .parameter_tables import base_table, determination_key, matrix, whole_list
 from .store import Result
 from .stylesheet import STYLESHEET
-from .tables import by_joint
+from .tables import base, by_joint
 from .verdict import FAIR, GOOD, Verdict, judge_result
 
 SECURITY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
@@ -190,7 +190,7 @@ def captioned(drawing: Markup, caption: str) -> Markup:
 
 def _parameters(result: Result) -> Markup:
     identified = result.identified
-    key = [f"{place} {joint}" for place, joint in enumerate(by_joint(identified), start=1)]
+    key = [f"{place} {joint}" for place, joint in enumerate(by_joint(identified, with_base=False), start=1)]
     return join(
         element("h2", "Parameters"),
         determination_key(),
@@ -203,7 +203,7 @@ def _parameters(result: Result) -> Markup:
         element("details", element("summary", "Every parameter with its interval"), whole_list(identified)),
         element(
             "details",
-            element("summary", f"{len(identified.base_values)} base parameters, the combinations motion can reveal"),
+            element("summary", f"{len(base(identified))} base parameters, the combinations motion can reveal"),
             base_table(identified),
         ),
     )

@@ -22,6 +22,7 @@ from ..errors import UserError
 from ..identification.environment import Environment
 from ..identification.from_prior import GroundPrior
 from ..identification.identified import (
+    BaseBody,
     Choice,
     Determination,
     Estimate,
@@ -139,7 +140,7 @@ def _plain(result: Result) -> dict[str, Any]:
     bandwidth = identified.bandwidth
     return {
         "written": result.written,
-        "estimates": [{**asdict(item), "determination": item.determination.value} for item in identified.estimates],
+        "estimates": [_estimate_dict(item) for item in identified.estimates],
         "base": {
             "independent": list(identified.base.independent),
             "names": list(identified.base.names),
@@ -153,6 +154,11 @@ def _plain(result: Result) -> dict[str, Any]:
         "notes": list(identified.notes),
         "environment": identified.environment.as_dict(),
         "moves": [asdict(move) for move in identified.moves],
+        "base_body": identified.base_body
+        and {
+            name: [_estimate_dict(item) for item in getattr(identified.base_body, name)]
+            for name in ("estimates", "combined")
+        },
         "validation": {
             "joints": {name: asdict(joint) for name, joint in validation.joints.items()},
             "traces": [trace.source for trace in validation.traces],
@@ -160,6 +166,10 @@ def _plain(result: Result) -> dict[str, Any]:
             "held_out": validation.held_out,
         },
     }
+
+
+def _estimate_dict(item: Estimate) -> dict[str, Any]:
+    return {**asdict(item), "determination": item.determination.value}
 
 
 def _as_json(value: Any) -> Any:
@@ -194,9 +204,14 @@ def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> R
         notes=tuple(data["notes"]),
         environment=Environment.from_dict(data.get("environment", {})),
         moves=tuple(Move(**move) for move in data.get("moves", ())),
+        base_body=_base_body(data.get("base_body")),
         **{name: arrays[name] for name in ("base_values", "base_errors", "covariance", "residual_sigma_Nm", "rows")},
     )
     return Result(identified, _validation(data["validation"], arrays), data["written"])
+
+
+def _base_body(data: dict[str, Any] | None) -> BaseBody | None:
+    return BaseBody(**{name: tuple(map(_estimate, items)) for name, items in data.items()}) if data else None
 
 
 def _estimate(item: dict[str, Any]) -> Estimate:

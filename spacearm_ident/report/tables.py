@@ -21,14 +21,16 @@ PAPER_SYMBOLS = (
 ABSENT = "not part of this model"
 
 
-def by_joint(identified: Identified) -> dict[str, list[Estimate]]:
-    """Joint (then coupling) -> its estimates: the paper's 18 first, then what else the model has.
+def by_joint(identified: Identified, with_base: bool = True) -> dict[str, list[Estimate]]:
+    """Joint (then coupling, base link) -> its estimates: the paper's 18 first, then what else the model has.
 
-    A joint always has the paper's 18; one that the model leaves out, such as k_v2 in vacuum, is zero and fixed.
+    A joint always has the paper's 18; one that the model leaves out, such as k_v2 in vacuum, is zero and fixed. The
+    base link is there where it was weighed, unless `with_base` is false.
     """
     known: dict[str, dict[str, Estimate]] = {joint: {} for joint in identified.model.model.arm.joint_names}
     arm_joints = set(known)
-    for estimate in identified.estimates:
+    of_base = identified.base_body.estimates if identified.base_body and with_base else ()
+    for estimate in (*identified.estimates, *of_base):
         known.setdefault(estimate.joint, {})[estimate.symbol] = estimate
     ordered = {}
     for joint, estimates in known.items():
@@ -74,12 +76,13 @@ def base_parameters_csv(identified: Identified) -> str:
 def base(identified: Identified) -> list[Estimate]:
     """Base parameters as estimates; the symbol is the whole expression, the joint that of its leading parameter."""
     leaders = (identified.model.model.parameters[k] for k in identified.base.independent)
-    return [
+    of_arm = [
         _base_estimate(name, leader, float(value), float(error))
         for name, leader, value, error in zip(
             identified.base.names, leaders, identified.base_values, identified.base_errors
         )
     ]
+    return [*(identified.base_body.combined if identified.base_body else ()), *of_arm]
 
 
 def _base_estimate(name: str, leader: Parameter, value: float, error: float) -> Estimate:

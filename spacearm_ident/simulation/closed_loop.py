@@ -17,8 +17,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
-from spacearm_ident.recording.recording import Recording, Series
+from spacearm_ident.dynamics.base_link import base_link
+from spacearm_ident.errors import UserError
+from spacearm_ident.recording.messages import BASE_IMU_TOPIC
+from spacearm_ident.recording.recording import BaseSensor, Recording, Series
 from spacearm_ident.simulation.joint_law import JointLaw
 from spacearm_ident.simulation.plant import Plant, PlantParameters
 from spacearm_ident.simulation.servo import DriveData, Servo, ServoTuning
@@ -93,6 +97,9 @@ class SensorNoise:
         position_counts: Counts per output turn of the joint encoder that `position` comes from; 0: exact.
         velocity_noise: White noise of the reported velocity, rad/s.
         temperature_noise: K.
+        imu_rate_hz: Of an IMU in the base link's frame (200 Hz is usual); 0: there is none.
+        gyro_noise: White noise of a sample of its angular velocity, rad/s.
+        accelerometer_noise: White noise of a sample of its specific force, m/s².
     """
 
     effort_white: float = 0.0035
@@ -101,11 +108,14 @@ class SensorNoise:
     position_counts: int = 2**19
     velocity_noise: float = 5e-4
     temperature_noise: float = 0.05
+    imu_rate_hz: float = 0.0
+    gyro_noise: float = 4e-4
+    accelerometer_noise: float = 5e-3
 
     @classmethod
-    def none(cls) -> SensorNoise:
+    def none(cls, imu_rate_hz: float = 0.0) -> SensorNoise:
         """Perfect sensors."""
-        return cls(0.0, 0.0, 1.0, 0, 0.0, 0.0)
+        return cls(0.0, 0.0, 1.0, 0, 0.0, 0.0, imu_rate_hz, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +133,8 @@ class Truth:
         temperature: Housings, °C, on the clock `temperature_time` (M,) s.
         urdf: Robot description.
         drives: Electrical data of the drives.
+        base_rate: (N, 3) angular velocity of the base in its own axes, rad/s.
+        base_force: (N, 3) specific force at the base's origin in its axes, mean over the interval, m/s².
     """
 
     joints: tuple[str, ...]
@@ -136,6 +148,8 @@ class Truth:
     temperature: FloatArray
     urdf: str
     drives: DriveData
+    base_rate: FloatArray | None = None
+    base_force: FloatArray | None = None
 
 
 def simulate_run(
@@ -226,7 +240,7 @@ def simulate_truth(
         plant = hidden.plant(parameters, start, warmth, law)
     servo = Servo(np.diag(plant.inertia()), drives, tuning, start)
     warm_every = max(1, round(rate_hz / _TEMPERATURE_HZ))
-    q, qd, torque, warm = _run(plant, servo, command, extra, at[::warm_every], hidden, progress)
+    q, qd, torque, warm, base = _run(plant, servo, command, extra, at[::warm_every], hidden, progress)
     truth = Truth(
         joints=parameters.joints,
         time=np.arange(samples) / rate_hz,
@@ -239,6 +253,7 @@ def simulate_truth(
         temperature=warm,
         urdf=parameters.urdf,
         drives=drives,
+        **_base_truth(base, at, half, rate_hz, plant.parameters.gravity),
     )
     return truth if hidden is None else hidden.reported(truth)
 
@@ -271,8 +286,47 @@ def measure(truth: Truth, noise: SensorNoise, seed: int = 0, start_ns: int = 0) 
         start_ns=start_ns,
         command=Series(truth.time, truth.command),
         temperatures={name: Series(truth.temperature_time, warm[:, i]) for i, name in enumerate(truth.joints)},
+        base=_imu(truth, noise, rng) if noise.imu_rate_hz else None,
         urdf=truth.urdf,
     )
+
+
+def _imu(truth: Truth, noise: SensorNoise, rng: np.random.Generator) -> BaseSensor:
+    """An IMU in the base link's frame.
+
+    Raises:
+        UserError: It is faster than the recording.
+    """
+    if truth.base_rate is None or truth.base_force is None:
+        raise ValueError("this truth does not hold the base's motion")
+    recorded_hz = 1.0 / float(np.median(np.diff(truth.time)))
+    if not 0.0 < noise.imu_rate_hz <= 1.001 * recorded_hz:
+        raise UserError(f"an IMU at {noise.imu_rate_hz:g} Hz: choose a rate up to the recording's {recorded_hz:g} Hz")
+    some = slice(None, None, round(recorded_hz / noise.imu_rate_hz))
+    rate, force = truth.base_rate[some], truth.base_force[some]
+    return BaseSensor(
+        topic=BASE_IMU_TOPIC,
+        frame=base_link(truth.urdf),
+        time=truth.time[some],
+        rate=rate + noise.gyro_noise * rng.standard_normal(rate.shape),
+        force=force + noise.accelerometer_noise * rng.standard_normal(force.shape),
+        runs=(slice(0, len(rate)),),
+    )
+
+
+def _base_truth(
+    states: FloatArray | None, at: NDArray[np.intp], half: int, rate_hz: float, gravity: FloatArray
+) -> dict[str, FloatArray]:
+    """What a perfect IMU on the base feels at the stamps, from its states (T, 13) at every servo cycle."""
+    if states is None:
+        return {"base_rate": np.zeros((len(at), 3)), "base_force": np.tile(-gravity, (len(at), 1))}
+
+    def velocity(cycles: NDArray[np.intp]) -> FloatArray:
+        return np.asarray(Rotation.from_quat(states[cycles, 3:7]).apply(states[cycles, 7:10]))
+
+    acceleration = (velocity(at + half) - velocity(at - half)) * rate_hz
+    force = Rotation.from_quat(states[at, 3:7]).inv().apply(acceleration - gravity)
+    return {"base_rate": states[at, 10:], "base_force": np.asarray(force)}
 
 
 def _run(
@@ -283,10 +337,11 @@ def _run(
     warm_at: NDArray[np.intp],
     hidden: HiddenPhysics | None,
     progress: Progress | None,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Position and velocity at the start of every servo cycle, torque during it; housings at `warm_at`."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray | None]:
+    """Position and velocity at the start of every servo cycle, torque during it; housings at `warm_at`; the base."""
     q, qd, torque = (np.empty_like(command.q) for _ in range(3))
     warm = np.empty((len(warm_at), q.shape[1]))
+    states = None if plant.base() is None else np.empty((len(q), 13))
     edges = [0, *warm_at.tolist(), len(q)]
     for chunk, (first, last) in enumerate(pairwise(edges)):
         if chunk:
@@ -296,6 +351,8 @@ def _run(
         for cycle in range(first, last):
             q[cycle] = seen = plant.position
             qd[cycle] = plant.velocity
+            if states is not None:
+                states[cycle] = plant.base()
             if hidden is not None:
                 seen = hidden.encoder(seen)
             applied = servo.torque(seen, command.q[cycle], command.qd[cycle], feedforward[cycle])
@@ -303,4 +360,4 @@ def _run(
             plant.step(applied if hidden is None else hidden.motor(applied, plant), servo.dt)
     if progress is not None:
         progress(1.0)
-    return q, qd, torque, warm
+    return q, qd, torque, warm, states

@@ -78,6 +78,9 @@ class Mechanism(Protocol):
     def load(self, configuration: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """(n,) N·m the gears pass on to the links, that is without rotors and joint friction."""
 
+    def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
+        """(13,) pose of the base (m, quaternion x y z w) and its twist in its own axes (m/s, rad/s); None: fixed."""
+
 
 class RigidMechanism:
     """Rigid links on a fixed base: the coordinates are the joints."""
@@ -122,3 +125,7 @@ class RigidMechanism:
         """See `Mechanism`."""
         total: FloatArray = pin.rnea(self._model, self._data, configuration, velocity, acceleration)
         return total - self._rotor_inertia * acceleration
+
+    def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
+        """See `Mechanism`."""
+        return None

@@ -122,6 +122,10 @@ class Plant:
         """(n,) N·m the gears pass on to the links in the motion of the last step."""
         return self._mechanism.load(self._configuration, self._speed, self._acceleration)
 
+    def base(self) -> FloatArray | None:
+        """(13,) pose and twist of a base that moves, see `Mechanism.base`; None where it is fixed."""
+        return self._mechanism.base(self._configuration, self._speed)
+
     def step(self, torque: FloatArray, dt: float) -> None:
         """Let `dt` seconds pass with the motors' output-side torque (n,) N·m held."""
         parts = max(1, math.ceil(dt / self._longest_step_s - 1e-9))

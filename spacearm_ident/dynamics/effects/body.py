@@ -74,7 +74,7 @@ class Payload(Effect):
             return nothing(motion, rows, len(self.parameters))
         arm, link = background.arm, motion.joints.index(self.place["joint"])
         blocks = background.keep(
-            "blocks", lambda: rigid_body_blocks(arm, motion.position, motion.velocity, motion.acceleration)
+            "blocks", lambda: rigid_body_blocks(arm, motion.position, motion.velocity, motion.acceleration, motion.base)
         )
         which = [0, 1, 2, 3, 4, 6, 9][: len(self.parameters)]
         return each({row: blocks[row, link][which].T for row in rows if (row, link) in blocks})
@@ -148,7 +148,10 @@ class BaseTilt(Effect):
 
 @dataclass(frozen=True)
 class FloatingBase(Effect):
-    """The base is free and moves as the arm does: momentum stays zero."""
+    """The base is free and moves as the arm does: momentum stays zero.
+
+    Where the base's motion was recorded the rigid body's columns have it already, and there is nothing left to explain.
+    """
 
     kind: ClassVar[str] = "floating_base"
     words: ClassVar[str] = "the base floats and reacts"
@@ -181,7 +184,7 @@ class FloatingBase(Effect):
     def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
         """What the rows of all joints differ by."""
         rows = range(len(motion.joints))
-        if background is None or background.arm is None or background.inertials is None:
+        if background is None or background.arm is None or background.inertials is None or motion.base is not None:
             return nothing(motion, rows, 1)
         arm, inertials = background.arm, background.inertials
         free = background.keep("free", lambda: _FreeBase(arm, inertials, motion))

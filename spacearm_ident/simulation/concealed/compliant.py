@@ -234,6 +234,12 @@ class CompliantMechanism:
         whole = self._T.T @ (pin.rnea(self._tree, self._data, q, v, a) - self._tree.armature * a)
         return (whole - self._passive(configuration, velocity, springs=False)[:m])[self._links]
 
+    def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
+        """See `Mechanism`."""
+        if self._structure.base is None:
+            return None
+        return np.concatenate([configuration[:7], velocity[:6]])
+
     def energy(self, configuration: FloatArray, velocity: FloatArray) -> float:
         """Kinetic and potential energy of the bodies, hinges and base springs, J; not of the springs at motors."""
         q, base = configuration[: self._tree.nq], self._structure.base

@@ -1,0 +1,152 @@
+"""`Fit`: a regression and its solution under the weights that its own residual shows.
+
+What every solver shares: how rows are weighted, what is known of the noise, the covariance that follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.base_parameters import BaseParameters, base_parameters
+from ..dynamics.model import TorqueModel
+from ..recording.motion import Motion
+from . import pso_lm
+from .environment import GRAVITY_SCALE
+from .prior import Prior, make_prior
+from .regression import Regression
+from .separable import PRESENCE_GATE, Solution, solve, system, without_constants
+from .solution_columns import all_columns, residuals_of
+from .solvers import Search
+from .uncertainty import covariance
+from .weights import Noise, reweight
+
+REWEIGHTINGS = 2
+
+
+@dataclass
+class Fit:
+    """A regression, its solution and the noise its residual shows; how the solver worked, in words."""
+
+    regression: Regression
+    prior: Prior
+    solution: Solution
+    residuals: list[FloatArray]
+    noise: list[list[Noise]]
+    stages: tuple[str, ...] = ()
+
+
+def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: Fit | None = None) -> Fit:
+    """Solve, weight the rows by what the residual shows, solve again."""
+    shared = start.regression if start and start.regression.model.arm is model.arm else None
+    regression = Regression(model, motions, shared)
+    prior = make_prior(model, motions)
+    if start is None:
+        solution = searched(regression, prior, search)
+    else:
+        for rows, known in zip(regression.rows, start.regression.rows):
+            rows.set_weight(known.weight)
+        solution = solve(regression, prior, start.solution.constants)
+    solution, noise = reweighted(regression, prior, solution)
+    return Fit(regression, prior, solution, residuals_of(regression, solution), noise)
+
+
+def searched(regression: Regression, prior: Prior, search: Search) -> Solution:
+    """What a search over the constants finds, under weights that a more flexible one's residual shows."""
+    _first_weights(regression)
+    reweight(regression, residuals_of(regression, without_constants(regression, prior)))
+    # What a model leaves out makes its residual loud and slow, and a test under its weights blind. So the search is
+    # first free to take what helps, and what then is left weighs the rows of the search that counts.
+    flexible = solve(regression, prior, search(regression, prior, 0.0), gate=0.0)
+    for _ in range(REWEIGHTINGS):
+        reweight(regression, residuals_of(regression, flexible))
+        flexible = solve(regression, prior, flexible.constants)
+    reweight(regression, residuals_of(regression, flexible))
+    return solve(regression, prior, search(regression, prior, PRESENCE_GATE))
+
+
+def reweighted(regression: Regression, prior: Prior, solution: Solution) -> tuple[Solution, list[list[Noise]]]:
+    """A solution refined under the weights that its own residual shows, and that noise."""
+    noise: list[list[Noise]] = []
+    for _ in range(REWEIGHTINGS):
+        noise = reweight(regression, residuals_of(regression, solution))
+        solution = solve(regression, prior, solution.constants)
+    return solution, noise
+
+
+def fit_as_published(model: TorqueModel, motions: list[Motion], seed: int) -> Fit:
+    """PSO-LM on rows of equal weight; what its residual shows is for the standard errors only."""
+    regression = Regression(model, motions)
+    prior = make_prior(model, motions)
+    solution, found = pso_lm.solve(regression, prior, seed)
+    excess = pso_lm.gap(regression, prior, solution)
+    stages = [f"round {number}: {part.words}" for number, part in enumerate(found.rounds, start=1)]
+    stages.append(f"its residual is {excess:.4g} times what exact parameters leave beside its Stribeck velocities")
+    residuals = residuals_of(regression, solution)
+    noise = reweight(regression, residuals)
+    matrix, vector = system(regression, prior, solution.constants)
+    solution = replace(solution, cost=float(np.sum((matrix @ solution.parameters - vector) ** 2)))
+    return Fit(regression, prior, solution, residuals, noise, tuple(stages))
+
+
+def refitted(known: Fit, motions: list[Motion]) -> tuple[Regression, Prior, Solution, list[list[Noise]]]:
+    """Least squares on the same recordings made ready in another way, from the constants that are known."""
+    regression = Regression(known.regression.model, motions)
+    prior = make_prior(known.regression.model, motions)
+    _first_weights(regression)
+    return regression, prior, *reweighted(regression, prior, solve(regression, prior, known.solution.constants))
+
+
+def _first_weights(regression: Regression) -> None:
+    """Before any residual is known: rows in units of a tenth of their joint's torque."""
+    for rows in regression.rows:
+        if len(rows.torque):
+            size = float(np.sqrt(np.mean(rows.torque**2))) or 1.0
+            rows.set_weight(np.full(len(rows.torque), 10.0 / size))
+
+
+def freedom(fit: Fit) -> dict[str, float]:
+    """Joint -> effective rows beyond its own columns; at least one."""
+    numbers = all_columns(fit.regression, fit.solution)[1]
+    effective = [sum(noise.rows / noise.correlation_rows for noise in joint) for joint in fit.noise]
+    joints = fit.regression.model.arm.joint_names
+    return {name: max(rows - len(own), 1.0) for name, rows, own in zip(joints, effective, numbers)}
+
+
+def covariance_of(fit: Fit, further: Sequence[FloatArray] = ()) -> FloatArray:
+    """Covariance of parameters and constants (the latter in their own units), and of what else is unknown.
+
+    `further`: per joint, columns (M, d) of unknowns numbered last, gravity's, believed within `GRAVITY_SCALE`.
+    """
+    regression, solution = fit.regression, fit.solution
+    count = len(regression.model.parameters)
+    columns, numbers = all_columns(regression, solution)
+    for term, first, terms in regression.shaped_terms():
+        for k in range(terms):
+            if solution.constants[first + k] <= 0:
+                continue
+            derivative = regression.derivatives(term, solution.constants[first : first + terms], k, solution.parameters)
+            for joint, column in derivative.items():
+                columns[joint] = np.column_stack([columns[joint], column])
+                numbers[joint].append(count + first + k)
+    correlation = [[noise.correlation_rows for noise in joint] for joint in fit.noise]
+    prior, known = fit.prior, count + len(regression.model.constants)
+    more = further[0].shape[1] if further else 0
+    if further:
+        columns = [np.column_stack(pair) for pair in zip(columns, further)]
+        numbers = [[*own, *range(known, known + more)] for own in numbers]
+        beliefs = np.pad(prior.rows, ((0, more), (0, known + more - count)))
+        beliefs[len(prior.rows) :, known:] = np.eye(more) / GRAVITY_SCALE
+        prior = replace(prior, rows=beliefs)
+    by_logarithm = covariance(regression, prior, columns, numbers, fit.residuals, correlation, known + more)
+    unit = np.concatenate([np.ones(count), solution.constants, np.ones(more)])
+    return np.asarray(by_logarithm * np.outer(unit, unit))
+
+
+def revealed(regression: Regression) -> BaseParameters:
+    """The base parameters that motions of this kind can reveal: more where the base moves, and is measured."""
+    moving = any(motion.base is not None for motion in regression.motions)
+    return base_parameters(regression.model, moving_base=moving)
