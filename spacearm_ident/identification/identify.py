@@ -152,7 +152,7 @@ def _weighing(settings: Settings, arm: Arm, motions: list[Motion]) -> Weighing[F
     if any(motion.base is not None for motion in motions):
         if settings.gravity:
             raise UserError(
-                "gravity cannot be estimated from a base that moves: its IMU has measured what is felt of it"
+                "gravity cannot be estimated under a moving base: its IMU measures what is felt of it"
             )
         if settings.solver == CLOE:
             raise UserError(f"the solver {CLOE} simulates a fixed base, and this one moves: take {SEPARABLE}")
