@@ -292,3 +292,8 @@ def test_a_machine_without_ros_or_a_package_or_room_is_told_what_to_do(tmp_path,
     assert any("packages: missing: clarabel" in line for line in found(results, Level.FAIL))
     assert any("ROS 2: missing: rclpy" in line for line in found(results, Level.WARN))
     assert any(line.startswith(f"disk: 1 MiB free at {tmp_path}") for line in found(results, Level.WARN))
+
+
+def test_every_package_that_is_required_is_looked_for():
+    required = re.search(r"install_requires=\[(.*?)\]", (CONFIG.parent / "setup.py").read_text(), re.S)
+    assert set(re.findall(r'"(\S+)"', required[1])) - {"setuptools"} == set(machine_check.PACKAGES.values())
