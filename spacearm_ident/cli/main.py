@@ -24,9 +24,10 @@ from . import (
     node,
     report,
     simulate,
+    watch,
 )
 
-COMMANDS = (demo, new_arm, check, excite, identify, simulate, report, mismatch, calibrate_temperature, node)
+COMMANDS = (demo, new_arm, check, excite, identify, simulate, report, mismatch, calibrate_temperature, watch, node)
 
 
 def parser() -> argparse.ArgumentParser:

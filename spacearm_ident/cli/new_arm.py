@@ -12,9 +12,9 @@ from ..errors import UserError
 
 DESCRIPTION = f"""
 Write the files of an arm into DIR: {ARM_FILE} (limits, gears), {CAN_FILE} (buses and drives), {NODES_FILE} (parameters
-of the ROS nodes), with URDF and EDS beside them. Every line says where its value is from: URDF, ASSUMED, or FILL IN for
-what nobody can guess; 'spacearm check DIR' says what is still missing. What the data sheets say can be given here at
-once, one number for all joints or one a joint.
+of the ROS nodes), layouts for Foxglove and PlotJuggler, with URDF and EDS beside them. Every line of the YAML says
+where its value is from: URDF, ASSUMED, or FILL IN for what nobody can guess; 'spacearm check DIR' says what is still
+missing. What the data sheets say can be given here at once, one number for all joints or one a joint.
 """
 SHEET = {
     "gear_ratio": "motor turns a joint turn (also taken from the URDF's transmissions)",

@@ -1,4 +1,4 @@
-"""The files of a new arm: arm YAML, CAN YAML and ROS parameters, commented, from a URDF and the drives' data sheet.
+"""The files of a new arm: arm, CAN and node YAML, commented, and live views, from a URDF and the drives' data sheet.
 
 Where the URDF says something it is taken and marked `URDF`. What can be guessed cautiously is marked `ASSUMED`. What
 cannot be guessed (gear ratios, torque constants, what a drive's per mille stand for) is left empty and marked
@@ -20,6 +20,7 @@ from ..canbus.bus_load import BusLoad, Traffic, bus_load
 from ..driver.arm_can import CAN_SCHEMA
 from ..dynamics.arm import ARM_SCHEMA, Arm, Joint
 from ..errors import UserError
+from .layouts import FOXGLOVE, PLOTJUGGLER, foxglove_layout, plotjuggler_layout
 
 ARM_FILE: Final = "arm.yaml"
 CAN_FILE: Final = "arm_can.yaml"
@@ -105,6 +106,8 @@ def starter_files(
         ARM_FILE: _arm_yaml(arm, urdf, sheet),
         CAN_FILE: _can_yaml(arm, eds, sheet, interface),
         NODES_FILE: _nodes_yaml(directory),
+        FOXGLOVE: foxglove_layout(arm.joint_names),
+        PLOTJUGGLER: plotjuggler_layout(arm.name, arm.joint_names),
     }
 
 

@@ -31,7 +31,7 @@ from ..identification.solvers import SEPARABLE, require_solver
 from ..mismatch.finding import NO_MISMATCH
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
 from ..session import AUTO
-from .identifier_messages import mismatch_figures, parameters_message, residual_messages, validation_figures
+from .identifier_messages import mismatch_figures, parameters_message, torque_message, validation_figures
 from .jobs import Done, Explained, ExplainJob, IdentifyJob, Job
 from .message_buffer import Capture, MessageBuffer
 from .residual_stream import ResidualStream
@@ -83,6 +83,7 @@ class Identifier(LiveNode):
         self._seen = 0
         self._parameters = self.create_publisher(DiagnosticArray, "/identifier/parameters", LATCHED)
         self._residuals = self.create_publisher(JointState, "/identifier/residuals", STREAM)
+        self._predicted = self.create_publisher(JointState, "/identifier/predicted", STREAM)
         self._subscribe()
         self.offer("/identifier/identify", self._identify_buffer)
         self.create_timer(WATCH_S, self._watch)
@@ -328,8 +329,9 @@ class Identifier(LiveNode):
             return
         payloads = self._states.since(self._seen)
         self._seen = self._states.stored
-        for message in residual_messages(stream.joints, stream.add(payloads)):
-            self._residuals.publish(message)
+        for row in stream.add(payloads):
+            self._residuals.publish(torque_message(stream.joints, row.stamp_ns, row.residual))
+            self._predicted.publish(torque_message(stream.joints, row.stamp_ns, row.predicted))
 
     def diagnose(self) -> Sequence[Status]:
         """The buffer, the last identification, the residual."""
