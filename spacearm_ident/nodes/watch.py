@@ -81,12 +81,14 @@ class Listener:
         return self.state.view(time.monotonic(), most_parameters)
 
     def _take_joints(self) -> None:
-        handle, payload, info = self._joints.handle, None, {}
+        handle = self._joints.handle
         with handle:
-            while (taken := handle.take_message(self._joints.msg_type, True)) is not None:
-                payload, info = taken
-        blocks, _ = cdr.decode_joint_states([payload]) if payload is not None else ([], [])
-        for block in blocks:
+            # The queue holds one message: the newest.
+            taken = handle.take_message(self._joints.msg_type, True)
+        if taken is None:
+            return
+        payload, info = taken
+        for block in cdr.decode_joint_states([payload])[0]:
             position, effort = (() if part is None else part[0].tolist() for part in (block.position, block.effort))
             number = info["publication_sequence_number"]
             self.state.hear_joints(block.names, position, effort, number, time.monotonic())
