@@ -122,13 +122,10 @@ def comparison_html(names: tuple[str, str], results: tuple[Result, Result]) -> s
     first, second = (result.identified for result in results)
     found, combined = differences(first, second), base_differences(first, second)
     title = f"{names[0]} and {names[1]}"
+    dates = " and ".join(result.written[:16].replace("T", " ") for result in results)
     body = join(
         element("h1", title),
-        element(
-            "p",
-            f"{first.model.model.arm.name} · written {' and '.join(result.written[:16] for result in results)} UTC",
-            class_="quiet",
-        ),
+        element("p", f"{first.model.model.arm.name} · written {dates} UTC", class_="quiet"),
         _headline(found, combined),
         element("h2", "How well each predicts"),
         _figures(names, results),
@@ -173,7 +170,6 @@ def _headline(found: Sequence[Difference], combined: Sequence[Difference]) -> Ma
 
 def _figures(names: tuple[str, str], results: tuple[Result, Result]) -> Markup:
     validations = [result.validation.joints for result in results]
-    heads = [f"{figure}, {name}" for figure in ("RMSE N·m", "R", "residual / torque, moving") for name in names]
     rows = []
     for joint in dict.fromkeys([*validations[0], *validations[1]]):
         both = [validation.get(joint) for validation in validations]
@@ -184,7 +180,11 @@ def _figures(names: tuple[str, str], results: tuple[Result, Result]) -> Markup:
         ]
         rows.append(element("tr", element("th", breakable(joint), class_="text"), *(element("td", c) for c in cells)))
     verdicts = [judge_result(result.identified, result.validation) for result in results]
-    header = element("tr", element("th", "joint", class_="text"), *(element("th", head) for head in heads))
+    heads = ("RMSE, N·m", "R", "residual / torque, moving")
+    header = join(
+        element("tr", element("th", "joint", class_="text", rowspan=2), *(element("th", h, colspan=2) for h in heads)),
+        element("tr", *(element("th", name) for _ in heads for name in names)),
+    )
     return join(
         *(element("p", element("strong", name), f": {verdict.headline}.") for name, verdict in zip(names, verdicts)),
         element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide"),
