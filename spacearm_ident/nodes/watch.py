@@ -7,8 +7,8 @@ stream says how many there were.
 from __future__ import annotations
 
 import signal
+import threading
 import time
-from collections.abc import Callable
 from types import TracebackType
 
 import rclpy
@@ -129,14 +129,13 @@ def look_once(wait_s: float, most_parameters: int) -> View:
         return listener.view(most_parameters)
 
 
-def watch(console: Console, rate_hz: float, most_parameters: int, over: Callable[[], bool] = lambda: False) -> None:
-    """Keep a screen up to date until it is interrupted, or `over` says so."""
-    # However it is ended, the terminal is given back.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+def watch(console: Console, rate_hz: float, most_parameters: int) -> None:
+    """Keep a screen up to date until SIGINT or SIGTERM; the terminal is given back."""
+    # An exception out of a signal handler, in the middle of a C++ call, becomes another one there.
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
     with Listener() as listener, Live(console=console, screen=True, auto_refresh=False) as live:
-        try:
-            while not over():
-                listener.spin(1.0 / rate_hz)
-                live.update(screen(listener.view(most_parameters)), refresh=True)
-        except KeyboardInterrupt:
-            return
+        while not stop.is_set():
+            listener.spin(1.0 / rate_hz)
+            live.update(screen(listener.view(most_parameters)), refresh=True)
