@@ -64,7 +64,9 @@ class Graph(Probe):
         self._processes = processes
         self._player: subprocess.Popen[str] | None = None
         self.residuals: list[JointState] = []
+        self.predicted: list[JointState] = []
         self.node.create_subscription(JointState, "/identifier/residuals", self.residuals.append, STREAM)
+        self.node.create_subscription(JointState, "/identifier/predicted", self.predicted.append, STREAM)
 
     def wait_for(self, condition, what: str, patience_s: float = PATIENCE_S):
         return super().wait_for(condition, what, patience_s)
@@ -311,6 +313,14 @@ def test_a_model_file_gives_residuals_and_parameters_at_once(bags, processes, gr
         assert float(parameters[item.name]["value"]) == value
         assert parameters[item.name]["determination"] == "from a model file"
     assert np.abs([m.effort for m in graph.residuals]).mean() < 0.2
+    graph.wait_for(lambda: len(graph.predicted) >= len(graph.residuals), "predictions")
+    played = read_recording(bags["second"])
+    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in graph.predicted])
+    for column, joint in enumerate(graph.predicted[0].name):
+        measured = played.effort[:, played.joints.index(joint)]
+        predicted = np.array([m.effort[column] for m in graph.predicted])
+        measured = np.interp((stamps - played.start_ns) / 1e9, played.time, measured)
+        assert np.corrcoef(predicted, measured)[0, 1] > 0.99
 
 
 def test_a_friction_step_is_found_dated_and_explained(graph, tmp_path):

@@ -13,9 +13,21 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import UnfitDataError, UserError
-from . import calibrate_temperature, demo, excite, identify, mismatch, node, report, simulate
+from . import (
+    calibrate_temperature,
+    check,
+    demo,
+    excite,
+    identify,
+    mismatch,
+    new_arm,
+    node,
+    report,
+    simulate,
+    watch,
+)
 
-COMMANDS = (demo, excite, identify, simulate, report, mismatch, calibrate_temperature, node)
+COMMANDS = (demo, new_arm, check, excite, identify, simulate, report, mismatch, calibrate_temperature, watch, node)
 
 
 def parser() -> argparse.ArgumentParser:

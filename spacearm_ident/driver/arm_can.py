@@ -124,6 +124,8 @@ def _build(data: Mapping[str, Any], arm: Arm, path: Path) -> ArmCan:
         raise UserError(f"{path}: joint {odd!r} is not in both the arm and the CAN configuration")
     for name, keys in given.items():
         _known(keys, _JOINT, f"{path}: {name}")
+        if empty := [key for key, value in keys.items() if value is None]:
+            raise UserError(f"{path}: {name}: {empty[0]} is still empty: fill it in (spacearm check lists all)")
     joints = tuple(_limited(joint, given[joint.name]) for joint in arm.joints)
     arm = replace(arm, joints=joints)
     axes = tuple(_axis(joint, given[joint.name], f"{path}: {joint.name}") for joint in joints)

@@ -243,6 +243,8 @@ def _mapping(value: Any, where: str) -> Mapping[str, Any]:
 
 
 def _number(value: Any, where: str) -> float:
+    if value is None:
+        raise UserError(f"{where} is still empty: fill it in (spacearm check lists all that is missing)")
     try:
         number = float(value)
     except (TypeError, ValueError):

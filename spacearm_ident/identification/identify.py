@@ -151,9 +151,7 @@ def _weighing(settings: Settings, arm: Arm, motions: list[Motion]) -> Weighing[F
             raise UserError(f"the solver {settings.solver} does not estimate {words}: take {SEPARABLE}")
     if any(motion.base is not None for motion in motions):
         if settings.gravity:
-            raise UserError(
-                "gravity cannot be estimated under a moving base: its IMU measures what is felt of it"
-            )
+            raise UserError("gravity cannot be estimated under a moving base: its IMU measures what is felt of it")
         if settings.solver == CLOE:
             raise UserError(f"the solver {CLOE} simulates a fixed base, and this one moves: take {SEPARABLE}")
     search = search_of(settings.solver, settings.seed)

@@ -35,7 +35,7 @@ from .identifier_messages import (
     mismatch_figures,
     parameter_statuses,
     parameters_message,
-    residual_messages,
+    torque_message,
     tracked_statuses,
     validation_figures,
 )
@@ -97,6 +97,7 @@ class Identifier(LiveNode):
         self._seen = self._seen_warm = 0
         self._parameters_out = self.create_publisher(DiagnosticArray, "/identifier/parameters", LATCHED)
         self._residuals = self.create_publisher(JointState, "/identifier/residuals", STREAM)
+        self._predicted = self.create_publisher(JointState, "/identifier/predicted", STREAM)
         self._subscribe()
         self.offer("/identifier/identify", self._identify_buffer)
         self.create_timer(WATCH_S, self._watch)
@@ -314,8 +315,10 @@ class Identifier(LiveNode):
             return
         payloads = self._states.since(self._seen)
         self._seen = self._states.stored
-        for message in residual_messages(self._stream.joints, self._stream.add(payloads)):
-            self._residuals.publish(message)
+        joints = self._stream.joints
+        for row in self._stream.add(payloads):
+            self._residuals.publish(torque_message(joints, row.stamp_ns, row.residual))
+            self._predicted.publish(torque_message(joints, row.stamp_ns, row.predicted))
         if self._tracking is not None:
             self._track(self._tracking, payloads)
 

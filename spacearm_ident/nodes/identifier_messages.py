@@ -9,11 +9,11 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 
+from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..identification.identified import Identified, Validation
 from ..identification.tracking import TrackingState
 from ..mismatch.finding import Explanation
-from .residual_stream import Row
 
 FROM_FILE = "from a model file"
 TRACKED = "tracked"
@@ -101,12 +101,11 @@ def _status(arm: str, entry: _Entry) -> DiagnosticStatus:
     )
 
 
-def residual_messages(joints: tuple[str, ...], rows: Iterable[Row]) -> Iterator[JointState]:
-    """`/identifier/residuals`: the stamp is the moment the residual belongs to."""
-    for row in rows:
-        message = JointState(name=joints, effort=row.residual)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(row.stamp_ns, 1_000_000_000)
-        yield message
+def torque_message(joints: tuple[str, ...], stamp_ns: int, effort: FloatArray) -> JointState:
+    """`/identifier/residuals`, `/identifier/predicted`: the stamp is the moment the torque belongs to."""
+    message = JointState(name=joints, effort=effort)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    return message
 
 
 def validation_figures(validation: Validation) -> dict[str, object]:

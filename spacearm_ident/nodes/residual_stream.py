@@ -17,10 +17,11 @@ RECENT_S = 10.0
 
 @dataclass(frozen=True)
 class Row:
-    """Residual (n,) N·m at a stamp."""
+    """Residual and predicted torque, (n,) N·m each, at a stamp; their sum is the torque measured, in the bandwidth."""
 
     stamp_ns: int
     residual: FloatArray
+    predicted: FloatArray
 
 
 class ResidualStream:
@@ -52,9 +53,9 @@ class ResidualStream:
             self._live = LiveResidual(self.model, rate, min(self._row_rate_hz, rate))
         parts = self._live.add(samples.time, samples.position, samples.effort)
         rows = [
-            Row(self._samples.epoch_ns + round(moment * 1e9), residual)
+            Row(self._samples.epoch_ns + round(moment * 1e9), residual, predicted)
             for part in parts
-            for moment, residual in zip(part.time.tolist(), part.residual)
+            for moment, residual, predicted in zip(part.time.tolist(), part.residual, part.predicted)
         ]
         if rows:
             keep = int(RECENT_S * self._live.row_rate_hz)

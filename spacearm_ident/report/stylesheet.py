@@ -68,6 +68,8 @@ td.rested { color: var(--muted); }
 .swatch { display: inline-block; width: 22px; height: 0; border-top: 3px solid; margin-right: 6px;
   vertical-align: middle; }
 .swatch.block { height: 11px; border: 0; background: var(--band); }
+td.good { color: var(--good); } td.fair { color: var(--fair); } td.poor { color: var(--poor); }
+tr.moved td { font-weight: 600; } a { color: var(--predicted); }
 td.note { min-width: 38ch; }
 svg.interval { width: 96px; height: 12px; display: inline-block; vertical-align: middle; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: 4px 20px; margin: 8px 0; font-size: 14px; }

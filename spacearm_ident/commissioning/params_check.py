@@ -1,0 +1,87 @@
+"""Whether a file of ROS parameters says what the nodes know: ROS takes a misspelt one without a word."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from ..errors import UserError
+from ..nodes.main import NODES
+from .result import CheckResult, fail, ok, warn
+from .yaml_file import read_yaml
+
+FILES: Final = frozenset({"arm", "can_config", "model", "structure", "replay", "mismatch_reference", "trajectory_file"})
+"""Parameters that name a file which must be there when the node starts or the run begins."""
+EVERY_NODE: Final = frozenset({"use_sim_time"})
+
+
+def check_params(path: Path) -> list[CheckResult]:
+    """All checks of a parameter file."""
+    try:
+        data = read_yaml(path)
+    except UserError as error:
+        return [fail("parameters", str(error), "correct it; config/spacearm.yaml is an example")]
+    results = [result for node, given in data.items() for result in _node(str(node), given)]
+    results += _one_arm(data)
+    return results or [ok("parameters", f"{', '.join(map(str, data))}: every parameter exists")]
+
+
+DECLARING = frozenset({"parameter", "_file"})
+"""What the nodes' modules declare a parameter with; its name is the first string they are given."""
+
+
+@cache
+def known_parameters(node: str) -> frozenset[str]:
+    """Names a node declares, read from the source of its modules (NODE*.py), so that ROS need not be there."""
+    spec = importlib.util.find_spec(f"spacearm_ident.nodes.{node}")
+    if spec is None or spec.origin is None:
+        return frozenset()
+    files = Path(spec.origin).parent.glob(f"{node}*.py")
+    calls = (item for file in files for item in ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+    return frozenset(name for call in calls if isinstance(call, ast.Call) for name in _declared(call))
+
+
+def _declared(call: ast.Call) -> list[str]:
+    """The parameter a call declares, if it does."""
+    named = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    if named not in DECLARING:
+        return []
+    return [item.value for item in call.args if isinstance(item, ast.Constant) and isinstance(item.value, str)][:1]
+
+
+def _node(node: str, given: Any) -> Iterator[CheckResult]:
+    if node not in NODES:
+        yield fail("parameters", f"there is no node {node!r}", f"the nodes are {', '.join(NODES)}")
+        return
+    values = given.get("ros__parameters") if isinstance(given, dict) else None
+    if not isinstance(values, dict):
+        yield fail("parameters", f"{node} has no 'ros__parameters:'", "ROS ignores what is not under that key")
+        return
+    for name, value in values.items():
+        if name not in known_parameters(node) | EVERY_NODE:
+            known = ", ".join(sorted(known_parameters(node)))
+            yield fail("parameters", f"{node} has no parameter {name!r}; ROS would ignore it", f"it has {known}")
+        elif name in FILES and value and not Path(str(value)).expanduser().exists():
+            yield warn("parameters", f"{node}: {name}: there is no {value}", "write it before the node is started")
+
+
+def _one_arm(data: Mapping[str, Any]) -> Iterator[CheckResult]:
+    """All nodes must be told of the same arm, or limits and torques are those of another."""
+    told: dict[Path, str] = {}
+    for node, given in data.items():
+        values = given.get("ros__parameters") if isinstance(given, dict) else None
+        for name in ("arm", "can_config"):
+            file = Path(str(values[name])).expanduser() if isinstance(values, dict) and values.get(name) else None
+            if file is None or not file.is_file():
+                continue
+            try:
+                arm = file.parent / str(read_yaml(file).get("arm", "")) if name == "can_config" else file
+            except UserError:
+                continue
+            told.setdefault(arm.resolve(), f"{node} of {arm}")
+    if len(told) > 1:
+        yield fail("parameters", f"nodes are told of different arms: {'; '.join(told.values())}", "name one arm file")

@@ -1,0 +1,259 @@
+"""The files of a new arm: arm, CAN and node YAML, commented, and live views, from a URDF and the drives' data sheet.
+
+Where the URDF says something it is taken and marked `URDF`. What can be guessed cautiously is marked `ASSUMED`. What
+cannot be guessed (gear ratios, torque constants, what a drive's per mille stand for) is left empty and marked
+`FILL IN`: the loaders refuse an empty value by its name, and `spacearm check` lists them all.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import yaml
+
+from ..canbus.bus_load import BusLoad, Traffic, bus_load
+from ..driver.arm_can import CAN_SCHEMA
+from ..dynamics.arm import ARM_SCHEMA, Arm, Joint
+from ..errors import UserError
+from .layouts import FOXGLOVE, PLOTJUGGLER, foxglove_layout, plotjuggler_layout
+
+ARM_FILE: Final = "arm.yaml"
+CAN_FILE: Final = "arm_can.yaml"
+NODES_FILE: Final = "arm_nodes.yaml"
+CAUTIOUS_VELOCITY: Final = {True: 0.5, False: 0.05}
+"""Velocity limit where the URDF has none, by whether the joint turns: rad/s or m/s."""
+UP_TO_SPEED_S: Final = 0.5
+"""Acceleration limit: the velocity limit in so long, as `spacearm excite` assumes."""
+COMFORTABLE: Final = 0.85
+"""Worst-case load a bus is filled to."""
+MOST_BUSES: Final = 4
+HEARTBEAT_HZ: Final = 20.0
+_CHANNELS: Final = {"socketcan": "can", "local": "arm"}
+
+_HEAD = "# URDF: taken from there. ASSUMED: cautious, change it where you know better. FILL IN: nobody can guess it."
+
+
+@dataclass(frozen=True)
+class DataSheet:
+    """What the makers of gears, motors and drives say; each a number for all joints, one a joint, or none.
+
+    Attributes:
+        gear_ratio: Motor turns a joint turn.
+        torque_constant: N·m/A at the motor.
+        rated_current: A: what 1000 per mille of 0x6077 stand for.
+        counts_per_turn: Encoder counts a motor turn.
+    """
+
+    gear_ratio: Sequence[float] = field(default=())
+    torque_constant: Sequence[float] = field(default=())
+    rated_current: Sequence[float] = field(default=())
+    counts_per_turn: Sequence[float] = field(default=())
+
+    def of(self, key: str, joint: int, joints: int) -> float | None:
+        """The value for a joint; None where it is not known.
+
+        Raises:
+            UserError: Neither one value nor one a joint, or a value that is not above zero.
+        """
+        values: Sequence[float] = getattr(self, key)
+        option = f"--{key.replace('_', '-')}"
+        if not values:
+            return None
+        if len(values) not in (1, joints):
+            raise UserError(f"{option} has {len(values)} numbers: give one, or one for each of the {joints} joints")
+        value = values[joint % len(values)]
+        if not (math.isfinite(value) and value > 0):
+            raise UserError(f"{option} {value:g} must be above zero")
+        return value
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One `key: value  # comment` of a joint; without a value it is to be filled in."""
+
+    key: str
+    value: float | int | None
+    comment: str
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return f"    {self.key}:  # FILL IN: {self.comment}"
+        return f"    {self.key}: {self.value:.10g}  # {self.comment}"
+
+
+def starter_files(
+    arm: Arm, urdf: str, eds: str | None, sheet: DataSheet, directory: Path, interface: str = "socketcan"
+) -> Mapping[str, str]:
+    """Names and texts of the files.
+
+    Args:
+        arm: As the URDF describes it.
+        urdf: Name of the URDF, in `directory`.
+        eds: Name of the drives' data sheet, in `directory`; None: the simulated drive's stands in.
+        sheet: What is known of gears, motors and drives.
+        directory: Where the files will be; the nodes' parameters name it.
+        interface: python-can's, or `local` for the simulated arm.
+
+    Raises:
+        UserError: The numbers of the sheet do not fit the arm.
+    """
+    return {
+        ARM_FILE: _arm_yaml(arm, urdf, sheet),
+        CAN_FILE: _can_yaml(arm, eds, sheet, interface),
+        NODES_FILE: _nodes_yaml(directory),
+        FOXGLOVE: foxglove_layout(arm.joint_names),
+        PLOTJUGGLER: plotjuggler_layout(arm.name, arm.joint_names),
+    }
+
+
+def gear_ratios(urdf: str) -> dict[str, float]:
+    """Joint -> reduction, where the URDF has `<transmission>` elements that say one."""
+    found = {}
+    for transmission in ET.fromstring(urdf).iter("transmission"):
+        texts = [item.text for item in transmission.iter("mechanicalReduction") if item.text]
+        joints = [item.get("name") for item in transmission.iter("joint")]
+        try:
+            ratio = abs(float(texts[0])) if len(texts) == 1 and len(joints) == 1 else 0.0
+        except ValueError:
+            continue
+        if ratio > 0 and joints[0]:
+            found[joints[0]] = ratio
+    return found
+
+
+def _arm_yaml(arm: Arm, urdf: str, sheet: DataSheet) -> str:
+    reductions = gear_ratios(arm.urdf)
+    lines = [
+        f"# What is known of {arm.name} before it is identified; everything on the output side of the gears, SI.",
+        _HEAD,
+        f"schema: {ARM_SCHEMA}",
+        f"urdf: {_quoted(urdf)}  # kinematics, and CAD inertials as prior",
+        "gravity_m_s2: [0, 0, -9.81]  # ASSUMED: in the base frame; [0, 0, 0] in orbit",
+        "joints:  # prismatic joints have m and N in place of rad and N m, under the same keys",
+    ]
+    for number, joint in enumerate(arm.joints):
+        lines.append(f"  {_quoted(joint.name)}:" + ("" if joint.revolute else "  # prismatic"))
+        lines += map(str, _joint_entries(joint, number, len(arm.joints), sheet, reductions.get(joint.name)))
+    lines += [
+        "# A wrist whose last motor turns with two joints: [{name: motor_6, ratios: {joint_5: 1.0, joint_6: 1.0}}]",
+        "couplings: []",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _joint_entries(joint: Joint, number: int, count: int, sheet: DataSheet, reduction: float | None) -> list[Entry]:
+    gear = sheet.of("gear_ratio", number, count)
+    velocity = joint.velocity_limit
+    limited = math.isfinite(velocity)
+    if not limited:
+        velocity = CAUTIOUS_VELOCITY[joint.revolute]
+    bounded = math.isfinite(joint.upper - joint.lower)
+    lower, upper = (joint.lower, joint.upper) if bounded else (-math.pi, math.pi)
+    bounds = "URDF" if bounded else "ASSUMED: no limit in the URDF; half a turn, for the cables' sake"
+    torque = joint.effort_limit if math.isfinite(joint.effort_limit) else None
+    return [
+        Entry("gear_ratio", gear or reduction, "motor turns a joint turn" if gear or not reduction else "URDF"),
+        Entry(
+            "torque_constant_Nm_per_A", sheet.of("torque_constant", number, count), "at the motor, by its data sheet"
+        ),
+        Entry("position_lower_rad", lower, bounds),
+        Entry("position_upper_rad", upper, bounds),
+        Entry("velocity_limit_rad_s", velocity, "URDF" if limited else "ASSUMED: the URDF has none"),
+        Entry(
+            "acceleration_limit_rad_s2",
+            velocity / UP_TO_SPEED_S,
+            f"ASSUMED: up to speed in {UP_TO_SPEED_S:g} s",
+        ),
+        Entry("torque_limit_Nm", torque, "the most gear and motor bear" if torque is None else "URDF"),
+    ]
+
+
+def _can_yaml(arm: Arm, eds: str | None, sheet: DataSheet, interface: str) -> str:
+    count = len(arm.joints)
+    buses, load = buses_for(count)
+    each = -(-count // buses)
+    channel = _CHANNELS.get(interface, "")
+    lines = [
+        f"# How the drives of {arm.name} are wired and how they count.",
+        _HEAD,
+        f"schema: {CAN_SCHEMA}",
+        f"arm: {ARM_FILE}  # gear ratios, torque constants, limits",
+        f"eds: {_quoted(eds)}"
+        if eds
+        else "eds: spacearm_drive.eds  # ASSUMED: that of the simulated drive; put yours beside this file and name it",
+        "bitrate: 1000000  # ASSUMED",
+        "# data_bitrate: 5000000  # CAN FD with bit-rate switch, where the drives have it",
+        f"buses:  # ASSUMED: {each} axes a bus at 1 kHz load it {load}; the simulated arm: interface: local",
+        *(f"- {{interface: {_quoted(interface)}, channel: {_quoted(f'{channel}{bus}')}}}" for bus in range(buses)),
+        "cycle:",
+        "  period_s: 0.001",
+        "  set_point_divider: 1  # set-points with every how many-th SYNC",
+        "  slim: false  # status word and controlword in frames of their own, for a full bus",
+        "  mode: 8  # cyclic synchronous position; 7: interpolated position",
+        "  heartbeat_s: 0.05",
+        "  heartbeat_timeout_s: 0.25",
+        "  stale_feedback_s: 0.05",
+        "# Further keys of a joint: rated_torque_Nm instead of rated_current_A where 0x6077 is per mille of the rated",
+        "# torque; peak_factor (1.414 where the drive reports RMS and the torque constant is for peak), direction and",
+        "# torque_sign (1 or -1), zero_counts (0x6064 at joint angle zero), tracking_error_rad, any limit of the arm.",
+        "joints:",
+    ]
+    for number, joint in enumerate(arm.joints):
+        lines += [
+            f"  {_quoted(joint.name)}:",
+            str(Entry("bus", number // each, "ASSUMED: number in the list of buses")),
+            str(Entry("node", number + 1, "ASSUMED: CANopen node id")),
+            str(Entry("counts_per_turn", sheet.of("counts_per_turn", number, count), "encoder counts a motor turn")),
+            str(
+                Entry(
+                    "rated_current_A",
+                    sheet.of("rated_current", number, count),
+                    "what 1000 per mille of 0x6077 stand for",
+                )
+            ),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def buses_for(axes: int) -> tuple[int, BusLoad]:
+    """How many classical 1 Mbit/s buses carry so many axes at 1 kHz comfortably, and the fullest one's load."""
+    traffic = Traffic(heartbeat_rate=HEARTBEAT_HZ)
+    load = bus_load(traffic.frames(axes))
+    for buses in range(1, min(axes, MOST_BUSES) + 1):
+        load = bus_load(traffic.frames(-(-axes // buses)))
+        if load.worst <= COMFORTABLE:
+            break
+    return buses, load
+
+
+def _nodes_yaml(directory: Path) -> str:
+    arm, can = (_quoted(str(directory / name)) for name in (ARM_FILE, CAN_FILE))
+    lines = [
+        "# Parameters of all nodes for this arm; `ros2 param describe /NODE NAME` explains one. They are used with",
+        "# `spacearm node NODE --ros-args --params-file THIS_FILE`. `ros2 launch spacearm_ident spacearm.launch.py`",
+        "# wants this file as `params:=`, and beside it `arm:=`, `can:=` and, with drives on the buses, `sim:=false`.",
+        *_node("canopen_driver", f"can_config: {can}", "connect_timeout_s: 30.0  # 0: wait for the drives for ever"),
+        *_node("trajectory", f"arm: {arm}  # its limits are kept", "require_enabled: true"),
+        *_node("recorder", f"directory: {_quoted(str(directory / 'recordings'))}"),
+        *_node("identifier", f"arm: {arm}", f"result_directory: {_quoted(str(directory / 'identified'))}"),
+        *_node(
+            "simulated_arm",
+            f"can_config: {can}",
+            f"# model: {directory / 'identified' / 'model.yaml'}  # once there is one: what the simulated arm obeys",
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _node(name: str, *parameters: str) -> list[str]:
+    return [f"{name}:", "  ros__parameters:", *(f"    {parameter}" for parameter in parameters)]
+
+
+def _quoted(text: str) -> str:
+    """A string as YAML wants it, in a block or in braces: plain where that is unmistakable."""
+    return yaml.safe_dump([text], default_flow_style=True, allow_unicode=True, width=math.inf).strip()[1:-1]

@@ -1,0 +1,141 @@
+"""`spacearm watch`: listens to the live graph and keeps a screen of it; publishes nothing, calls nothing.
+
+Joint states are not heard one by one: twenty times a second the newest is taken, and its number in the publisher's
+stream says how many there were.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from types import TracebackType
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rich.console import Console
+from rich.live import Live
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import String
+
+from ..errors import UnfitDataError
+from ..recording import cdr
+from ..recording.messages import STATES_TOPIC, TEMPERATURES_TOPIC
+from .runtime import LATCHED
+from .watch_screen import screen
+from .watch_state import View, WatchState
+
+SPIN_S = 0.05
+ALL_NODES_S = 1.2
+"""After the first node has spoken: the others speak every second."""
+
+
+class Listener:
+    """A hidden node that feeds a `WatchState`."""
+
+    def __init__(self) -> None:
+        self.state = WatchState()
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node(
+            "_spacearm_watch", context=self._context, enable_rosout=False, start_parameter_services=False
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._statuses, 100)
+        self._node.create_subscription(DiagnosticArray, "/identifier/parameters", self._parameters, LATCHED)
+        self._node.create_subscription(String, "/excitation/state", self._run, LATCHED)
+        self._node.create_subscription(Temperature, TEMPERATURES_TOPIC, self._temperature, 10)
+        # In no executor: taken when a screen is due, for a wake-up a message would cost more than all the rest.
+        self._unspun = rclpy.create_node(
+            "_spacearm_watch_joints", context=self._context, enable_rosout=False, start_parameter_services=False
+        )
+        newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._joints = self._unspun.create_subscription(JointState, STATES_TOPIC, lambda _: None, newest, raw=True)
+
+    def __enter__(self) -> Listener:
+        """The listener."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._unspun.destroy_node()
+        self._context.try_shutdown()
+
+    def spin(self, seconds: float) -> None:
+        """Listen for so long."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=min(left, SPIN_S))
+            self._take_joints()
+
+    def view(self, most_parameters: int) -> View:
+        """What is so now."""
+        return self.state.view(time.monotonic(), most_parameters)
+
+    def _take_joints(self) -> None:
+        handle = self._joints.handle
+        with handle:
+            # The queue holds one message: the newest.
+            taken = handle.take_message(self._joints.msg_type, True)
+        if taken is None:
+            return
+        payload, info = taken
+        for block in cdr.decode_joint_states([payload])[0]:
+            position, effort = (() if part is None else part[0].tolist() for part in (block.position, block.effort))
+            number = info["publication_sequence_number"]
+            self.state.hear_joints(block.names, position, effort, number, time.monotonic())
+
+    def _statuses(self, message: DiagnosticArray) -> None:
+        for item in message.status:
+            values = {pair.key: pair.value for pair in item.values}
+            self.state.hear_status(item.name, item.level[0], item.message, item.hardware_id, values, time.monotonic())
+
+    def _parameters(self, message: DiagnosticArray) -> None:
+        self.state.hear_parameters(
+            (item.name, {pair.key: pair.value for pair in item.values}) for item in message.status
+        )
+
+    def _run(self, message: String) -> None:
+        self.state.hear_run(message.data)
+
+    def _temperature(self, message: Temperature) -> None:
+        self.state.hear_temperature(message.header.frame_id, message.temperature)
+
+
+def look_once(wait_s: float, most_parameters: int) -> View:
+    """One view, once every node has had its second to speak.
+
+    Raises:
+        UnfitDataError: No node speaks within `wait_s`.
+    """
+    with Listener() as listener:
+        end = time.monotonic() + wait_s
+        while not listener.state.nodes_heard:
+            if time.monotonic() > end:
+                raise UnfitDataError(
+                    f"no node of spacearm_ident was heard within {wait_s:g} s: start them (docs/live.md), or set "
+                    "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as theirs are"
+                )
+            listener.spin(SPIN_S)
+        listener.spin(ALL_NODES_S)
+        return listener.view(most_parameters)
+
+
+def watch(console: Console, rate_hz: float, most_parameters: int) -> None:
+    """Keep a screen up to date until SIGINT or SIGTERM; the terminal is given back."""
+    # An exception out of a signal handler, in the middle of a C++ call, becomes another one there.
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with Listener() as listener, Live(console=console, screen=True, auto_refresh=False) as live:
+        while not stop.is_set():
+            listener.spin(1.0 / rate_hz)
+            live.update(screen(listener.view(most_parameters)), refresh=True)

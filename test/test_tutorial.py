@@ -1,0 +1,59 @@
+"""docs/tutorial.md, carried out: its commands are read from the page, and say what the page says they say."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from spacearm_ident.cli.main import main
+from spacearm_ident.dynamics.model_file import load_model
+
+ROOT = Path(__file__).parent.parent
+PAGE = ROOT / "docs" / "tutorial.md"
+
+
+def steps() -> list[tuple[str, list[str]]]:
+    """Every command of the page's console blocks, continuation lines joined, and the output shown below it."""
+    found: list[tuple[str, list[str]]] = []
+    for block in re.findall(r"^```console\n(.*?)^```", PAGE.read_text(), re.M | re.S):
+        for line in block.replace("\\\n", " ").splitlines():
+            if line.startswith("$ "):
+                found.append((line.removeprefix("$ "), []))
+            else:
+                found[-1][1].append(line)
+    return found
+
+
+def pattern(line: str) -> str:
+    """A shown line as a whole line of output; `…` stands for anything, a line may go on with what to do (`->`)."""
+    return f"^{re.escape(line).replace('…', '.*')}( -> .*)?$"
+
+
+def test_every_command_does_what_the_page_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SPACEARM_RUNTIME_DIR", str(tmp_path / "run"))
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    for command, shown in steps():
+        words = shlex.split(command, comments=True)
+        assert words[0] == "spacearm", f"only commands of ours can be tested: {command}"
+        expected = re.search(r"# exit code (\d)", command)
+        code = main(words[1:])
+        out, err = capsys.readouterr()
+        assert code == int(expected[1] if expected else 0), f"{command}\n{out}{err}"
+        for line in shown:
+            assert re.search(pattern(line), out, re.M), f"{command}\nnever said: {line}\n{out}"
+    identified = load_model(tmp_path / "my_arm" / "identified" / "model.yaml")
+    known = load_model(ROOT / "config" / "paper_arm_model.yaml")
+    names = [parameter.name for parameter in identified.model.parameters]
+    values = dict(zip(names, identified.parameters))
+    for parameter, truth in zip(known.model.parameters, known.parameters):
+        if parameter.symbol == "f_c":
+            assert values[parameter.name] == pytest.approx(truth, rel=0.1), parameter.name
+
+
+def test_the_page_shows_commands_and_what_they_say():
+    assert len(steps()) >= 7
+    assert sum(len(shown) for _, shown in steps()) >= 10
