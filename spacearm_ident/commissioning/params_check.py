@@ -30,8 +30,8 @@ def check_params(path: Path) -> list[CheckResult]:
     return results or [ok("parameters", f"{', '.join(map(str, data))}: every parameter exists")]
 
 
-DECLARING = frozenset({"parameter", "_file"})
-"""What the nodes' modules declare a parameter with; its name is the first string they are given."""
+DECLARING = {"parameter": 0, "_file": 1}
+"""What the nodes' modules declare a parameter with, and which argument its name is."""
 
 
 @cache
@@ -48,9 +48,8 @@ def known_parameters(node: str) -> frozenset[str]:
 def _declared(call: ast.Call) -> list[str]:
     """The parameter a call declares, if it does."""
     named = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-    if named not in DECLARING:
-        return []
-    return [item.value for item in call.args if isinstance(item, ast.Constant) and isinstance(item.value, str)][:1]
+    place = DECLARING.get(named, len(call.args))
+    return [item.value for item in call.args[place : place + 1] if isinstance(item, ast.Constant)]
 
 
 def _node(node: str, given: Any) -> Iterator[CheckResult]:
