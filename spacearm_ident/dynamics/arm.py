@@ -13,14 +13,16 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import yaml
 from numpy.typing import NDArray
 
+from ..documents import check_xml, parse_yaml, read_text
 from ..errors import UserError
 
 FloatArray = NDArray[np.float64]
 ARM_SCHEMA = "spacearm_ident/arm/1"
 EARTH = (0.0, 0.0, -9.81)
+MAX_JOINTS = 500
+"""Most joints of a URDF, fixed ones counted."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,8 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     """Read an arm from the text of a URDF.
 
     Raises:
-        UserError: Not a URDF, no actuated joint, a joint that is neither revolute nor prismatic, or one without axis.
+        UserError: Not a URDF, no actuated joint, a joint that is neither revolute nor prismatic, one without axis, or
+            a number that is not finite.
     """
     model = _pinocchio_model(urdf)
     joints = []
@@ -130,6 +133,9 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
         )
     if not joints:
         raise UserError("the URDF has no actuated joint: check that its joints are not all fixed")
+    for joint in joints:
+        if not all(np.isfinite(part).all() for part in (joint.rotation, joint.translation, joint.inertial)):
+            raise UserError(f"the URDF gives joint {joint.name!r} or what it carries numbers that are not finite")
     vector = np.array(EARTH) if gravity is None else np.asarray(gravity, dtype=float)
     return Arm(model.name, tuple(joints), urdf, vector)
 
@@ -137,11 +143,29 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
 def _pinocchio_model(urdf: str) -> pin.Model:
     if "<robot" not in urdf:
         raise UserError("this is not a URDF: it has no <robot> element")
+    check_urdf(urdf)
     try:
         return pin.buildModelFromXML(urdf)
     except Exception as error:
         detail = str(error).strip().splitlines() or ["it could not be parsed"]
         raise UserError(f"the URDF cannot be read: {detail[0]}") from error
+
+
+def check_urdf(urdf: str) -> None:
+    """Refuse a URDF that its parsers, which recurse over what it describes, could fall over.
+
+    Raises:
+        UserError: Not well-formed, a DOCTYPE, too large, or more than `MAX_JOINTS` joints.
+    """
+    joints = 0
+
+    def count(name: str, _: dict[str, str]) -> None:
+        nonlocal joints
+        joints += name == "joint"
+        if joints > MAX_JOINTS:
+            raise UserError(f"the URDF has more than {MAX_JOINTS} joints: give that of the arm alone")
+
+    check_xml(urdf, "the URDF", count)
 
 
 def _twist(kind: Any) -> FloatArray:
@@ -160,27 +184,18 @@ def load_arm(path: Path) -> Arm:
     Raises:
         UserError: The file is missing or not understood; the message says which key.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read the arm {path}: {error}") from error
+    text = read_text(path, "the arm")
     if path.suffix not in (".yaml", ".yml"):
         return arm_from_urdf(text)
-    try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise UserError(f"{path} is not valid YAML: {str(error).splitlines()[0]}") from error
+    data = parse_yaml(text, str(path))
     if not isinstance(data, dict) or data.get("schema") != ARM_SCHEMA:
         raise UserError(f"{path} is not an arm description: its first line should be 'schema: {ARM_SCHEMA}'")
     unknown = set(data) - {"schema", "name", "urdf", "gravity_m_s2", "joints", "couplings"}
     if unknown:
         raise UserError(f"{path}: unknown key {sorted(unknown, key=str)[0]!r}")
-    try:
-        urdf = (path.parent / str(data["urdf"])).read_text(encoding="utf-8")
-    except KeyError as error:
-        raise UserError(f"{path}: the key 'urdf' is missing: name the arm's URDF file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot read its URDF: {error}") from error
+    if "urdf" not in data:
+        raise UserError(f"{path}: the key 'urdf' is missing: name the arm's URDF file")
+    urdf = read_text(path.parent / str(data["urdf"]), f"the URDF that {path} names,")
     return arm_from_description(urdf, data, str(path))
 
 

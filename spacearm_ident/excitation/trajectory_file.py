@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from spacearm_ident.documents import read_yaml
 from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.segments import Chirp, Cruise, FloatArray, Motion, Quintic, Rest, Segment
 from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
@@ -44,13 +45,7 @@ def load_trajectory(path: str | Path) -> Trajectory:
         UserError: The file cannot be read, is not such a file, or its segments do not join; the line says
             where and what to do.
     """
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot be read ({error}); check the path") from error
-    except yaml.YAMLError as error:
-        place = " ".join(str(error).split())
-        raise UserError(f"{path}: not valid YAML ({place}); correct it there") from error
+    document = read_yaml(Path(path), "the trajectory")
     try:
         return trajectory_from_dict(document)
     except UserError as error:

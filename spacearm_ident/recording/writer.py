@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from spacearm_ident.documents import parse_yaml
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import bag, cdr, messages
 from spacearm_ident.recording.mcap_reader import Channel
@@ -200,8 +201,8 @@ def _disk(path: Path) -> Iterator[None]:
 def _loaded(qos: str) -> list[dict[str, Any]]:
     """QoS of a channel as a list; what cannot be understood is an unknown QoS."""
     try:
-        loaded = yaml.safe_load(qos)
-    except yaml.YAMLError:
+        loaded = parse_yaml(qos, "the QoS")
+    except UserError:
         return []
     return loaded if isinstance(loaded, list) else []
 
