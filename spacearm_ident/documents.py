@@ -121,13 +121,13 @@ def _refuse_long(event: yaml.ScalarEvent, where: str) -> None:
 _RESOLVER = yaml.resolver.Resolver()
 
 
-def check_xml(text: str, what: str, on_element: Callable[[str, dict[str, str]], object] | None = None) -> None:
+def check_xml(text: str, what: str, on_element: Callable[[int, str, dict[str, str]], object] | None = None) -> None:
     """Pass over an XML document; namespaces are left alone, as robots' parsers do.
 
     Args:
         text: The document.
         what: What it is, for the error: `the URDF`.
-        on_element: Told the name and the attributes of each element.
+        on_element: Told the depth (1: the root), the name and the attributes of each element.
 
     Raises:
         UserError: Not well-formed, a document type (with it entities could expand or be fetched), more than
@@ -144,7 +144,7 @@ def check_xml(text: str, what: str, on_element: Callable[[str, dict[str, str]], 
         if depth > MAX_DEPTH or count > MAX_ELEMENTS:
             raise UserError(f"{what} has more than {MAX_ELEMENTS} elements or {MAX_DEPTH} levels: is it that file?")
         if on_element is not None:
-            on_element(name, attributes)
+            on_element(depth, name, attributes)
 
     def end(_: str) -> None:
         nonlocal depth

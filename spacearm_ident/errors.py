@@ -8,9 +8,9 @@ def one_line(text: str, longest: int = LONGEST) -> str:
 
     Names out of recordings and files stand in messages; none of them may clear a screen or fill it.
     """
-    line = "".join(character if character.isprintable() else " " for character in text[: 4 * longest]).strip()
-    cut = len(text) > 4 * longest or len(line) > longest
-    return f"{line[: longest // 2]} ... {line[-longest // 2 :]}" if cut else line
+    if len(text) > longest:
+        text = f"{text[: longest // 2]} ... {text[-longest // 2 :]}"
+    return "".join(character if character.isprintable() else " " for character in text).strip()
 
 
 class UserError(Exception):

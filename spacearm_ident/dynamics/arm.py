@@ -15,14 +15,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..documents import check_xml, parse_yaml, read_text
+from ..documents import parse_yaml, read_text
 from ..errors import UserError
+from .urdf_check import check_urdf
 
 FloatArray = NDArray[np.float64]
 ARM_SCHEMA = "spacearm_ident/arm/1"
 EARTH = (0.0, 0.0, -9.81)
-MAX_JOINTS = 500
-"""Most joints of a URDF, fixed ones counted."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +98,8 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     """Read an arm from the text of a URDF.
 
     Raises:
-        UserError: Not a URDF, no actuated joint, a joint that is neither revolute nor prismatic, one without axis, or
-            a number that is not finite.
+        UserError: Not a URDF (`check_urdf`), no actuated joint, a joint that is neither revolute nor prismatic, or one
+            without axis.
     """
     model = _pinocchio_model(urdf)
     joints = []
@@ -133,9 +132,6 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
         )
     if not joints:
         raise UserError("the URDF has no actuated joint: check that its joints are not all fixed")
-    for joint in joints:
-        if not all(np.isfinite(part).all() for part in (joint.rotation, joint.translation, joint.inertial)):
-            raise UserError(f"the URDF gives joint {joint.name!r} or what it carries numbers that are not finite")
     vector = np.array(EARTH) if gravity is None else np.asarray(gravity, dtype=float)
     return Arm(model.name, tuple(joints), urdf, vector)
 
@@ -149,23 +145,6 @@ def _pinocchio_model(urdf: str) -> pin.Model:
     except Exception as error:
         detail = str(error).strip().splitlines() or ["it could not be parsed"]
         raise UserError(f"the URDF cannot be read: {detail[0]}") from error
-
-
-def check_urdf(urdf: str) -> None:
-    """Refuse a URDF that its parsers, which recurse over what it describes, could fall over.
-
-    Raises:
-        UserError: Not well-formed, a DOCTYPE, too large, or more than `MAX_JOINTS` joints.
-    """
-    joints = 0
-
-    def count(name: str, _: dict[str, str]) -> None:
-        nonlocal joints
-        joints += name == "joint"
-        if joints > MAX_JOINTS:
-            raise UserError(f"the URDF has more than {MAX_JOINTS} joints: give that of the arm alone")
-
-    check_xml(urdf, "the URDF", count)
 
 
 def _twist(kind: Any) -> FloatArray:

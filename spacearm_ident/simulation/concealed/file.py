@@ -110,6 +110,9 @@ def _entry(entry: Mapping[str, Any]) -> dict[str, Any]:
         raise UserError(f"an effect has the keys {', '.join(known)}, not {', '.join(map(str, entry)) or 'none'}")
     if not isinstance(entry.get("joints", []), list) or not isinstance(entry.get("parameters") or {}, dict):
         raise UserError(f"{entry['effect']}: joints must be a list, parameters a mapping")
+    words = (entry["effect"], *entry.get("joints", []), entry.get("law") or "")
+    if not all(isinstance(word, str) for word in words):
+        raise UserError(f"{entry['effect']}: effect, joints and law are names, not {words!r}")
     return dict(entry)
 
 
