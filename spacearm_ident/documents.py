@@ -6,6 +6,8 @@ takes time and memory in proportion to its size.
 
 from __future__ import annotations
 
+import hashlib
+import os
 import stat
 from collections.abc import Callable
 from pathlib import Path
@@ -54,6 +56,26 @@ def read_text(path: Path, what: str) -> str:
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a NUL in the path
         reason = getattr(error, "strerror", None) or str(error)
         raise UserError(f"cannot read {what} {path} ({reason}): check the path") from error
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file that is there whole or not at all: what was there before stays until then.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_yaml(path: Path, what: str) -> Any:

@@ -64,7 +64,8 @@ def run(options: argparse.Namespace) -> int:
         effects += load_concealed(options.conceal, parameters.joints)
     with common.progress(options) as report:
         recording = record(parameters, trajectory, arm, options.seed, options.noise, report, effects)
-        write_recording(options.out, recording)
+        origin = common.origin(options, options.model, options.trajectory, options.arm, options.conceal)
+        write_recording(options.out, recording, origin)
     if options.json:
         common.print_json({"bag": str(options.out), "samples": len(recording.time), "joints": list(recording.joints)})
     else:

@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from spacearm_ident.documents import read_yaml
-from spacearm_ident.errors import UserError
+from spacearm_ident.documents import read_yaml, write_whole
+from spacearm_ident.errors import UserError, one_line
 from spacearm_ident.excitation.segments import Chirp, Cruise, FloatArray, Motion, Quintic, Rest, Segment
 from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
 
@@ -52,15 +52,20 @@ def load_trajectory(path: str | Path) -> Trajectory:
         raise UserError(f"{path}: {error}") from None
 
 
-def save_trajectory(trajectory: Trajectory, path: str | Path) -> None:
+def save_trajectory(trajectory: Trajectory, path: str | Path, origin: Sequence[str] = ()) -> None:
     """Write a trajectory file that loads back to the same numbers.
+
+    Args:
+        trajectory: The motion.
+        path: Where to; a file that is there is replaced, whole or not at all.
+        origin: How it was made: lines of comment at its head.
 
     Raises:
         UserError: The file cannot be written.
     """
     text = yaml.safe_dump(trajectory_to_dict(trajectory), sort_keys=False, default_flow_style=None, width=100)
     try:
-        Path(path).write_text(text, encoding="utf-8")
+        write_whole(Path(path), "".join(f"# {one_line(line)}\n" for line in origin) + text)
     except OSError as error:
         raise UserError(f"{path}: cannot be written ({error}); choose another place") from error
 
