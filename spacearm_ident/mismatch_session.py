@@ -17,6 +17,7 @@ from .identification.identify import Progress
 from .mismatch.explain import explain
 from .mismatch.finding import Explanation
 from .recording import Recording
+from .report.folder import refuse_to_replace
 from .report.mismatch_folder import write_mismatch
 from .session import find_arm, read_bags, within
 
@@ -64,6 +65,8 @@ def explain_session(
     """
     report = progress or (lambda share, what: None)
     reading = within(report, 0.0, 0.1)
+    for path in reference:
+        refuse_to_replace(path, directory)
     known = _reference(reference, reading, fixed_base)
     bags, judges = read_bags(field, reading, fixed_base), read_bags(judged, reading, fixed_base)
     healthy = [] if isinstance(known, IdentifiedModel) else known

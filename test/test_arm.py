@@ -110,7 +110,7 @@ def test_a_joint_of_several_degrees_of_freedom_is_refused(kind):
     [
         ("", "not a URDF"),
         ("schema: spacearm_ident/arm/1", "not a URDF"),
-        ("<robot name='cut'><link na", "cannot be read"),
+        ("<robot name='cut'><link na", "not well-formed"),
         ("<robot name='empty'></robot>", "cannot be read"),
         ("<robot name='still'><link name='base'/></robot>", "no actuated joint"),
         (urdf_of((Link("j", kind="fixed"),)), "no actuated joint"),
@@ -191,7 +191,7 @@ def test_a_wrong_yaml_says_which_key(folder, text, says):
 @pytest.mark.parametrize("urdf", ["missing.urdf", "binary.urdf", "."])
 def test_an_unreadable_urdf_is_named(folder, urdf):
     (folder / "binary.urdf").write_bytes(b"\xff\xfe\x00<robot")
-    assert "cannot read its URDF" in refused(folder, "", urdf=urdf)
+    assert "cannot read the URDF" in refused(folder, "", urdf=urdf)
 
 
 @pytest.mark.parametrize("text", ["urdf: arm.urdf", "- a list", "just words", "schema: spacearm_ident/model/1"])

@@ -537,7 +537,7 @@ def test_a_file_gives_its_effects_and_a_damaged_one_is_refused(tmp_path):
     (found,) = load_concealed(path, SIX)
     assert found.name == "stribeck" and found.joints.tolist() == [1] and found.one("amplitude") == 1.5
     path.write_text("effects: [")
-    with pytest.raises(UserError, match=r"hide\.yaml: not valid YAML"):
+    with pytest.raises(UserError, match=r"hide\.yaml is not valid YAML"):
         load_concealed(path, SIX)
 
 

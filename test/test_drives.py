@@ -440,7 +440,7 @@ def test_a_frozen_drive_is_silent_until_it_thaws(master, drive):
     until(lambda: len(stream.frames) > count + 5)
 
 
-@pytest.mark.parametrize("mode, sizes", [(1, {7}), (2, {8}), (3, set())])
+@pytest.mark.parametrize("mode, sizes", [(1, {7}), (2, {8}), (3, set()), (4, {8})])
 def test_corrupted_feedback(master, drive, mode, sizes):
     stream = Stream(master, drive)
     clean = stream.frames[0][1] if stream.frames else struct.pack("<ihH", *stream.last())

@@ -38,6 +38,7 @@ from spacearm_ident.canbus.pdo import (
 from spacearm_ident.canbus.scaling import FloatArray
 
 HEARTBEAT: Final = 0x700
+SDO_ANSWER: Final = 0x580
 #: Frames taken in at once before a SYNC; a flood must not stop the cycle.
 MOST_WAITING: Final = 200
 #: Events kept for a caller that does not fetch them.
@@ -281,6 +282,9 @@ class Cycle:
             return
         if message.is_remote_frame:
             return
+        if is_spoilt_sdo(message):
+            self.malformed += 1
+            return
         can_id = message.arbitration_id
         if can_id in (SYNC, HEARTBEAT + self.arm.master_id):
             self.report(EventKind.OTHER_MASTER, -1, f"bus {bus}: another master is sending (0x{can_id:03X})")
@@ -356,6 +360,11 @@ class Cycle:
                 node = self.arm.axes[number].node_id
                 text = f"no heartbeat of node {node} for {self.arm.heartbeat_timeout:g} s"
                 self.report(EventKind.HEARTBEAT_LOST, number, text)
+
+
+def is_spoilt_sdo(message: can.Message) -> bool:
+    """Whether it is an SDO answer of another length than 8 (CiA 301, 7.2.4.3), which the library would choke on."""
+    return message.arbitration_id & ~0x7F == SDO_ANSWER and len(message.data) != 8
 
 
 def _frame(can_id: int, data: bytes, fd: bool = False) -> can.Message:

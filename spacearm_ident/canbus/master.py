@@ -23,10 +23,10 @@ from typing import Final
 import can
 import canopen
 from canopen.emcy import EmcyError
-from canopen.sdo.exceptions import SdoError
+from canopen.sdo.exceptions import SdoCommunicationError, SdoError
 
 from spacearm_ident.canbus.arm_bus import ArmBus, Axis, optional_writes, required_writes
-from spacearm_ident.canbus.cycle import HEARTBEAT, Cycle
+from spacearm_ident.canbus.cycle import HEARTBEAT, Cycle, is_spoilt_sdo
 from spacearm_ident.canbus.eds import eds_path
 from spacearm_ident.canbus.events import EventKind
 from spacearm_ident.canbus.pdo import SYNC, SdoWrite
@@ -39,6 +39,9 @@ PRE_OPERATIONAL: Final = 0x80
 #: Deviation of a drive's rated value from the configured one that is worth a warning.
 RATED_TOLERANCE: Final = 0.01
 WINDING_TEMPERATURE: Final = 0x2000
+#: Longest object that is read, bytes; a drive that goes on sending segments is cut off (CiA 301, table 22).
+LONGEST_OBJECT: Final = 8
+TOO_LONG: Final = 0x06070012
 
 
 class OtherMasterError(UserError):
@@ -112,7 +115,7 @@ class DriveMaster:
             for axis in self.arm.axes:
                 self._nmt(axis, START)
             # Where they come only on change, the cycle begins with what they are now.
-            self._statuswords = [int.from_bytes(node.sdo.upload(0x6041, 0), "little") for node in self.nodes]
+            self._statuswords = [self._statusword(axis, node) for axis, node in zip(self.arm.axes, self.nodes)]
 
     def cycle(self) -> Cycle:
         """The cyclic exchange with the configured drives; from its first `run` on it reads the buses."""
@@ -125,7 +128,7 @@ class DriveMaster:
         Raises:
             SdoError: The drive does not answer, or has no such object.
         """
-        raw = self.nodes[number].sdo.upload(WINDING_TEMPERATURE, 0)
+        raw = _upload(self.nodes[number], WINDING_TEMPERATURE)
         return 0.1 * int.from_bytes(raw, "little", signed=True)
 
     def close(self) -> None:
@@ -161,19 +164,25 @@ class DriveMaster:
 
     def _configure(self, axis: Axis, node: canopen.RemoteNode) -> None:
         try:
-            kind = int.from_bytes(node.sdo.upload(0x1000, 0), "little") & 0xFFFF
+            kind = int.from_bytes(_upload(node, 0x1000), "little") & 0xFFFF
             if kind != CIA_402:
                 raise UserError(f"node {axis.node_id} is a CiA {kind} device, not a CiA 402 drive: check its id")
             for write in required_writes(axis, self.arm):
                 self._write(node, write)
+            for write in optional_writes(axis, self.arm):
+                try:
+                    self._write(node, write)
+                except canopen.SdoAbortedError as error:
+                    self.warnings.append(f"node {axis.node_id} refuses 0x{write.index:04X}:{write.sub} ({error})")
+            self._compare_rated(axis, node)
         except SdoError as error:
             raise UserError(f"node {axis.node_id} cannot be configured: {error}") from error
-        for write in optional_writes(axis, self.arm):
-            try:
-                self._write(node, write)
-            except canopen.SdoAbortedError as error:
-                self.warnings.append(f"node {axis.node_id} refuses 0x{write.index:04X}:{write.sub} ({error})")
-        self._compare_rated(axis, node)
+
+    def _statusword(self, axis: Axis, node: canopen.RemoteNode) -> int:
+        try:
+            return int.from_bytes(_upload(node, 0x6041), "little") & 0xFFFF
+        except SdoError as error:
+            raise UserError(f"node {axis.node_id} does not tell its state: {error}") from error
 
     def _write(self, node: canopen.RemoteNode, write: SdoWrite) -> None:
         try:
@@ -186,7 +195,7 @@ class DriveMaster:
     def _compare_rated(self, axis: Axis, node: canopen.RemoteNode) -> None:
         index, unit = (0x6076, "N·m") if axis.scale.torque_source == "rated_torque" else (0x6075, "A")
         try:
-            rated = 1e-3 * int.from_bytes(node.sdo.upload(index, 0), "little")
+            rated = 1e-3 * int.from_bytes(_upload(node, index), "little")
         except canopen.SdoAbortedError:
             return
         if abs(rated - axis.scale.rated) > RATED_TOLERANCE * axis.scale.rated:
@@ -229,7 +238,7 @@ class DriveMaster:
                 # Whoever sends next is told.
                 stop.wait(0.02)
                 continue
-            if message is None or message.is_error_frame or message.is_remote_frame:
+            if message is None or message.is_error_frame or message.is_remote_frame or is_spoilt_sdo(message):
                 continue
             can_id = message.arbitration_id
             if can_id in (SYNC, HEARTBEAT + self.arm.master_id):
@@ -255,3 +264,20 @@ class DriveMaster:
                 self._cycle.report(EventKind.EMERGENCY, number, text)
 
         return report
+
+
+def _upload(node: canopen.RemoteNode, index: int) -> bytes:
+    """An integer object, as `SdoClient.upload` reads it, but never more than `LONGEST_OBJECT` bytes of one.
+
+    Raises:
+        SdoError: The drive does not answer, has no such object, or does not stop answering.
+    """
+    data = b""
+    with node.sdo.open(index, 0, "rb", buffering=0) as stream:
+        while part := stream.read(7):
+            data += part
+            if len(data) > LONGEST_OBJECT:
+                node.sdo.abort(TOO_LONG)
+                raise SdoCommunicationError(f"0x{index:04X} is longer than {LONGEST_OBJECT} bytes")
+    variable = node.object_dictionary.get_variable(index, 0)
+    return data if variable is None else data[: len(variable) // 8]

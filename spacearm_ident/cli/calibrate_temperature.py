@@ -17,6 +17,8 @@ from ..identification.temperature import (
     calibration_dict,
     with_temperature,
 )
+from ..report.folder import refuse_to_replace, replacing
+from ..report.provenance import provenance
 from . import common
 
 DESCRIPTION = """
@@ -56,6 +58,8 @@ def run(options: argparse.Namespace) -> int:
         raise UserError("say where the result goes: --out DIR, or --json")
     if not options.error > 0.0:
         raise UserError("--error is a share in percent above zero")
+    if options.out is not None:
+        refuse_to_replace(options.model, options.out)
     with common.progress(options) as report:
         recordings = common.read_bags(options.bags, report)
     common.note_findings(options, recordings)
@@ -72,11 +76,14 @@ def run(options: argparse.Namespace) -> int:
     calibration = calibrate_temperature(recordings, joints, model, options.error / 100.0)
     result = calibration_dict(calibration)
     if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(result, indent=2, allow_nan=False)
-        (options.out / "temperature.json").write_text(text + "\n", encoding="utf-8")
-        if model is not None:
-            save_model(with_temperature(model, calibration), options.out / "model.yaml")
+        known = provenance(recordings, (), options.command_line)
+        text = json.dumps({**result, "provenance": known}, indent=2, allow_nan=False)
+        with replacing(options.out, "temperature.json") as staging:
+            (staging / "temperature.json").write_text(text + "\n", encoding="utf-8")
+            if model is not None:
+                before = {"model_before": dict(model.provenance)} if model.provenance else {}
+                wider = replace(with_temperature(model, calibration), provenance={**known, **before})
+                save_model(wider, staging / "model.yaml")
     if options.json:
         common.print_json(result)
     else:

@@ -13,9 +13,12 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
+from ..documents import file_sha256
 from ..dynamics.arm import Arm
+from ..errors import one_line
 from ..identification.from_prior import GroundPrior
 from ..recording import Recording, describe
+from ..report.provenance import versions
 from ..session import find_arm
 from ..session import read_bags as read_bags
 from ..session import within as within
@@ -62,7 +65,7 @@ def arm_of(options: argparse.Namespace, recordings: Sequence[Recording], prior: 
 def note(options: argparse.Namespace, text: str) -> None:
     """A line for a person, on standard error, so that --json stays clean."""
     if not options.quiet:
-        print(text, file=sys.stderr)
+        print(one_line(text), file=sys.stderr)
 
 
 def note_findings(options: argparse.Namespace, recordings: Sequence[Recording]) -> None:
@@ -70,6 +73,12 @@ def note_findings(options: argparse.Namespace, recordings: Sequence[Recording]) 
     for recording in recordings:
         for line in describe(recording):
             note(options, line)
+
+
+def origin(options: argparse.Namespace, *files: Path | None) -> list[str]:
+    """How a file was made, a line each: the command, the versions, its input files with their checksums."""
+    lines = [options.command_line, ", ".join(f"{name} {version}" for name, version in versions().items())]
+    return lines + [f"{path} sha256 {file_sha256(path)}" for path in files if path is not None]
 
 
 def print_json(value: Any) -> None:

@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
             if options.slow:
                 trajectory = with_slow_segment(trajectory, needs, options.slow)
         margins = check(trajectory, needs) if excitation is None or options.slow else excitation.margins
-    save_trajectory(trajectory, options.out)
+    save_trajectory(trajectory, options.out, common.origin(options, options.arm, options.model))
     for line in notes:
         common.note(options, line)
     if options.json:

@@ -100,7 +100,8 @@ def run(options: argparse.Namespace) -> int:
             options.temperature,
             imu_rate_hz=options.base_imu,
         )
-        write_recording(options.out, recording)
+        origin = common.origin(options, options.model, options.trajectory, options.arm, options.conceal)
+        write_recording(options.out, recording, origin)
     if options.json:
         common.print_json({"bag": str(options.out), "samples": len(recording.time), "joints": list(recording.joints)})
     else:

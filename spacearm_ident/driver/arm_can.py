@@ -13,13 +13,13 @@ from typing import Any, Final
 
 import can
 import numpy as np
-import yaml
 
 from spacearm_ident.canbus.arm_bus import ArmBus, Axis
 from spacearm_ident.canbus.bus_load import BitRate
 from spacearm_ident.canbus.open_bus import open_bus
 from spacearm_ident.canbus.pdo import FEEDBACK, SET_POINT, SLIM_FEEDBACK, SLIM_SET_POINT
 from spacearm_ident.canbus.scaling import JointScale
+from spacearm_ident.documents import read_yaml
 from spacearm_ident.driver.safety import Limits
 from spacearm_ident.dynamics.arm import Arm, Joint, load_arm
 from spacearm_ident.errors import UserError
@@ -99,12 +99,7 @@ def load_arm_can(path: Path) -> ArmCan:
         UserError: A file is missing or not understood; the message says which key. Also where a bus would be
             overloaded.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read the CAN configuration {path}: {error}") from error
-    except yaml.YAMLError as error:
-        raise UserError(f"{path} is not valid YAML: {str(error).splitlines()[0]}") from error
+    data = read_yaml(path, "the CAN configuration")
     if not isinstance(data, dict) or data.get("schema") != CAN_SCHEMA:
         raise UserError(f"{path} is no CAN configuration of an arm: it should begin with 'schema: {CAN_SCHEMA}'")
     _known(data, _TOP, str(path))
@@ -113,7 +108,7 @@ def load_arm_can(path: Path) -> ArmCan:
     arm = load_arm(path.parent / str(data["arm"]))
     try:
         return _build(data, arm, path)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise UserError(f"{path}: {type(error).__name__} {error}: a key is missing or of the wrong kind") from error
 
 

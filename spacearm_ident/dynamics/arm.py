@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import yaml
 from numpy.typing import NDArray
 
+from ..documents import parse_yaml, read_text
 from ..errors import UserError
+from .urdf_check import check_urdf
 
 FloatArray = NDArray[np.float64]
 ARM_SCHEMA = "spacearm_ident/arm/1"
@@ -97,7 +98,8 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     """Read an arm from the text of a URDF.
 
     Raises:
-        UserError: Not a URDF, no actuated joint, a joint that is neither revolute nor prismatic, or one without axis.
+        UserError: Not a URDF (`check_urdf`), no actuated joint, a joint that is neither revolute nor prismatic, or one
+            without axis.
     """
     model = _pinocchio_model(urdf)
     joints = []
@@ -137,6 +139,7 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
 def _pinocchio_model(urdf: str) -> pin.Model:
     if "<robot" not in urdf:
         raise UserError("this is not a URDF: it has no <robot> element")
+    check_urdf(urdf)
     try:
         return pin.buildModelFromXML(urdf)
     except Exception as error:
@@ -160,27 +163,18 @@ def load_arm(path: Path) -> Arm:
     Raises:
         UserError: The file is missing or not understood; the message says which key.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read the arm {path}: {error}") from error
+    text = read_text(path, "the arm")
     if path.suffix not in (".yaml", ".yml"):
         return arm_from_urdf(text)
-    try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise UserError(f"{path} is not valid YAML: {str(error).splitlines()[0]}") from error
+    data = parse_yaml(text, str(path))
     if not isinstance(data, dict) or data.get("schema") != ARM_SCHEMA:
         raise UserError(f"{path} is not an arm description: its first line should be 'schema: {ARM_SCHEMA}'")
     unknown = set(data) - {"schema", "name", "urdf", "gravity_m_s2", "joints", "couplings"}
     if unknown:
         raise UserError(f"{path}: unknown key {sorted(unknown, key=str)[0]!r}")
-    try:
-        urdf = (path.parent / str(data["urdf"])).read_text(encoding="utf-8")
-    except KeyError as error:
-        raise UserError(f"{path}: the key 'urdf' is missing: name the arm's URDF file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot read its URDF: {error}") from error
+    if "urdf" not in data:
+        raise UserError(f"{path}: the key 'urdf' is missing: name the arm's URDF file")
+    urdf = read_text(path.parent / str(data["urdf"]), f"the URDF that {path} names,")
     return arm_from_description(urdf, data, str(path))
 
 

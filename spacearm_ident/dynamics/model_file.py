@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from ..documents import read_text, read_yaml
 from ..errors import UserError
 from .arm import JOINT_KEYS, FloatArray, arm_from_description
 from .model import IdentifiedModel, Structure, TorqueModel
@@ -64,28 +65,19 @@ def load_model(path: Path) -> IdentifiedModel:
     Raises:
         UserError: Missing, not a model file, an unknown term, or a value that is missing.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read the model {path}: {error}") from error
-    except yaml.YAMLError as error:
-        raise UserError(f"{path} is not valid YAML: {str(error).splitlines()[0]}") from error
+    data = read_yaml(path, "the model")
     if not isinstance(data, dict) or data.get("schema") != MODEL_SCHEMA:
         raise UserError(f"{path} is not a model file: it should begin with 'schema: {MODEL_SCHEMA}'")
     try:
         return _model_from_dict(data, path)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise UserError(f"{path}: {type(error).__name__} {error}: the file is incomplete or edited wrongly") from error
 
 
 def _model_from_dict(data: Mapping[str, Any], path: Path) -> IdentifiedModel:
     urdf = data.get("urdf")
     if urdf is None:
-        urdf_path = path.parent / str(data["urdf_file"])
-        try:
-            urdf = urdf_path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise UserError(f"{path}: cannot read its URDF: {error}") from error
+        urdf = read_text(path.parent / str(data["urdf_file"]), f"the URDF that {path} names,")
     description = {
         "name": data["name"],
         "gravity_m_s2": data["gravity_m_s2"],

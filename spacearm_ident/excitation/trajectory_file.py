@@ -28,7 +28,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from spacearm_ident.errors import UserError
+from spacearm_ident.documents import read_yaml, write_whole
+from spacearm_ident.errors import UserError, one_line
 from spacearm_ident.excitation.segments import Chirp, Cruise, FloatArray, Motion, Quintic, Rest, Segment
 from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
 
@@ -44,28 +45,27 @@ def load_trajectory(path: str | Path) -> Trajectory:
         UserError: The file cannot be read, is not such a file, or its segments do not join; the line says
             where and what to do.
     """
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot be read ({error}); check the path") from error
-    except yaml.YAMLError as error:
-        place = " ".join(str(error).split())
-        raise UserError(f"{path}: not valid YAML ({place}); correct it there") from error
+    document = read_yaml(Path(path), "the trajectory")
     try:
         return trajectory_from_dict(document)
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
 
 
-def save_trajectory(trajectory: Trajectory, path: str | Path) -> None:
+def save_trajectory(trajectory: Trajectory, path: str | Path, origin: Sequence[str] = ()) -> None:
     """Write a trajectory file that loads back to the same numbers.
+
+    Args:
+        trajectory: The motion.
+        path: Where to; a file that is there is replaced, whole or not at all.
+        origin: How it was made: lines of comment at its head.
 
     Raises:
         UserError: The file cannot be written.
     """
     text = yaml.safe_dump(trajectory_to_dict(trajectory), sort_keys=False, default_flow_style=None, width=100)
     try:
-        Path(path).write_text(text, encoding="utf-8")
+        write_whole(Path(path), "".join(f"# {one_line(line)}\n" for line in origin) + text)
     except OSError as error:
         raise UserError(f"{path}: cannot be written ({error}); choose another place") from error
 

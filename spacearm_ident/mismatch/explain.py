@@ -190,8 +190,12 @@ def _words(scored: Scored) -> str:
 
 
 def _unnamed(joints: Sequence[str], before: FloatArray, after: FloatArray, floor: FloatArray) -> tuple[Finding, ...]:
-    """Where nothing was found, and the residual is clearly more than noise all the same: something, without a name."""
-    where = [k for k, rms in enumerate(after) if np.isfinite(rms) and rms**2 > UNNAMED * floor[k] ** 2]
+    """Where nothing was found, and the residual is clearly more than noise all the same: something, without a name.
+
+    Of the reference's model, and of that refitted with the field: the latter alone may fail on a motion of its own.
+    """
+    least = np.minimum(before, after)
+    where = [k for k, rms in enumerate(least) if np.isfinite(rms) and rms**2 > UNNAMED * floor[k] ** 2]
     if not where:
         return ()
     where.sort(key=lambda k: -after[k] / floor[k])

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import yaml
 from mcap.writer import MCAP0_MAGIC
 
+from spacearm_ident.documents import parse_yaml, read_text
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording.mcap_reader import Channel, Defect, McapFile, Message, Progress
 from spacearm_ident.recording.recording import Source
@@ -60,10 +60,11 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 def _listed(folder: Path) -> list[str] | None:
     """File names that `metadata.yaml` lists, in order; None when it cannot be used."""
     try:
-        information = yaml.safe_load((folder / "metadata.yaml").read_bytes())["rosbag2_bagfile_information"]
+        text = read_text(folder / "metadata.yaml", "the bag's")
+        information = parse_yaml(text, "metadata.yaml")["rosbag2_bagfile_information"]
         names = [Path(str(name)).name for name in information["relative_file_paths"]]
         compression = str(information.get("compression_mode") or "").lower()
-    except (OSError, yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (UserError, ValueError, LookupError, TypeError, AttributeError):
         return None
     if compression in ("file", "message") or any(name.endswith(".zstd") for name in names):
         raise UserError(f"{folder}: rosbag2 compression is not read; convert it with `ros2 bag convert` to plain mcap")
@@ -116,6 +117,8 @@ _FOREIGN = {
 
 def _open(path: Path) -> mmap.mmap:
     try:
+        if not path.is_file():
+            raise UserError(f"{path}: neither a file nor a folder of files; give an .mcap file or a rosbag2 folder")
         with path.open("rb") as file:
             head = file.read(16)
             if head.startswith(MCAP0_MAGIC):

@@ -23,6 +23,7 @@ _EPOCH_NS = 10**17  # a clock beyond this (1973) counts from 1970: a stamp of ze
 
 GAP_MEDIANS = 5.0
 """How many median intervals make a gap."""
+_LATEST_NS = 2**62
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -100,8 +101,12 @@ def listing(names: Sequence[str], most: int = 8) -> str:
 
 
 def int64_ns(times_ns: Sequence[int]) -> IntArray:
-    """Log times are unsigned on disk; one past the year 2262 is damage, and becomes negative here."""
-    return np.array(times_ns, dtype=np.uint64).astype(np.int64)
+    """Log times are unsigned on disk; one past the year 2116 is damage, and becomes zero here.
+
+    So no difference of two times, stamps of 32-bit seconds among them, leaves 64 bits.
+    """
+    times = np.array(times_ns, dtype=np.uint64)
+    return np.where(times < _LATEST_NS, times, 0).astype(np.int64)
 
 
 def gap_threshold_s(time: FloatArray) -> float:
@@ -131,19 +136,25 @@ def _carries_no_time(stamps: IntArray) -> bool:
 def _gather(
     stamps: IntArray, blocks: Sequence[cdr.JointStateBlock], joints: tuple[str, ...]
 ) -> tuple[Samples, BoolArray]:
-    """Columns of `joints` from all blocks, one row a message, and which rows name all joints."""
-    position, velocity, effort = (np.full((len(stamps), len(joints)), np.nan) for _ in range(3))
+    """Columns of `joints` from the messages that name them all, and which messages (N,) those are.
+
+    The others get no row: one message of a million joints among a million of one joint would be a table of 10¹².
+    """
+    wanted = set(joints)
+    whole = [block for block in blocks if joints and wanted.issubset(block.names)]
     named = np.zeros(len(stamps), dtype=bool)
-    for block in blocks:
-        if not joints or not set(joints).issubset(block.names):
-            continue
+    for block in whole:
         named[block.rows] = True
-        columns = [block.names.index(joint) for joint in joints]
-        arrays = ((position, block.position), (velocity, block.velocity), (effort, block.effort))
-        for target, values in arrays:
+    row_of = np.cumsum(named) - 1
+    position, velocity, effort = (np.full((int(named.sum()), len(joints)), np.nan) for _ in range(3))
+    for block in whole:
+        # Of a name that is there twice the first counts.
+        place = {name: number for number, name in reversed(list(enumerate(block.names)))}
+        columns = [place[joint] for joint in joints]
+        for target, values in ((position, block.position), (velocity, block.velocity), (effort, block.effort)):
             if values is not None:
-                target[block.rows] = values[:, columns]
-    return Samples(joints, stamps, position, velocity, effort), named
+                target[row_of[block.rows]] = values[:, columns]
+    return Samples(joints, stamps[named], position, velocity, effort), named
 
 
 class Intake:
@@ -182,9 +193,9 @@ class Intake:
             joints = _main_joints(blocks)
         self.known = sorted({name for block in blocks for name in block.names})
         self.samples, named = _gather(stamps, blocks, tuple(joints))
-        self.drop(~decoded, "undecodable_message", "messages left out that cannot be decoded")
+        self._left_out(stamps[~decoded], "undecodable_message", "messages left out that cannot be decoded")
         text = f"messages without all of {listing(self.samples.joints)} left out"
-        self.drop(~named[decoded], "missing_joint", text)
+        self._left_out(stamps[decoded & ~named], "missing_joint", text)
 
     def note(self, kind: str, message: str, count: int = 1, stamp_ns: int | None = None) -> None:
         """Put a finding on the account."""
@@ -192,11 +203,15 @@ class Intake:
 
     def drop(self, bad: BoolArray, kind: str, message: str) -> None:
         """Leave out the `bad` samples; `message` goes on behind their number, with "samples" or the like."""
-        if count := int(bad.sum()):
+        if bad.any():
+            self._left_out(self.samples.stamp_ns[bad], kind, message)
+            self.samples = self.samples.rows(~bad)
+
+    def _left_out(self, stamps_ns: IntArray, kind: str, message: str) -> None:
+        if count := len(stamps_ns):
             what, rest = message.split(" ", 1)
             text = f"{count} {what if count > 1 else what.removesuffix('s')} {rest}"
-            self.note(kind, text, count, int(self.samples.stamp_ns[np.argmax(bad)]))
-            self.samples = self.samples.rows(~bad)
+            self.note(kind, text, count, int(stamps_ns[0]))
 
     def drop_joints_without_effort(self, chosen: bool) -> None:
         """Leave out joints that never have position and effort, unless the user chose them.

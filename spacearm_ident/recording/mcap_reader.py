@@ -7,7 +7,8 @@ messages there should be. A chunk is taken whole when its CRC agrees and left ou
 a chunk cut off by the end of the file the messages that are complete are taken. Where record framing is
 broken, reading resumes at the next place that starts a chain of plausible records.
 
-Memory is bounded by `MAX_CHUNK_BYTES` a chunk, whatever sizes the file announces.
+Memory is bounded by `MAX_CHUNK_BYTES` a chunk, whatever sizes the file announces, and time by the size of the file:
+its chunks may hold `MAX_EXPANSION` times its bytes and no more.
 """
 
 from __future__ import annotations
@@ -31,6 +32,12 @@ from mcap.writer import MCAP0_MAGIC
 
 MAX_CHUNK_BYTES = 256 * 2**20
 """Largest uncompressed chunk read; rosbag2 writes less than 1 MiB, other tools 4 MiB."""
+
+MAX_EXPANSION = 256
+"""Most bytes all chunks together may hold, as a multiple of the file's (beyond one full chunk)."""
+
+MAX_DEFECTS = 1000
+"""Defects kept one by one; what comes after only counts."""
 
 Progress = Callable[[float], None]
 """Told the fraction done, 0 to 1."""
@@ -144,6 +151,8 @@ class McapFile:
         self._seen = 0
         self._homeless = 0
         self._last_log_time: int | None = None
+        self._room = MAX_CHUNK_BYTES + MAX_EXPANSION * len(data)
+        self._beyond: dict[str, int] = {}
 
     def messages(self) -> Iterator[Message]:
         """All sound messages of wanted channels, in file order."""
@@ -176,6 +185,8 @@ class McapFile:
         if not closed:
             place = f"the file breaks off at byte {len(self.data)} without an end mark"
             self._report("cut_off", f"{place}; what is complete before it is used")
+        for kind, count in self._beyond.items():
+            self.defects.append(Defect(kind, f"{count} more of the kind", self._last_log_time, count))
         if self._homeless:
             text = f"{self._homeless} messages of undeclared channels left out"
             self._report("unknown_channel", text, self._homeless)
@@ -184,7 +195,10 @@ class McapFile:
             self._report("lost_messages", f"{lost} of {self._expected} messages of all topics are lost", lost)
 
     def _report(self, kind: str, text: str, count: int = 1) -> None:
-        self.defects.append(Defect(kind, text, self._last_log_time, count))
+        if len(self.defects) < MAX_DEFECTS:
+            self.defects.append(Defect(kind, text, self._last_log_time, count))
+        else:
+            self._beyond[kind] = self._beyond.get(kind, 0) + count
 
     def _records(self, data: bytes, offset: int) -> Iterator[Message]:
         """Messages in `data`, a run of records; the tight loop of this module."""
@@ -208,6 +222,9 @@ class McapFile:
                     yield Message(channel, log_time, publish_time, sequence, data[body + 22 : position])
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._define(opcode, data[body:position], offset)
+            elif opcode == 0:
+                self._report("corrupt_record", f"no record where one should be at byte {offset}; rest left out")
+                return
 
     def _chunk(self, start: int, body: bytes, *, cut: bool = False) -> Iterator[Message]:
         """Messages of a chunk; of a cut chunk, those that are complete."""
@@ -228,6 +245,9 @@ class McapFile:
         compression = body[_CHUNK.size : _CHUNK.size + min(name_size, 16)].decode("ascii", "replace")
         if size > MAX_CHUNK_BYTES:
             raise _DamagedError(f"announces {size} bytes, more than the {MAX_CHUNK_BYTES} allowed")
+        self._room -= size
+        if self._room < 0:
+            raise _DamagedError(f"is beyond the {MAX_EXPANSION} times its size that this file may hold")
         start = _CHUNK.size + name_size + 8
         packed = int.from_bytes(body[start - 8 : start], "little")
         records = _decompress(compression, body[start : start + packed], size)

@@ -81,17 +81,20 @@ def _read_temperatures(bag: Bag, states: Intake) -> tuple[dict[str, Series], lis
             logs.append(log_time)
         except cdr.CdrError:
             continue
-    names = np.array([name for _, name, _ in rows], dtype=object)
+    places: dict[str, list[int]] = {}
+    for place, (_, name, _) in enumerate(rows):
+        places.setdefault(name, []).append(place)
     values = np.array([value for _, _, value in rows], dtype=np.float64)
     stamps = np.array([stamp for stamp, _, _ in rows], dtype=np.int64)
     if states.on_log_time or (len(stamps) and not stamps.any()):
         stamps = int64_ns(logs)
     result, kept = {}, 0
-    for name in dict.fromkeys(names):
-        mine = (names == name) & np.isfinite(values)
-        mine[mine] = increasing(stamps[mine])
-        kept += int(mine.sum())
-        if mine.any():
+    for name, of_name in places.items():
+        mine = np.array(of_name)
+        mine = mine[np.isfinite(values[mine])]
+        mine = mine[increasing(stamps[mine])]
+        kept += len(mine)
+        if len(mine):
             result[name] = Series(_seconds(stamps[mine], states.samples.stamp_ns[0]), values[mine])
     if lost := len(stream.payloads) - kept:
         text = f"{messages.TEMPERATURES_TOPIC}: {lost} unreadable, not finite or untimely messages left out"

@@ -9,7 +9,7 @@ without one was not closed, and still reads).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from spacearm_ident.documents import parse_yaml
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import bag, cdr, messages
 from spacearm_ident.recording.mcap_reader import Channel
@@ -121,6 +122,11 @@ class RecordingWriter:
         self._first_ns = min(self._first_ns, log_time_ns)
         self._last_ns = max(self._last_ns, log_time_ns)
 
+    def note(self, name: str, entries: dict[str, str]) -> None:
+        """Add an MCAP metadata record."""
+        with _disk(self.path):
+            self._mcap.add_metadata(name, entries)
+
     def flush(self) -> None:
         """Put what was written so far on the disk, where it survives a power cut; waits for the disk."""
         with _disk(self.path):
@@ -200,8 +206,8 @@ def _disk(path: Path) -> Iterator[None]:
 def _loaded(qos: str) -> list[dict[str, Any]]:
     """QoS of a channel as a list; what cannot be understood is an unknown QoS."""
     try:
-        loaded = yaml.safe_load(qos)
-    except yaml.YAMLError:
+        loaded = parse_yaml(qos, "the QoS")
+    except UserError:
         return []
     return loaded if isinstance(loaded, list) else []
 
@@ -209,18 +215,21 @@ def _loaded(qos: str) -> list[dict[str, Any]]:
 Row = tuple[int, int, bytes]  # log time, channel, payload
 
 
-def write_recording(path: str | Path, recording: Recording) -> None:
+def write_recording(path: str | Path, recording: Recording, origin: Sequence[str] = ()) -> None:
     """Write a `Recording` as a bag; read back, its arrays are the same numbers.
 
     Args:
         path: `NAME.mcap` for one file (replaced if there), otherwise a new rosbag2 folder.
         recording: What to write. Log times equal the header stamps.
+        origin: How it was made, a line each: kept in the file as MCAP metadata `origin`.
 
     Raises:
         UserError: The place cannot be written, or the folder exists.
     """
     with RecordingWriter(path) as writer:
         rows: list[Row] = []
+        if origin:
+            writer.note("origin", {str(number): line for number, line in enumerate(origin)})
         if recording.urdf is not None:
             channel = writer.add_topic(messages.DESCRIPTION_TOPIC, messages.STRING, latched=True)
             rows.append((recording.start_ns, channel, cdr.encode_string(recording.urdf)))

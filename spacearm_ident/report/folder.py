@@ -2,27 +2,41 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ..errors import UserError
 from ..identification.identified import Identified, Validation
+from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN
 from .covariance_file import covariance_dict
 from .html import report_html
-from .store import FIGURES, Result, load_result, save_result
+from .store import ARRAYS, FIGURES, MODEL, Result, load_result, save_result
 from .tables import base_parameters_csv, parameters_csv, validation_dict
 from .urdf import identified_urdf
 
 REPORT = "report.html"
+MARKERS = (FIGURES, "mismatch.json", "temperature.json")
+"""The file that makes a folder the result of `identify`, `mismatch` and `calibrate-temperature`."""
+RESULT_FILES = frozenset(
+    {
+        *MARKERS,
+        *(MODEL, ARRAYS, REPORT, "parameters.csv", "base_parameters.csv", "identified.urdf", "covariance.json"),
+        *("validation.json", EXTENDED_MODEL, NEXT_RUN),
+    }
+)
+"""Every file of any result."""
+_STAGING = ".writing-"
 
 
 def write_result(identified: Identified, validation: Validation, directory: Path) -> Path:
-    """Write a result folder; an older result in it is replaced, anything else in it is left alone.
+    """Write a result folder; an older result in it is replaced, of whatever command; anything else stays.
 
     Where the data came from is `identified.model.provenance`, as `report.provenance.provenance` makes it.
 
@@ -58,39 +72,76 @@ def rewrite_report(directory: Path) -> Path:
         UserError: It is not a result folder, or not a whole one.
     """
     result = load_result(directory)
-    with replacing(directory) as staging:
+    with replacing(directory, marker=None) as staging:
         (staging / REPORT).write_text(report_html(result), encoding="utf-8")
     return directory / REPORT
 
 
 @contextmanager
-def replacing(directory: Path, optional: Sequence[str] = ()) -> Iterator[Path]:
+def replacing(directory: Path, marker: str | None = FIGURES) -> Iterator[Path]:
     """A folder to write into, whose files replace those of `directory` once the block has ended well.
 
-    Of the `optional` ones, those that are not written this time are removed: no two results are mixed.
+    A folder holds one result: every file of `RESULT_FILES` that is not written this time is removed, of whatever
+    command it was. Anything else stays.
 
     It lies inside `directory`, which may be a mount point: files then move without being copied. An error or a
-    crash before the end changes nothing. Moving takes one rename a file; the file that makes the folder a result
-    goes first and comes back last, so that not even a power loss between two renames passes for a result.
+    crash before the end changes nothing. Moving takes one rename a file; the files that make the folder a result
+    go first and the new one comes last, so that not even a power loss between two renames passes for a result.
+    Whoever writes into the same folder meanwhile waits; what a killed process left behind is removed.
+
+    Args:
+        directory: Made where it does not exist.
+        marker: The file that makes the folder a result; None: only the files written are replaced, none removed.
+
+    Raises:
+        UserError: The folder cannot be written.
     """
     made = not directory.exists()
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".writing-", dir=directory) as name:
+        with _alone(directory), TemporaryDirectory(prefix=_STAGING, dir=directory) as name:
             staging = Path(name)
             yield staging
-            names = sorted((path.name for path in staging.iterdir()), key=lambda name: name == FIGURES)
-            for name in names:
-                if (directory / name).is_dir():
-                    raise UserError(f"{directory / name} is a folder: move it away, or choose another --out")
-            if FIGURES in names:
-                (directory / FIGURES).unlink(missing_ok=True)
-            for name in set(optional).difference(names):
-                (directory / name).unlink(missing_ok=True)
-            for name in names:
-                os.replace(staging / name, directory / name)
+            _commit(staging, directory, marker)
     except OSError as error:
         raise UserError(f"cannot write {directory}: {error.strerror or error}: choose another --out") from error
     finally:
         if made and directory.is_dir() and not any(directory.iterdir()):
             directory.rmdir()
+
+
+def _commit(staging: Path, directory: Path, marker: str | None) -> None:
+    names = sorted((path.name for path in staging.iterdir()), key=lambda name: name == marker)
+    for name in names:
+        if (directory / name).is_dir():
+            raise UserError(f"{directory / name} is a folder: move it away, or choose another --out")
+    if marker is not None:
+        for name in sorted(RESULT_FILES, key=lambda name: name not in MARKERS):
+            if name in MARKERS or name not in names:
+                (directory / name).unlink(missing_ok=True)
+    for name in names:
+        os.replace(staging / name, directory / name)
+
+
+@contextmanager
+def _alone(directory: Path) -> Iterator[None]:
+    """Hold the folder's lock, and clear away what a process that held it before could not."""
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            for left in directory.glob(f"{_STAGING}*"):
+                shutil.rmtree(left, ignore_errors=True)
+        yield
+    finally:
+        os.close(handle)
+
+
+def refuse_to_replace(source: Path | None, directory: Path) -> None:
+    """Refuse a result folder that holds a file the result is made from: it would be replaced.
+
+    Raises:
+        UserError: It does.
+    """
+    if source is not None and source.name in RESULT_FILES and source.resolve().parent == directory.resolve():
+        raise UserError(f"{source} is part of the result in {directory}, which would be replaced: choose another --out")

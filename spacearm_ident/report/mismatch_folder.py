@@ -41,7 +41,7 @@ def write_mismatch(
     sources = {**provenance(field, judged, command), "reference": provenance(reference, ())[FITTED]}
     page = mismatch_html(explanation, arm, sources)
     try:
-        with replacing(directory, [EXTENDED_MODEL, NEXT_RUN]) as part:
+        with replacing(directory, DOCUMENT) as part:
             document = {**to_document(explanation), "provenance": sources}
             (part / DOCUMENT).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
             if explanation.model is not None:

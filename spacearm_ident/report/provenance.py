@@ -8,11 +8,12 @@ from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from .. import __version__
 from ..recording.recording import Recording
 
 FITTED = "fitted_on"
 VALIDATED = "validated_on"
-PACKAGES = ("spacearm_ident", "numpy", "scipy", "pin", "clarabel")
+PACKAGES = ("numpy", "scipy", "pin", "clarabel")
 
 
 def provenance(
@@ -29,15 +30,20 @@ def provenance(
         **({"command": command} if command else {}),
         FITTED: [asdict(source) for recording in fitted for source in recording.sources],
         VALIDATED: [asdict(source) for recording in validated for source in recording.sources],
-        "versions": {"python": platform.python_version(), **dict(_versions())},
+        "versions": versions(),
     }
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of what its numbers depend on."""
+    return {"spacearm_ident": __version__, "python": platform.python_version(), **dict(_versions())}
 
 
 def _versions() -> Iterable[tuple[str, str]]:
     for package in PACKAGES:
         try:
             yield package, version(package)
-        except PackageNotFoundError:  # Run from a checkout that is not installed.
+        except PackageNotFoundError:  # ROS machines have Pinocchio by another way.
             continue
 
 

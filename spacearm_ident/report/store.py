@@ -71,12 +71,13 @@ def load_result(directory: Path) -> Result:
         data = json.loads((directory / FIGURES).read_text(encoding="utf-8"))
     except OSError as error:
         raise UserError(f"{directory} is not a result folder (no readable {FIGURES}): {advice}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{directory / FIGURES} is not JSON: {advice}, or identify again") from error
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise UserError(f"{directory / FIGURES} is not a result of this version ({SCHEMA}): identify again")
     try:
-        for name, expected in data["sha256"].items():
+        for name in (MODEL, ARRAYS):  # by our names, never by those a file brings
+            expected = data["sha256"][name]
             if _checksum(directory / name) != expected:
                 raise UserError(f"{directory / name} is not the file this result was written with: identify again")
         with np.load(directory / ARRAYS, allow_pickle=False) as arrays:

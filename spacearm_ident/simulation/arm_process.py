@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import can
-import yaml
 
 from spacearm_ident.canbus.realtime import prepare_process, prepare_thread
+from spacearm_ident.documents import read_yaml
 from spacearm_ident.driver.arm_can import ArmCan
 from spacearm_ident.driver.bus_lock import BusLock
 from spacearm_ident.errors import UserError
@@ -96,9 +96,8 @@ def live_arm(
         UserError: The model cannot be read or does not fit the arm.
     """
     try:
-        document = yaml.safe_load(model.read_text(encoding="utf-8"))
-        parameters = PlantParameters.from_model(document, config.arm.urdf)
-    except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
+        parameters = PlantParameters.from_model(read_yaml(model, "the model"), config.arm.urdf)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise UserError(f"cannot read the model {model}: {error}") from error
     n = len(parameters.joints)
     if position is not None and len(position) not in (1, n):

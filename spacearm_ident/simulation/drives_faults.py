@@ -17,7 +17,9 @@ CORRUPT: Final = key(0x2F00, 3)
 LOSE_POWER: Final = key(0x2F00, 4)
 FOR_GOOD: Final = 0xFFFF
 
-SHORT, RANDOM, MISSING = 1, 2, 3
+SHORT, RANDOM, MISSING, JUMP = 1, 2, 3, 4
+JUMP_COUNTS: Final = 1_000_000
+"""How far a jumping encoder is off; the first object of the TPDO is taken for a position of 32 bits."""
 
 
 class FaultInjection:
@@ -41,7 +43,7 @@ class FaultInjection:
     def take(self) -> int:
         """Carry out what has been written, after the answer to the write; an EMCY code to report, else 0."""
         values = self._values
-        self.corrupting = values[CORRUPT] in (SHORT, RANDOM, MISSING)
+        self.corrupting = values[CORRUPT] in (SHORT, RANDOM, MISSING, JUMP)
         if milliseconds := values[FREEZE]:
             values[FREEZE] = 0
             self.silent = True
@@ -65,4 +67,7 @@ class FaultInjection:
             return payload[:-1]
         if mode == RANDOM:
             return self._random.randbytes(len(payload))
+        if mode == JUMP and len(payload) >= 4:
+            position = int.from_bytes(payload[:4], "little") + JUMP_COUNTS & 0xFFFFFFFF
+            return position.to_bytes(4, "little") + payload[4:]
         return None

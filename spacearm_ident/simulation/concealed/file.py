@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from spacearm_ident.documents import read_yaml
 from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.concealed import absent, drive, friction, memory, sensor, structure
 from spacearm_ident.simulation.concealed.effect import Effect, FloatArray, Parameter
@@ -38,12 +38,7 @@ def load_concealed(path: str | Path, joints: Sequence[str]) -> list[Effect]:
     Raises:
         UserError: It cannot be read, or names what is not there; the line says what there is.
     """
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot be read ({error}); check the path") from error
-    except yaml.YAMLError as error:
-        raise UserError(f"{path}: not valid YAML ({' '.join(str(error).split())}); correct it there") from error
+    document = read_yaml(Path(path), "what to conceal,")
     try:
         return concealed_from_dict(document, joints)
     except UserError as error:
@@ -115,6 +110,9 @@ def _entry(entry: Mapping[str, Any]) -> dict[str, Any]:
         raise UserError(f"an effect has the keys {', '.join(known)}, not {', '.join(map(str, entry)) or 'none'}")
     if not isinstance(entry.get("joints", []), list) or not isinstance(entry.get("parameters") or {}, dict):
         raise UserError(f"{entry['effect']}: joints must be a list, parameters a mapping")
+    words = (entry["effect"], *entry.get("joints", []), entry.get("law") or "")
+    if not all(isinstance(word, str) for word in words):
+        raise UserError(f"{entry['effect']}: effect, joints and law are names, not {words!r}")
     return dict(entry)
 
 
