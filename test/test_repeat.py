@@ -156,7 +156,7 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.parametrize("moment", ["save_result", "report_html", "_commit"])
+@pytest.mark.parametrize("moment", ["report_html", "_commit"])
 def test_kill_9_while_writing_leaves_the_old_result_whole_and_nothing_for_ever(moment, result, runs):
     before = content(result, (*SAME, "report.html", "result.json", "result.npz"))
     words = ["identify", str(runs[1]), "--out", str(result), "--quiet"]
