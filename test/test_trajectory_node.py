@@ -299,7 +299,7 @@ def test_refusals_say_why(processes, probe, arm, file, series, tmp_path):
     use("")
     assert refusal(probe).startswith("no trajectory: set the parameter trajectory_file")
     use(tmp_path / "none.yaml")
-    assert "none.yaml: cannot be read" in refusal(probe)
+    assert "none.yaml (No such file or directory)" in refusal(probe)
     (tmp_path / "bad.yaml").write_text("schema: else\n")
     use(tmp_path / "bad.yaml")
     assert "bad.yaml" in refusal(probe)
