@@ -353,8 +353,8 @@ def main() -> None:
         folder, rounds = Path(scratch), options.rounds
         cases = [
             simulated("Stribeck friction", STRIBECK, folder, rounds, TORQUE_NOISE),
-            simulated("Stribeck friction, --bandwidth 20", STRIBECK, folder, rounds, TORQUE_NOISE, 20.0),
-            simulated("Stribeck friction, a tenth of the noise, --bandwidth 20", STRIBECK, folder, rounds, QUIET, 20.0),
+            simulated("Stribeck friction, --bandwidth 12", STRIBECK, folder, rounds, TORQUE_NOISE, 12.0),
+            simulated("Stribeck friction, a tenth of the noise, --bandwidth 12", STRIBECK, folder, rounds, QUIET, 12.0),
             simulated("Coulomb and viscous friction", PLAIN, folder, rounds, TORQUE_NOISE),
             real(rounds),
         ]

@@ -122,7 +122,9 @@ class Motion:
         """
         blocks = len(signal) // self.block
         tail = signal.shape[1:]
-        mean = signal[: blocks * self.block].reshape(blocks, self.block, *tail).mean(axis=1)
+        # A product with ones is several times as fast as a mean over an axis in the middle.
+        parts = signal[: blocks * self.block].reshape(blocks, self.block, -1)
+        mean = np.matmul(np.full(self.block, 1.0 / self.block), parts).reshape(blocks, *tail)
         return np.asarray(self._low_pass @ mean)
 
     def smoothed(self, signal: FloatArray, cutoff_hz: float) -> FloatArray:
