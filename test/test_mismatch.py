@@ -409,6 +409,23 @@ def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
     assert finding.explained > 0.9
 
 
+def test_noise_that_has_grown_is_a_mismatch_without_a_name():
+    """Nothing repeats in it, so nothing that could be fitted explains it; the arm is not healthy all the same."""
+
+    def loud(planted):
+        noise = np.random.default_rng(len(planted.torque) + int(1e6 * planted.q[-1, 0])).normal(
+            size=len(planted.torque)
+        )
+        return np.outer(0.6 * noise, [0.0, 1.0])
+
+    answer = explained(loud, *SLOW_ONES)
+    assert answer.verdict == MISMATCH and answer.model is None
+    (finding,) = answer.findings
+    assert (finding.effect, finding.joints) == (UNKNOWN, ("elbow",))
+    assert finding.explained == 0.0 and "times the noise" in finding.where
+    assert to_document(answer)["findings"][0]["validation"]["explained_fraction"] == 0.0
+
+
 def test_what_is_not_in_the_catalogue_is_called_unknown():
     answer = explained(ripple, "torque_ripple", *SLOW_ONES)
     assert {finding.effect for finding in answer.findings} <= {UNKNOWN}
