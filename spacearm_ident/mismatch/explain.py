@@ -105,13 +105,14 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     joints = evidence.base.model.arm.joint_names
     residuals = Residuals(evidence, unseen.scene, prepared.plain)
     alone, floor = _healthy(evidence, prepared)
-    cards = Cards(evidence, residuals, outcome, floor)
-    made = [cards.finding(k) for k in range(len(outcome.accepted))]
-    idle = [k for k, finding in enumerate(made) if _harms(finding) or not _shows(finding, first=k == 0)]
-    if idle:
-        outcome = competition.without(outcome, idle)
+    while True:
         cards = Cards(evidence, residuals, outcome, floor)
         made = [cards.finding(k) for k in range(len(outcome.accepted))]
+        idle = [k for k, finding in enumerate(made) if _harms(finding) or not _shows(finding, first=k == 0)]
+        if not idle:
+            break
+        # What shows beside another may show no more without it.
+        outcome = competition.without(outcome, idle)
     findings = _by_cause(made, joints)
     accepted = outcome.accepted
     before = residuals.of(alone, [], np.zeros(0))
