@@ -24,6 +24,7 @@ test: venv lint
 lint: venv
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/mypy
 
 clean:
 	rm -rf .venv build install log demo_result *.egg-info
