@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv demo test lint clean
+.PHONY: venv demo test lint types clean
 
 venv: .venv/.ready
 
@@ -24,6 +24,9 @@ test: venv lint
 lint: venv
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+
+types: venv
+	$(BIN)/mypy
 
 clean:
 	rm -rf .venv build install log demo_result *.egg-info

@@ -37,7 +37,7 @@ setup(
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         # The neural network of bench/figure2.py; everything else runs without.
         "bench": ["scikit-learn"],
-        "test": ["pytest", "pytest-rerunfailures", "hypothesis", "rosbags", "mcap-ros2-support", "ruff"],
+        "test": ["pytest", "pytest-rerunfailures", "hypothesis", "rosbags", "mcap-ros2-support", "ruff", "mypy"],
     },
     zip_safe=False,
     maintainer="spacearm_ident maintainers",

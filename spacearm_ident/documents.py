@@ -117,7 +117,7 @@ def _measure(text: str | bytes, where: str) -> None:
                 sizes[name] = total - before
             continue
         if isinstance(event, yaml.AliasEvent):
-            size = sizes.get(anchor, 1)
+            size = sizes.get(str(anchor), 1)
             if size is None:
                 raise UserError(f"{where}: {anchor!r} contains itself: write out what it stands for")
             total += size

@@ -99,8 +99,8 @@ def frame_seconds(size: int, rate: BitRate, fd: bool) -> tuple[float, float]:
     stuff_nominal = 4
     stuff_data = (21 + 8 * size) // 4 - stuff_nominal
     plain = 30 / rate.nominal + (5 + 8 * size + 4 + crc) / rate.data
-    stuff = stuff_nominal / rate.nominal + stuff_data / rate.data
-    return plain + MEAN_STUFFING * stuff, plain + stuff
+    stuffed = stuff_nominal / rate.nominal + stuff_data / rate.data
+    return plain + MEAN_STUFFING * stuffed, plain + stuffed
 
 
 def bus_load(frames: Iterable[CyclicFrame], rate: BitRate = BitRate()) -> BusLoad:

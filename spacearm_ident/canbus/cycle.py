@@ -189,7 +189,8 @@ class Cycle:
 
     def _choose_words(self) -> list[int]:
         """Set the controlwords for the goal; returns the axes whose word has changed."""
-        goal, words, changed = self.goal, self.set_points.controlword, []
+        goal, words = self.goal, self.set_points.controlword
+        changed: list[int] = []
         # They depend on states and goal alone, but for the edges of a reset.
         if goal is self._goal_before and not self._states_changed and goal is not Goal.RESET:
             return changed

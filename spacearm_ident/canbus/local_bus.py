@@ -96,7 +96,7 @@ class LocalBus(can.BusABC):
             self._add(_Peer(sock))
         if receive_own_messages:
             sender, receiver = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            self._own_sender = sender
+            self._own_sender: socket.socket | None = sender
             self._add(_Peer(receiver, own=True))
         else:
             self._own_sender = None

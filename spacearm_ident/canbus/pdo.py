@@ -31,7 +31,7 @@ class Field(NamedTuple):
     """One mapped object: its name here, its place in the dictionary, its numpy type."""
 
     name: str
-    index: int
+    index: int  # type: ignore[assignment]  # the field hides tuple.index, which nobody calls
     sub: int
     kind: str
 
@@ -82,7 +82,7 @@ SLIM_SET_POINT: Final = Layout((TARGET,))
 class SdoWrite(NamedTuple):
     """One expedited SDO download: `value` as an unsigned or signed integer of `size` bytes."""
 
-    index: int
+    index: int  # type: ignore[assignment]  # as in `Field`
     sub: int
     value: int
     size: int
@@ -146,7 +146,7 @@ class Feedback:
         self.counts: NDArray[np.int32] = raw["position"]
         self.units: NDArray[np.int16] = raw["torque"]
         self.statusword: NDArray[np.uint16] = (
-            raw["statusword"] if "statusword" in layout.dtype.fields else np.zeros(count, dtype=np.uint16)
+            raw["statusword"] if "statusword" in (layout.dtype.names or ()) else np.zeros(count, dtype=np.uint16)
         )
         self.position = np.zeros(count)
         self.torque = np.zeros(count)
@@ -177,7 +177,7 @@ class SetPoints:
         self._target: NDArray[np.int32] = raw["target"]
         self._scratch = np.zeros(count)
         self.controlword: NDArray[np.uint16] = (
-            raw["controlword"] if "controlword" in layout.dtype.fields else np.zeros(count, dtype=np.uint16)
+            raw["controlword"] if "controlword" in (layout.dtype.names or ()) else np.zeros(count, dtype=np.uint16)
         )
         view = memoryview(self._buffer)
         self.payloads = [view[k * layout.size : (k + 1) * layout.size] for k in range(count)]

@@ -82,8 +82,8 @@ def run(options: argparse.Namespace) -> int:
             (staging / "temperature.json").write_text(text + "\n", encoding="utf-8")
             if model is not None:
                 before = {"model_before": dict(model.provenance)} if model.provenance else {}
-                wider = replace(with_temperature(model, calibration), provenance={**known, **before})
-                save_model(wider, staging / "model.yaml")
+                adapted = replace(with_temperature(model, calibration), provenance={**known, **before})
+                save_model(adapted, staging / "model.yaml")
     if options.json:
         common.print_json(result)
     else:

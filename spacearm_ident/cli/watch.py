@@ -40,7 +40,8 @@ def run(options: argparse.Namespace) -> int:
         raise UserError("this is no terminal: use --once for one frame, or --json")
     if importlib.util.find_spec("rclpy") is None:
         raise UserError("watch needs ROS 2 (rclpy): source a Jazzy setup file, or install spacearm_ident[ros]")
-    from ..nodes.watch import look_once, screen, watch
+    from ..nodes.watch import look_once, watch
+    from ..nodes.watch_screen import screen
 
     if not once:
         watch(console, options.rate, options.parameters)

@@ -102,7 +102,7 @@ def foxglove_layout(joints: Sequence[str]) -> str:
 def plotjuggler_layout(arm: str, joints: Sequence[str]) -> str:
     """Text of a layout file for PlotJuggler; `arm` is the hardware id of the diagnostics, the arm's name."""
     root = ET.Element("root")
-    window = ET.SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
+    window = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     _tab(
         window,
         "torque",

@@ -49,7 +49,8 @@ def _declared(call: ast.Call) -> list[str]:
     """The parameter a call declares, if it does."""
     named = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
     place = DECLARING.get(named, len(call.args))
-    return [item.value for item in call.args[place : place + 1] if isinstance(item, ast.Constant)]
+    values = [item.value for item in call.args[place : place + 1] if isinstance(item, ast.Constant)]
+    return [value for value in values if isinstance(value, str)]
 
 
 def _node(node: str, given: Any) -> Iterator[CheckResult]:

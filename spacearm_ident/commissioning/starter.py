@@ -256,4 +256,4 @@ def _node(name: str, *parameters: str) -> list[str]:
 
 def _quoted(text: str) -> str:
     """A string as YAML wants it, in a block or in braces: plain where that is unmistakable."""
-    return yaml.safe_dump([text], default_flow_style=True, allow_unicode=True, width=math.inf).strip()[1:-1]
+    return str(yaml.safe_dump([text], default_flow_style=True, allow_unicode=True, width=math.inf)).strip()[1:-1]

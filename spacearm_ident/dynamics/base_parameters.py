@@ -139,14 +139,14 @@ def _preference(model: TorqueModel) -> list[int]:
 
 def _independent(scaled: FloatArray) -> tuple[list[int], list[int]]:
     """Columns independent of the ones before them, and the others: the diagonal of an unpivoted QR."""
-    diagonal = np.abs(np.diag(np.linalg.qr(scaled, mode="r")))
+    diagonal = np.abs(np.diag(np.asarray(np.linalg.qr(scaled, mode="r"))))
     independent = [int(k) for k in np.flatnonzero(diagonal > RANK_TOLERANCE)]
     return independent, [k for k in range(scaled.shape[1]) if k not in set(independent)]
 
 
 def _name(parameters: Sequence[Parameter], row: FloatArray, lead: int) -> str:
     parts = [parameters[lead].name]
-    for k in np.flatnonzero(row):
+    for k in np.flatnonzero(row).tolist():
         if k == lead:
             continue
         sign = "-" if row[k] < 0 else "+"

@@ -7,7 +7,7 @@ wrist this way.)
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -16,7 +16,7 @@ import numpy as np
 from ..recording.motion import Motion
 from .arm import Arm, Coupling
 from .background import Background
-from .term import Columns, Parameter, Term
+from .term import Columns, Parameter, Term, Values
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class CoupledMotor(Term):
             for coupling in arm.couplings
         )
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The motor's three columns in the row of every joint that drives it."""
         assert self.coupling is not None
         ratio = np.zeros(len(motion.joints))

@@ -17,7 +17,7 @@ of their own, `temperature_friction`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -27,7 +27,7 @@ from ..errors import UserError
 from ..recording.motion import Motion
 from .arm import Arm, FloatArray
 from .background import Background
-from .term import Columns, Constant, Parameter, Term, chosen_joints
+from .term import Columns, Constant, Parameter, Term, Values, chosen_joints
 
 STRIBECK_GRID = (0.0, *(float(v) for v in np.geomspace(5e-4, 0.4, 13)))
 PRESLIDING_GRID = (0.0, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
@@ -122,11 +122,11 @@ class StribeckFriction(Term):
         """Friction that grows with the load needs the load."""
         return self.loaded
 
-    def plausible(self, parameters: FloatArray, constants: Sequence[float]) -> bool:
+    def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """Friction falls from its static to its Coulomb level; a rise is a blurred reversal, or viscous."""
         return constants[0] == 0.0 or parameters[1] >= parameters[0]
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Columns of f_c, f_b and mu."""
         row = motion.joints.index(self.parameters[0].joint)
         stribeck_velocity, distance, *ratio = constants
@@ -177,7 +177,7 @@ class ViscousFriction(Term):
         )
         return (cls(parameters, options=dict(options)),)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Powers of each joint's own velocity."""
         rows: dict[int, tuple[list[int], list[FloatArray]]] = {}
         for index, parameter in enumerate(self.parameters):

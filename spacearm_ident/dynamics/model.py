@@ -19,19 +19,17 @@ from .friction import StribeckFriction, ViscousFriction
 from .rigid_body import JointSpring, RigidBody, RotorInertia, TorqueOffset
 from .term import Constant, Parameter, Term, chosen_joints
 
-CATALOGUE: dict[str, type[Term]] = {
-    kind.kind: kind
-    for kind in (
-        RigidBody,
-        RotorInertia,
-        JointSpring,
-        StribeckFriction,
-        ViscousFriction,
-        CoupledMotor,
-        TorqueOffset,
-        *EFFECTS.values(),
-    )
-}
+_KINDS: tuple[type[Term], ...] = (
+    RigidBody,
+    RotorInertia,
+    JointSpring,
+    StribeckFriction,
+    ViscousFriction,
+    CoupledMotor,
+    TorqueOffset,
+    *EFFECTS.values(),
+)
+CATALOGUE: dict[str, type[Term]] = {kind.kind: kind for kind in _KINDS}
 
 Structure = dict[str, dict[str, Any]]
 """Term kind -> its options: what a model is made of, before any value is known."""
@@ -232,11 +230,8 @@ class IdentifiedModel:
             KeyError: The model has none of that name.
         """
         name = f"{symbol}[{joint}]"
-        for known, values in (
-            (self.model.parameters, self.parameters),
-            (self.model.constants, self.constants),
-        ):
-            for item, value in zip(known, values):
-                if item.name == name:
-                    return float(value)
+        known: tuple[Parameter | Constant, ...] = (*self.model.parameters, *self.model.constants)
+        for item, value in zip(known, (*self.parameters, *self.constants)):
+            if item.name == name:
+                return float(value)
         raise KeyError(name)

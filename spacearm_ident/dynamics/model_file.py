@@ -22,12 +22,11 @@ def model_to_dict(identified: IdentifiedModel) -> dict[str, Any]:
     arm = identified.model.arm
     values: dict[str, dict[str, dict[str, float]]] = {kind: {} for kind in identified.model.structure}
     for term, first, first_constant in identified.model.numbered():
-        for known, array, start in (
-            (term.parameters, identified.parameters, first),
-            (term.constants, identified.constants, first_constant),
-        ):
-            for k, item in enumerate(known):
-                values[term.kind].setdefault(item.symbol, {})[item.joint] = float(array[start + k])
+        own = values[term.kind]
+        for k, parameter in enumerate(term.parameters):
+            own.setdefault(parameter.symbol, {})[parameter.joint] = float(identified.parameters[first + k])
+        for k, constant in enumerate(term.constants):
+            own.setdefault(constant.symbol, {})[constant.joint] = float(identified.constants[first_constant + k])
     terms = [
         {"kind": kind, **({"options": dict(options)} if options else {}), "values": values[kind]}
         for kind, options in identified.model.structure.items()
@@ -112,7 +111,7 @@ def _values(model: TorqueModel, values: Mapping[str, Any], which: str) -> FloatA
     return np.array(ordered)
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]  # PyYAML is untyped
     """Multi-line text as a block, floats with all their digits."""
 
 

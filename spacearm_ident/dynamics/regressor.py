@@ -139,12 +139,12 @@ def _rotation(joint: Joint, q: FloatArray) -> FloatArray:
     cos, sin = np.cos(q), np.sin(q)
     fixed, turn = joint.rotation, joint.rotation @ skew
     along = joint.rotation @ np.outer(joint.axis, joint.axis)
-    return (fixed - along)[..., None] * cos + turn[..., None] * sin + along[..., None]
+    return np.asarray((fixed - along)[..., None] * cos + turn[..., None] * sin + along[..., None])
 
 
 def _to_child(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     """The transpose of `rotation` (3, 3, N or 1) applied to `vector` (3, N)."""
-    return rotation[0] * vector[0] + rotation[1] * vector[1] + rotation[2] * vector[2]
+    return np.asarray(rotation[0] * vector[0] + rotation[1] * vector[1] + rotation[2] * vector[2])
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -12,7 +12,7 @@ from ..recording.motion import Motion
 from .arm import Arm, FloatArray
 from .background import Background
 from .regressor import INERTIAL_SYMBOLS, rigid_body_blocks
-from .term import Columns, Parameter, Term, chosen_joints
+from .term import Columns, Parameter, Term, Values, chosen_joints
 
 INERTIAL_UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)
 SMALLEST_SHARE = 0.1
@@ -44,7 +44,7 @@ class RigidBody(Term):
                 parameters.append(Parameter(symbol, joint.name, unit, float(prior), scale))
         return (cls(tuple(parameters), arm=arm),)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The joint-torque regressor."""
         assert self.arm is not None
         blocks = rigid_body_blocks(self.arm, motion.position, motion.velocity, motion.acceleration, motion.base)
@@ -75,7 +75,7 @@ class PerJoint(Term):
         )
         return (cls(parameters, options=dict(options)),)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Each joint's own signal in its own row."""
         return {
             (row := motion.joints.index(parameter.joint)): ([k], self.signal(motion, row)[:, None])

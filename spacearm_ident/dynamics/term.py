@@ -22,6 +22,9 @@ from .background import Background
 Columns = dict[int, tuple[list[int], FloatArray]]
 """Joint row -> (indices into the term's parameters, their columns (N, k), N·m per unit of the parameter)."""
 
+Values = Sequence[float] | FloatArray
+"""Constants of a term, in its order."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -104,12 +107,12 @@ class Term(ABC):
         """Whether its columns need the background, what the rest of the model says of a motion."""
         return False
 
-    def plausible(self, parameters: FloatArray, constants: Sequence[float]) -> bool:
+    def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """Whether this term could have these values (in its own order); a search passes over those it could not."""
         return True
 
     @abstractmethod
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The columns at full rate.
 
         Args:

@@ -157,7 +157,7 @@ def check_limits(joints: Sequence[str], motion: Motion, limits: MotionLimits, ra
         slack = _ROUNDING * np.maximum(np.abs(low), np.abs(high))
         kept = (values >= low - slack) & (values <= high + slack)  # false for NaN
         if not kept.all():
-            row, joint = np.unravel_index(int(np.argmin(kept)), kept.shape)
+            row, joint = (int(k) for k in np.unravel_index(int(np.argmin(kept)), kept.shape))
             raise UserError(
                 f"the run leaves the limits: {joints[joint]} at {values[row, joint]:.4g} {unit}, {row / rate_hz:.2f} s "
                 f"after the start, where [{low[joint]:.4g}, {high[joint]:.4g}] is allowed; "

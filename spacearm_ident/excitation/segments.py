@@ -67,7 +67,7 @@ class MotionLimits:
             np.abs(motion.qd) / self.velocity,
             np.abs(motion.qdd) / self.acceleration,
         )
-        return np.max([share.max(axis=0) for share in shares], axis=0)
+        return np.asarray(np.max([share.max(axis=0) for share in shares], axis=0))
 
 
 @dataclass(frozen=True, eq=False)

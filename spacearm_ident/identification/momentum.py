@@ -160,15 +160,15 @@ def _predicted(arm: Arm, rows: _Balance, inertials: FloatArray) -> FloatArray:
     still = np.zeros((samples, 3))
 
     def wrench(velocity: FloatArray, acceleration: FloatArray, base: BaseMotion) -> FloatArray:
-        return np.einsum("kpt,p->tk", _columns(arm, q, velocity, acceleration, base), inertials)
+        return np.asarray(np.einsum("kpt,p->tk", _columns(arm, q, velocity, acceleration, base), inertials))
 
     unit = np.eye(3)[:, None, :] * np.ones((samples, 1))
     moved = [BaseMotion(still, still, axis) for axis in unit] + [BaseMotion(still, axis, still) for axis in unit]
     inertia = np.stack([wrench(none, none, base) for base in moved], axis=2)
     momentum = wrench(none, qd, BaseMotion(still, still, still))
-    rate = -np.linalg.solve(inertia, momentum[..., None])[:, 3:, 0]
+    rate: FloatArray = np.asarray(-np.linalg.solve(inertia, momentum[..., None])[:, 3:, 0], dtype=float)
     bias = wrench(qd, qdd, BaseMotion(rate, still, still))
-    answer = -np.linalg.solve(inertia, bias[..., None])[..., 0]
+    answer: FloatArray = np.asarray(-np.linalg.solve(inertia, bias[..., None])[..., 0], dtype=float)
     return _columns(arm, q, qd, qdd, BaseMotion(rate, answer[:, 3:], answer[:, :3]))[:, :10]
 
 
@@ -223,8 +223,8 @@ def _regrouped(arm: Arm) -> BaseParameters:
     joints = len(arm.joints)
     samples = 12 * (joints + 1)
     rng = np.random.default_rng(0)
-    states = rng.uniform(-2.0, 2.0, (3, samples, joints))
-    blocks = rigid_body_blocks(arm, *states, random_base(rng, samples), base_rows=True)
+    q, qd, qdd = rng.uniform(-2.0, 2.0, (3, samples, joints))
+    blocks = rigid_body_blocks(arm, q, qd, qdd, random_base(rng, samples), base_rows=True)
     whole = np.zeros((joints + 6, samples, 10 * (joints + 1)))
     for (row, link), block in blocks.items():
         whole[row + 6, :, 10 * (link + 1) : 10 * (link + 2)] = block.T
@@ -242,8 +242,8 @@ def _body(arm: Arm, values: FloatArray, covariance: FloatArray, size: FloatArray
         parameter, value, error = parameters[k], float(values[k]), float(errors[k])
         rests, note = Determination.DATA, ""
         if not base.alone(k):
-            lead = base.names[int(np.flatnonzero(base.regrouping[:, k])[0])].split(" ")[0]
-            rests, note, error = Determination.COMBINED, f"in the base parameter of {lead}", float("nan")
+            name = base.names[int(np.flatnonzero(base.regrouping[:, k])[0])].split(" ")[0]
+            rests, note, error = Determination.COMBINED, f"in the base parameter of {name}", float("nan")
         elif error > KNOWN_SHARE * size[k]:
             rests, note, error = Determination.PRIOR, "this motion does not reveal it", float("nan")
         estimates.append(Estimate(parameter.symbol, parameter.joint, parameter.unit, value, error, rests, note))

@@ -20,7 +20,7 @@ import numpy as np
 from ..dynamics.arm import FloatArray
 from ..dynamics.background import Background
 from ..dynamics.model import TorqueModel
-from ..dynamics.term import Term
+from ..dynamics.term import Term, Values
 from ..recording.motion import Motion
 
 DERIVATIVE_STEP = 1e-4
@@ -139,7 +139,7 @@ class Regression:
         """Reduce full-rate columns of every motion and keep the joint's moving rows."""
         return self._moving(joint, np.concatenate([motion.reduce(part) for motion, part in zip(self.motions, columns)]))
 
-    def shaped(self, term_number: int, constants: Sequence[float]) -> Shaped:
+    def shaped(self, term_number: int, constants: Values) -> Shaped:
         """Columns of one term that has constants, at given values of them (the last ones asked for are kept)."""
         key = tuple(float(value) for value in constants)
         if self._kept.get(term_number, (None, {}))[0] != key:
@@ -189,7 +189,7 @@ class Regression:
         ]
 
     def derivatives(
-        self, term_number: int, constants: Sequence[float], which: int, parameters: FloatArray
+        self, term_number: int, constants: Values, which: int, parameters: FloatArray
     ) -> dict[int, FloatArray]:
         """Joint row -> (M,) derivative of the term's torque by the logarithm of one constant."""
         moved = list(constants)
@@ -223,7 +223,7 @@ class Regression:
         rows = self.rows[joint]
         tail = np.column_stack([extra, rows.torque]) * rows.weight[:, None]
         inside = rows.basis.T @ tail
-        outside = np.linalg.qr(tail - rows.basis @ inside, mode="r")
+        outside = np.asarray(np.linalg.qr(tail - rows.basis @ inside, mode="r"))
         rank = len(rows.triangle)
         small = np.zeros((rank + len(outside), width))
         small[:rank, rows.indices] = rows.triangle

@@ -201,7 +201,8 @@ def system(
                 for joint, column in derivative.items():
                     extra[joint][0].append(slots[first + k])
                     extra[joint][1].append(column[:, None])
-    blocks, sides = [], []
+    blocks: list[FloatArray] = []
+    sides: list[FloatArray] = []
     for joint, (indices, columns) in extra.items():
         stacked = np.concatenate([np.empty((len(regression.rows[joint].torque), 0)), *columns], axis=1)
         block, side = regression.compress(joint, indices, stacked, width + len(slots))

@@ -223,4 +223,4 @@ def _log_chance(ratio: FloatArray, freedom: np.ndarray) -> FloatArray:
     """Log of the probability that chi^2 exceeds `ratio`; by its asymptote where scipy's underflows."""
     half = 0.5 * np.maximum(ratio, BEYOND)
     far = -half + (0.5 * freedom - 1.0) * np.log(half) - gammaln(0.5 * freedom)
-    return np.where(ratio < BEYOND, chi2.logsf(np.minimum(ratio, BEYOND), freedom), far)
+    return np.asarray(np.where(ratio < BEYOND, chi2.logsf(np.minimum(ratio, BEYOND), freedom), far))

@@ -97,5 +97,6 @@ class InformationFilter:
 def compress(rows: FloatArray, side: FloatArray) -> tuple[FloatArray, FloatArray]:
     """At most p rows (J, p, p) and (J, p) that say of x what `rows` (J, r, p) and `side` (J, r) do."""
     count = rows.shape[2]
-    triangle = np.linalg.qr(np.concatenate([rows, side[:, :, None]], axis=2), mode="r")[:, :count]
+    whole: FloatArray = np.asarray(np.linalg.qr(np.concatenate([rows, side[:, :, None]], axis=2), mode="r"))
+    triangle = whole[:, :count]
     return triangle[:, :, :count], triangle[:, :, count]

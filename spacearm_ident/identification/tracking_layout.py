@@ -149,7 +149,7 @@ class Layout:
         own = np.zeros((self._joints, self._count))
         own[joint, [self._tracked.symbols.index(symbol) for symbol in symbols]] = 1.0
         whole = self._gathered(own, np.zeros(len(self.shared_scale)))
-        return whole[self.block(joint)][:, None]
+        return np.asarray(whole[self.block(joint)][:, None])
 
     def hypotheses(self) -> list[Hypothesis]:
         """Every way to change."""

@@ -125,7 +125,7 @@ class Cards:
                 moved = values.copy()
                 moved[k] += step
                 slope[k] = (effect.shown(moved)[name][0] - value) / step
-            half = 1.96 * float(np.sqrt(max(slope @ spread @ slope, 0.0)))
+            half = 1.96 * float(np.sqrt(max(float(slope @ spread @ slope), 0.0)))
             quantities[name] = Quantity(value, unit, value - half, value + half)
         return quantities
 

@@ -229,7 +229,8 @@ class Competition:
             count = len(candidate.effect.parameters)
             torque[candidate.stacked.rows] += candidate.stacked.columns @ values[first : first + count]
             first += count
-        return np.bincount(joint, weights=torque**2, minlength=len(self.evidence.base.model.arm.joints))
+        joints = len(self.evidence.base.model.arm.joints)
+        return np.asarray(np.bincount(joint, weights=torque**2, minlength=joints), dtype=float)
 
     def _renew_pool(self, effect: Effect) -> None:
         """What is accepted competes no more; a further one of its kind may."""
@@ -279,7 +280,7 @@ class Competition:
         """The best of every effect at every place, best first."""
         beside = self.evidence.refit(self.accepted)
         unseen_before = self._unseen_squares(self.accepted, beside.values)
-        rough = []
+        rough: list[tuple[float, int, Candidate]] = []
         for effect in self._pool:
             best = max((self._gain(c, beside), k) for k, c in enumerate(self._grid(effect)))
             candidate = self._grid(effect)[best[1]]

@@ -18,7 +18,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.effects.effect import Effect, direction
 from ..dynamics.friction import bristle_state
 from ..dynamics.model import IdentifiedModel
-from ..dynamics.term import Columns
+from ..dynamics.term import Columns, Values
 from ..identification.prior import make_prior
 from ..recording.motion import Motion
 from .scene import Scene
@@ -130,7 +130,7 @@ class Evidence:
         self._inside = basis.T @ torque
         self.residual = torque[: self.rows] - self._basis @ self._inside
 
-    def candidate(self, effect: Effect, constants: Sequence[float], stacked: Stacked | None = None) -> Candidate:
+    def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect in the field; its columns may be known from elsewhere."""
         stacked = stacked or stacked_effect(self.field, effect, constants)
         columns, rows = stacked.columns, stacked.rows
@@ -162,7 +162,7 @@ class Evidence:
         own = self._used[self._used < count]
         # Nuisance columns come last: with them first in the factorisation, what is below is the own ones' share.
         order = np.concatenate([np.flatnonzero(self._used >= count), np.flatnonzero(self._used < count)])
-        triangle = np.linalg.qr(self._triangle[:, order], mode="r")
+        triangle: FloatArray = np.asarray(np.linalg.qr(np.asarray(self._triangle[:, order], dtype=float), mode="r"))
         beside = len(self._used) - len(own)
         whole = np.zeros((len(own), count))
         whole[:, own] = triangle[beside:, beside:]
@@ -228,11 +228,11 @@ def _inner(one: Candidate, other: Candidate) -> FloatArray:
 
 
 def _latest_start(one: slice, other: slice) -> int:
-    return max(one.start, other.start)
+    return int(max(one.start, other.start))
 
 
 def _earliest_stop(one: slice, other: slice) -> int:
-    return min(one.stop, other.stop)
+    return int(min(one.stop, other.stop))
 
 
 class Unseen:
@@ -278,7 +278,7 @@ def without_effects(
     return residual
 
 
-def stacked_effect(scene: Scene, effect: Effect, constants: Sequence[float]) -> Stacked:
+def stacked_effect(scene: Scene, effect: Effect, constants: Values) -> Stacked:
     """Whitened columns of an effect."""
     columns = [
         effect.columns(motion, constants, background) for motion, background in zip(scene.motions, scene.backgrounds)

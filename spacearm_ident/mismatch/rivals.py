@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.background import Background
 from ..dynamics.effects.effect import Effect, Options, direction, known_joint, own
-from ..dynamics.term import Columns, Constant, Parameter
+from ..dynamics.term import Columns, Constant, Parameter, Values
 from ..recording.motion import Motion
 
 UNKNOWN = "unknown"
@@ -49,7 +49,7 @@ class Rival(Effect):
         count = 3 if place["of"] == "time_drift" else int(place["count"])
         return cls(tuple(Parameter(f"b{k}", joint, "N m") for k in range(count)), place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Splines, sines or powers of what it depends on."""
         row = motion.joints.index(self.place["joint"])
         of = self.place["of"]

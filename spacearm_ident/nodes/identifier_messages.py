@@ -11,6 +11,7 @@ from sensor_msgs.msg import JointState
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
+from ..dynamics.term import Constant, Parameter
 from ..identification.identified import Identified, Validation
 from ..identification.tracking import TrackingState
 from ..mismatch.finding import Explanation
@@ -77,9 +78,9 @@ def _entries(model: IdentifiedModel, known: Identified | None) -> Iterator[_Entr
             error = item.standard_error
             yield _Entry(item.symbol, item.joint, item.unit, item.value, error, item.determination.value, item.note)
         return
-    for values, items in ((model.parameters, model.model.parameters), (model.constants, model.model.constants)):
-        for value, item in zip(values.tolist(), items):
-            yield _Entry(item.symbol, item.joint, item.unit, value, float("nan"), FROM_FILE)
+    items: tuple[Parameter | Constant, ...] = (*model.model.parameters, *model.model.constants)
+    for one, value in zip(items, (*model.parameters.tolist(), *model.constants.tolist())):
+        yield _Entry(one.symbol, one.joint, one.unit, value, float("nan"), FROM_FILE)
 
 
 def _status(arm: str, entry: _Entry) -> DiagnosticStatus:

@@ -36,7 +36,8 @@ class JointStateWriter:
         n = len(joints)
         # Numbers that occur nowhere else in the payload, to find the arrays again.
         marks = {name: -1e300 * (1.0 + 0.1 * k) * np.ones((1, n)) for k, name in enumerate(filled)}
-        payload = encode_joint_states([0], joints, **marks)[0]
+        position, velocity, effort = (marks.get(name) for name in ("position", "velocity", "effort"))
+        payload = encode_joint_states([0], joints, position, velocity, effort)[0]
         self._buffer = bytearray(payload)
         self._arrays = [
             np.frombuffer(self._buffer, dtype="<f8", count=n, offset=payload.index(mark.tobytes()))

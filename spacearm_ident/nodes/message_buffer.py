@@ -6,6 +6,7 @@ the checks of `recording.reader` as it would from a bag.
 
 from __future__ import annotations
 
+import builtins
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ class _Block:
 
     def __init__(self, room: int) -> None:
         self.data: NDArray[np.uint8] = np.empty(room, dtype=np.uint8)
-        self.view = memoryview(self.data)
+        self.view = memoryview(self.data)  # type: ignore[arg-type]  # numpy's Buffer is Python 3.12's
         self.ends: NDArray[np.int64] = np.zeros(BLOCK_MESSAGES, dtype=np.int64)
         self.times_ns: NDArray[np.int64] = np.zeros(BLOCK_MESSAGES, dtype=np.int64)
         self.count = self.used = 0
@@ -90,7 +91,7 @@ class MessageBuffer:
         """Memory of the blocks."""
         return len(self._blocks) * (self._room + 16 * BLOCK_MESSAGES)
 
-    def append(self, time_ns: int, payload: bytes) -> None:
+    def append(self, time_ns: int, payload: builtins.bytes) -> None:
         """Keep a message that arrived at `time_ns`; a clock that went back stands still until it has caught up."""
         size = len(payload)
         block = self._blocks[-1] if self._blocks else None
@@ -129,10 +130,10 @@ class MessageBuffer:
         first, last = self._blocks[0], self._blocks[-1]
         return int(first.times_ns[0]), int(last.times_ns[last.count - 1])
 
-    def since(self, number: int) -> list[bytes]:
+    def since(self, number: int) -> list[builtins.bytes]:
         """Payloads from the `number`-th stored on (counted from 0), as far as they are still there."""
         skip = number - (self.stored - len(self))
-        payloads: list[bytes] = []
+        payloads: list[builtins.bytes] = []
         for block in self._blocks:
             if skip < block.count:
                 payloads.extend(block.messages(max(0, skip)))
@@ -167,7 +168,7 @@ def write_captures(path: Path, captures: Sequence[Capture]) -> None:
         UserError: The place cannot be written.
     """
     with RecordingWriter(path) as writer:
-        rows = []
+        rows: list[tuple[int, int, builtins.bytes]] = []
         for capture in captures:
             latched = capture.topic == DESCRIPTION_TOPIC
             channel = writer.add_topic(capture.topic, TOPIC_TYPES[capture.topic], latched=latched)

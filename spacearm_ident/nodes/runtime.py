@@ -227,9 +227,11 @@ class LiveNode(Node):
 
     def offer_switch(self, name: str, action: Callable[[bool], str]) -> None:
         """A `std_srvs/srv/SetBool` service; `action` is told the value asked for, otherwise like `offer`."""
-        self.create_service(
-            SetBool, name, lambda request, response: self._answer(response, lambda: action(request.data))
-        )
+
+        def answer(request: Any, response: Any) -> Any:
+            return self._answer(response, lambda: action(request.data))
+
+        self.create_service(SetBool, name, answer)
 
     def _answer(self, response: Any, action: Callable[[], str]) -> Any:
         try:

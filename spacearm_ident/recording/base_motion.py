@@ -51,7 +51,7 @@ class BaseMotion:
         """(N, 3) specific force at the base link's origin, m/s^2; `gravity` (3,) in world axes, where it is needed."""
         if self.attitude is None:
             return self.acceleration
-        return self.acceleration - np.einsum("nji,j->ni", self.attitude, gravity)
+        return np.asarray(self.acceleration - np.einsum("nji,j->ni", self.attitude, gravity))
 
     def __getitem__(self, part: slice) -> BaseMotion:
         """The samples of `part`."""

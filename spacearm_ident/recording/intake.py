@@ -223,7 +223,7 @@ class Intake:
         if len(samples.stamp_ns) == 0:
             return
         for what, values in (("position", samples.position), ("effort", samples.effort)):
-            present = np.isfinite(values).any(axis=0)
+            present = np.asarray(np.isfinite(values).any(axis=0))
             if present.all():
                 continue
             lacking = listing([name for name, has in zip(samples.joints, present, strict=True) if not has])
@@ -244,7 +244,7 @@ class Intake:
             lacking |= ~np.isfinite(samples.effort)
         names = [name for name, column in zip(samples.joints, lacking.T, strict=True) if column.any()]
         text = f"samples with NaN, infinite or absent values ({listing(names)}) left out"
-        self.drop(lacking.any(axis=1), "nan", text)
+        self.drop(np.asarray(lacking.any(axis=1)), "nan", text)
 
     def put_in_time(self) -> None:
         """Drop unset, repeated and backward stamps until the stamps increase strictly."""
@@ -267,7 +267,7 @@ class Intake:
         finite = np.isfinite(self.samples.velocity)
         if not finite.any():
             return False
-        lacking = ~finite.all(axis=1)
+        lacking = np.asarray(~finite.all(axis=1))
         if lacking.mean() > _VELOCITY_LOSS:
             count, stamp = int(lacking.sum()), int(self.samples.stamp_ns[np.argmax(lacking)])
             text = f"recorded velocity not used: {count} of {len(lacking)} samples lack a finite one"

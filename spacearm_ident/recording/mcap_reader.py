@@ -118,7 +118,7 @@ def _decompress(compression: str, data: bytes, size: int) -> bytes:
             reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
             return bytes(reader.read(size))
         if compression == "lz4":
-            return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size))
         if compression == "":
             return data[:size]
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:

@@ -199,9 +199,11 @@ def _filtered(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, so
     position = _low_passed(stretch.position, rate, cutoff)
     velocity = _differentiate(position, rate)
     acceleration = _differentiate(velocity, rate)
-    base = stretch.base and stretch.base.motion(
-        lambda signal: _low_passed(signal, rate, slowest), lambda signal: _differentiate(signal, rate)
-    )
+    base = None
+    if stretch.base is not None:
+        base = stretch.base.motion(
+            lambda signal: _low_passed(signal, rate, slowest), lambda signal: _differentiate(signal, rate)
+        )
     edge = int(np.ceil(EDGE_CUTOFF_PERIODS * rate / slowest))
     inner = slice(edge, len(position) - edge)
     position, velocity, acceleration, kept = position[inner], velocity[inner], acceleration[inner], stretch[inner]
@@ -222,7 +224,7 @@ def _filtered(stretch: _Stretch, joints: Sequence[str], bandwidth: Bandwidth, so
             cutoff_hz=cutoff,
             stride=max(1, int(rate / block / (4 * cutoff))),
             temperature=kept.temperature,
-            base=base and base[inner],
+            base=None if base is None else base[inner],
             source=source,
         )
     ]

@@ -270,9 +270,9 @@ def _base_rows(recording: Recording, channel: int, base: BaseSensor) -> Iterator
     """What an IMU or an odometry does not know here is marked unknown, or zero."""
     stamps = _stamps_ns(recording, base.time).tolist()
     if base.force is not None:
-        nothing = (0.0,) * 9
+        unknown = (0.0,) * 9
         for stamp, rate, force in zip(stamps, base.rate.tolist(), base.force.tolist(), strict=True):
-            numbers = (0.0, 0.0, 0.0, 1.0, -1.0, *nothing[1:], *rate, *nothing, *force, *nothing)
+            numbers = (0.0, 0.0, 0.0, 1.0, -1.0, *unknown[1:], *rate, *unknown, *force, *unknown)
             yield stamp, channel, cdr.encode_stamped(stamp, (base.frame,), numbers)
         return
     assert base.velocity is not None and base.attitude is not None

@@ -139,8 +139,8 @@ class Communication(ABC):
                 self._send_pdo(pdo)
 
     def _send_pdo(self, pdo: Pdo) -> None:
-        payload = pdo.pack()
-        if self.faults.corrupting:
+        payload: bytes | None = pdo.pack()
+        if payload is not None and self.faults.corrupting:
             payload = self.faults.corrupt(payload)
         if pdo.can_id is not None and payload is not None:
             self.send_message(pdo.can_id, payload)

@@ -68,7 +68,7 @@ class DriveDictionary:
         self.after_write: dict[int, WriteHook] = {}
         self.restore()
         self._server = SdoServer(0x600 + node_id, 0x580 + node_id, self)
-        self._server.network = sender
+        self._server.network = sender  # type: ignore[assignment]  # all that the server does with it is send
         # An abort before the first transfer would otherwise have no index to name.
         self._server._index = self._server._subindex = 0
 
@@ -98,7 +98,7 @@ class DriveDictionary:
             raise SdoAbortedError(WRITE_ONLY)
         if variable.data_type in INTEGER_TYPES:
             return bytes(variable.encode_raw(self.values[key(index, subindex)]))
-        return bytes(variable.encode_raw(variable.default))
+        return bytes(variable.encode_raw(variable.default))  # type: ignore[arg-type]  # strings have one in our EDS
 
     def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
         """Store what a master wrote.

@@ -103,8 +103,9 @@ class Pdo:
         word = self._dictionary.values[key(self._mapping, sub)]
         index, object_sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
         variable = self._dictionary.variable(index, object_sub)
-        allowed = variable is not None and variable.pdo_mappable and len(variable) == bits
-        if not allowed or not (variable.readable if self._transmit else variable.writable):
+        if variable is None or not variable.pdo_mappable or len(variable) != bits:
+            raise SdoAbortedError(CANNOT_MAP)
+        if not (variable.readable if self._transmit else variable.writable):
             raise SdoAbortedError(CANNOT_MAP)
         return key(index, object_sub), bits
 

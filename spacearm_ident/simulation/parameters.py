@@ -105,7 +105,7 @@ class PlantParameters:
         plain = values["v_b"] == 0.0
         values["f_b"] = np.where(plain, values["f_c"], values["f_b"])
         values["v_b"] = np.where(plain, 1.0, values["v_b"])
-        if quadratic not in ("even", "odd"):
+        if quadratic != "even" and quadratic != "odd":
             raise UserError(f"quadratic is {quadratic!r}; use even or odd")
         return cls(
             joints=joints,

@@ -79,4 +79,4 @@ def _best_on_the_way(
     # Last, so that a tie (a joint with next to no friction) ends in a stop and not in turning back for ever.
     candidates.append(target)
     costs = [0.5 * v @ inertia @ v - momentum @ v + bound @ np.abs(v) for v in candidates]
-    return candidates[int(np.argmin(costs))]
+    return np.asarray(candidates[int(np.argmin(costs))])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -12,7 +12,7 @@ from ...recording.motion import Motion
 from ..arm import Arm, FloatArray, Joint
 from ..background import Background
 from ..regressor import rigid_body_blocks
-from ..term import Columns, Constant, Parameter
+from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, nothing
 from .linearised import COARSE_HZ, _interpolate, rigid_torque
 
@@ -60,14 +60,14 @@ class Payload(Effect):
         """Where it is held."""
         return tuple(range(1, len(self.parameters))) if self.place.get("regripped") else ()
 
-    def plausible(self, parameters: FloatArray, constants: Sequence[float]) -> bool:
+    def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """A mass within reach of its link; a negative one only where a tool was taken off, at the last link."""
         mass, moment = float(parameters[0]), float(np.linalg.norm(parameters[1:4]))
         if mass < 0 and not self.place.get("last"):
             return False
         return abs(mass) < HEAVIEST_KG and moment < LONGEST_M * abs(mass)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The regressor's columns of that link."""
         rows = range(len(motion.joints))
         if background is None or background.arm is None:
@@ -122,7 +122,7 @@ class BaseTilt(Effect):
         """None: it is the base."""
         return ()
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Static torque under gravity turned a little about x and y."""
         rows = range(len(motion.joints))
         if background is None or background.arm is None or background.inertials is None:
@@ -181,7 +181,7 @@ class FloatingBase(Effect):
         """None: it is the base."""
         return ()
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the rows of all joints differ by."""
         rows = range(len(motion.joints))
         if background is None or background.arm is None or background.inertials is None or motion.base is not None:
@@ -264,7 +264,7 @@ class ExternalContact(Effect):
         """That of the link that was touched."""
         return (str(self.place["joint"]),)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Torque that holds against a force on the flange along each base axis, within the window."""
         rows = range(len(motion.joints))
         if background is None or background.arm is None:

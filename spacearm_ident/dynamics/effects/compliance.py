@@ -11,7 +11,7 @@ recorded motion).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -20,7 +20,7 @@ import numpy as np
 from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
 from ..background import Background
-from ..term import Columns, Constant, Parameter
+from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, each, known_axis, known_joint, nothing
 from .linearised import COARSE_HZ, Sensitivity, by_position, by_virtual_joint
 
@@ -46,7 +46,7 @@ class _Compliance(Effect):
         """(N,) d and d'' for a value of the constant."""
         raise NotImplementedError
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the rows of all joints differ by."""
         if background is None or background.arm is None:
             return nothing(motion, range(len(motion.joints)), 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar
@@ -12,7 +12,7 @@ import numpy as np
 from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
 from ..background import Background
-from ..term import Columns, Parameter
+from ..term import Columns, Parameter, Values
 from .effect import Effect, Options, each, nothing
 from .linearised import rigid_torque
 
@@ -52,7 +52,7 @@ class RotorCoupling(Effect):
         other = self.place.get("with")
         return (self.place["joint"],) if other is None else (other, self.place["joint"])
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Accelerations of the others, by how far the axes point the same way."""
         number = motion.joints.index(self.place["joint"])
         if background is None or background.arm is None:
@@ -113,7 +113,7 @@ class WristCoupling(Effect):
         """The joint that feels it, then the other."""
         return (self.place["joint"], self.place["with"])
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Acceleration, velocity and direction of the other joint, or of both together."""
         row, other = (motion.joints.index(self.place[key]) for key in ("joint", "with"))
         ratio = self.place.get("ratio")

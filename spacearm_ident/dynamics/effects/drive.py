@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
 from ..background import Background
 from ..friction import excess_temperature
-from ..term import Columns, Constant, Parameter
+from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, known_joints, nothing, own
 
 
@@ -54,7 +54,7 @@ class TorqueConstant(Effect):
         shown = {name: (float(values[0]), self.parameters[0].unit)}
         return shown if self.needs_temperature else {"scale": (1.0 + float(values[0]), "1"), **shown}
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The model's torque."""
         row = motion.joints.index(self.place["joint"])
         if background is None:
@@ -82,7 +82,7 @@ class MotorSaturation(Effect):
         joint = known_joint(arm, place)
         return cls((Parameter("s", joint, "1/(N m)^2", scale=1e-3, lower=0.0),), place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The cube of the model's torque."""
         row = motion.joints.index(self.place["joint"])
         if background is None:
@@ -106,7 +106,7 @@ class CurrentOffset(Effect):
         """At one joint."""
         return cls((Parameter("offset", known_joint(arm, place), "N m"),), place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """One."""
         return own(motion.joints.index(self.place["joint"]), np.ones(len(motion.position)))
 
@@ -125,7 +125,7 @@ class _Late(Effect):
         """The torque (N, k) after a lag of so many samples."""
         raise NotImplementedError
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the late torque differs by."""
         rows = [motion.joints.index(joint) for joint in self.joints]
         if background is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -12,7 +12,7 @@ from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
 from ..background import Background
 from ..friction import bristle_state, excess_temperature
-from ..term import Columns, Constant, Parameter
+from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own
 
 
@@ -54,7 +54,7 @@ class FrictionDrift(_Friction):
         )
         return cls(parameters, place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Direction and velocity."""
         row = self.row(motion)
         signals = {"f_c": direction(motion, row), "k_v1": motion.velocity[:, row]}
@@ -97,7 +97,7 @@ class TemperatureFriction(_Friction):
         """It is nothing without them."""
         return True
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Direction and velocity times the excess temperature; nothing where no temperature was recorded."""
         row = self.row(motion)
         excess = excess_temperature(motion, row)
@@ -121,7 +121,7 @@ class LoadFriction(_Friction):
         """At one joint."""
         return cls((Parameter("mu", known_joint(arm, place), "1", scale=0.1, lower=0.0, upper=0.4),), place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """|load| times direction."""
         row = self.row(motion)
         if background is None:
@@ -148,7 +148,7 @@ class GearEfficiency(_Friction):
         grid = (0.6, 0.7, 0.76, 0.82, 0.86, 0.9, 0.93, 0.955, 0.975, 0.988)
         return cls((share,), (Constant("eta", joint, "1", grid),), place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The loss; it always opposes the motion."""
         row = self.row(motion)
         if background is None:
@@ -177,7 +177,7 @@ class PreslidingHysteresis(_Friction):
         grid = tuple(float(d) for d in np.geomspace(1e-4, 0.04, 13))
         return cls((Parameter("f", joint, "N m", lower=0.0),), (Constant("d_s", joint, "rad", grid),), place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What is missing of full friction while the bristles bend."""
         row = self.row(motion)
         moving = direction(motion, row)
@@ -211,7 +211,7 @@ class PositionFriction(_Friction):
         symbols = (f"sin_{cycles:g}", f"cos_{cycles:g}")
         return cls(tuple(Parameter(symbol, joint, "N m") for symbol in symbols), place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Sine and cosine times direction."""
         row = self.row(motion)
         angle, moving = float(self.place["cycles"]) * motion.position[:, row], direction(motion, row)
@@ -257,7 +257,7 @@ class AsymmetricFriction(_Friction):
         }
         return cls(tuple(known[of] for of in place.get("of", ["level"])), place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """One, and speed."""
         row = self.row(motion)
         speed = np.abs(motion.velocity[:, row])
@@ -285,7 +285,7 @@ class Stribeck(_Friction):
             (Parameter("f", joint, "N m", lower=0.0),), (Constant("v_b", joint, "rad/s", grid, True),), place=place
         )
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """A Gaussian of speed times direction."""
         row = self.row(motion)
         share = np.exp(-((motion.velocity[:, row] / constants[0]) ** 2))
@@ -316,7 +316,7 @@ class VacuumFriction(_Friction):
         name = known_joints(arm, place)
         return cls((Parameter("share", name, "1", scale=1.0, lower=0.4, upper=1.6),), place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the model's own terms of second and third order say, taken away."""
         rows = [motion.joints.index(joint) for joint in self.joints]
         if background is None:

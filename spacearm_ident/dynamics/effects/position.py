@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -11,7 +10,7 @@ import numpy as np
 from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
 from ..background import Background
-from ..term import Columns, Constant, Parameter
+from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, nothing, own
 from .linearised import by_position
 
@@ -42,7 +41,7 @@ class TorqueRipple(Effect):
         """With another number of cycles."""
         return TorqueRipple.at(arm, {**self.place, "number": int(self.place.get("number", 1)) + 1})
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Sine and cosine."""
         row = motion.joints.index(self.place["joint"])
         angle = constants[0] * motion.position[:, row]
@@ -82,7 +81,7 @@ class HarnessSpring(Effect):
         )
         return cls(parameters, place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Position, and one for where it is slack."""
         row = motion.joints.index(self.place["joint"])
         return own(row, motion.position[:, row], np.ones(len(motion.position)))
@@ -115,7 +114,7 @@ class EncoderEccentricity(Effect):
         parameters = tuple(Parameter(symbol, joint, "rad", scale=1e-3, lower=-bound, upper=bound) for symbol in symbols)
         return cls(parameters, place=place)
 
-    def columns(self, motion: Motion, constants: Sequence[float], background: Background | None) -> Columns:
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Torque of the motion that was read, less that of the motion that was."""
         row = motion.joints.index(self.place["joint"])
         if background is None or background.arm is None:

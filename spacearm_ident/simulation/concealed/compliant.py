@@ -122,7 +122,9 @@ class CompliantMechanism:
             parent = tree.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
             body = pin.Inertia(base.mass, base.centre, base.inertia * np.eye(3))
             tree.appendBodyToJoint(parent, body, pin.SE3.Identity())
-        numbers, hinges, rotors, armature = [], [], [], []
+        numbers: list[int] = []
+        hinges: list[tuple[int, Hinge]] = []
+        rotors: list[tuple[int, int, float]] = []
         for k in range(len(parameters.joints)):
             place = rest * rigid.jointPlacements[k + 1]
             if k in structure.rotors:
@@ -232,7 +234,7 @@ class CompliantMechanism:
         q, m = configuration[: self._tree.nq], self._m
         a, v = self._T @ acceleration[:m], self._T @ velocity[:m]
         whole = self._T.T @ (pin.rnea(self._tree, self._data, q, v, a) - self._tree.armature * a)
-        return (whole - self._passive(configuration, velocity, springs=False)[:m])[self._links]
+        return np.asarray((whole - self._passive(configuration, velocity, springs=False)[:m])[self._links])
 
     def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
         """See `Mechanism`."""
@@ -251,11 +253,11 @@ class CompliantMechanism:
 
     def _tree_inertia(self, q: FloatArray) -> FloatArray:
         full = np.array(pin.crba(self._tree, self._data, q))
-        return self._T.T @ full @ self._T if self._has_rotors else full
+        return np.asarray(self._T.T @ full @ self._T) if self._has_rotors else full
 
     def _tree_bias(self, q: FloatArray, v: FloatArray) -> FloatArray:
         if self._has_rotors:
-            return self._T.T @ pin.nonLinearEffects(self._tree, self._data, q, self._T @ v)
+            return np.asarray(self._T.T @ pin.nonLinearEffects(self._tree, self._data, q, self._T @ v))
         found: FloatArray = pin.nonLinearEffects(self._tree, self._data, q, v)
         return found
 
@@ -289,8 +291,8 @@ class CompliantMechanism:
     def _outside(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """Forces on links and the gyroscopic torque of wheels in them, on the free coordinates."""
         total = np.zeros(self._tree.nv)
-        pulls = [(force, force.value(self.time)) for force in self._structure.forces]
-        pulls = [(force, value) for force, value in pulls if value is not None]
+        now = [(force, force.value(self.time)) for force in self._structure.forces]
+        pulls = [(force, value) for force, value in now if value is not None]
         if not pulls and not self._structure.wheels:
             return self._T.T @ total
         pin.computeJointJacobians(self._tree, self._data, q)
