@@ -251,6 +251,13 @@ def params(folder: Path, text: str) -> list[CheckResult]:
             Level.FAIL,
             "told of different arms",
         ),
+        ("/arm_1/recorder: {ros__parameters: {directry: x}}", Level.FAIL, "recorder has no parameter 'directry'"),
+        (
+            f"{{/a/identifier: {{ros__parameters: {{arm: {CONFIG / 'paper_arm.urdf'}}}}}, "
+            f"/b/identifier: {{ros__parameters: {{arm: {ARM}}}}}}}",
+            Level.OK,
+            "every parameter exists",
+        ),
         ("[a, list]", Level.FAIL, "holds no 'key: value' pairs"),
     ],
 )

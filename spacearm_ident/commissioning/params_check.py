@@ -26,7 +26,8 @@ def check_params(path: Path) -> list[CheckResult]:
     except UserError as error:
         return [fail("parameters", str(error), "correct it; config/spacearm.yaml is an example")]
     results = [result for node, given in data.items() for result in _node(str(node), given)]
-    results += _one_arm(data)
+    for place in {_place(node) for node in data}:
+        results += _one_arm({node: given for node, given in data.items() if _place(node) == place})
     return results or [ok("parameters", f"{', '.join(map(str, data))}: every parameter exists")]
 
 
@@ -52,7 +53,13 @@ def _declared(call: ast.Call) -> list[str]:
     return [item.value for item in call.args[place : place + 1] if isinstance(item, ast.Constant)]
 
 
-def _node(node: str, given: Any) -> Iterator[CheckResult]:
+def _place(node: str) -> str:
+    """The namespace in a node's full name; empty where it stands for any."""
+    return str(node).rpartition("/")[0]
+
+
+def _node(key: str, given: Any) -> Iterator[CheckResult]:
+    node = key.removeprefix(f"{_place(key)}/")
     if node not in NODES:
         yield fail("parameters", f"there is no node {node!r}", f"the nodes are {', '.join(NODES)}")
         return
