@@ -103,7 +103,6 @@ def test_the_parameter_file_names_only_parameters_that_exist():
     given = yaml.safe_load((ROOT / "config" / "spacearm.yaml").read_text())
     assert set(given) == set(NODES)
     for node, parameters in given.items():
-        assert used(node.kwargs["namespace"]) == {"namespace"}
         source = source_of(node)
         for name in parameters["ros__parameters"]:
             assert f'"{name}"' in source, f"{node} has no parameter {name}"

@@ -171,11 +171,12 @@ def model_file(folder: Path, level: float) -> Path:
     return file
 
 
-def test_two_arms_on_one_graph_do_not_meet(graph, tmp_path):
+def test_two_arms_on_one_graph_do_not_meet(graph, tmp_path, capsys):
     """An identifier in each namespace, obeying a parameter file that knows of none, and the recorder of the first."""
     from diagnostic_msgs.msg import DiagnosticArray
     from live_nodes import output
     from sensor_msgs.msg import JointState
+    from std_msgs.msg import String
 
     from spacearm_ident.nodes.runtime import LATCHED, STREAM
 
@@ -202,6 +203,7 @@ def test_two_arms_on_one_graph_do_not_meet(graph, tmp_path):
     accepted, reply = probe.call("/arm_1/recorder/start")
     assert accepted and str(tmp_path / "bags_arm_1") in reply
     run = small_arm.recording(3.0)
+    probe.node.create_publisher(String, "/arm_1/robot_description", LATCHED).publish(String(data=small_arm.URDF))
     payloads = cdr.encode_joint_states(
         [run.start_ns + round(1e9 * t) for t in run.time], run.joints, run.position, None, run.effort
     )
@@ -217,19 +219,18 @@ def test_two_arms_on_one_graph_do_not_meet(graph, tmp_path):
     probe.wait_for(lambda: probe.values("arm_1/identifier").get("received") == str(len(payloads)), "all of the first")
     assert probe.values("arm_2/identifier")["received"] == "7"
     granted, answer = probe.call("/arm_2/identifier/identify")
-    assert not granted and "only 7 joint states" in answer
+    assert not granted and "no /robot_description has come" in answer
 
     accepted, reply = probe.call("/arm_1/recorder/stop")
     assert accepted, reply
     recording = read_recording(next((tmp_path / "bags_arm_1").iterdir()))
-    assert len(recording.time) == len(payloads) and recording.joints == run.joints and not recording.issues
+    assert len(recording.time) == len(payloads) and recording.urdf == small_arm.URDF and not recording.issues
     assert not (tmp_path / "bags_arm_2").exists()
 
-    look = processes.python("-m", "spacearm_ident.cli.main", "watch", "--json", "--namespace", "arm_2")
-    lost = processes.python("-m", "spacearm_ident.cli.main", "watch", "--json", "--wait", "3")
-    probe.wait_for(lambda: look.poll() is not None and lost.poll() is not None, "what is to be seen")
-    assert {row["name"].partition(":")[0] for row in json.loads(output(look))["nodes"]} == {"identifier"}
-    assert lost.returncode == 1 and "but in /arm_1, /arm_2: say --namespace" in output(lost)
+    assert main(["watch", "--json", "--wait", "30", "--namespace", "/arm_2"]) == 0
+    assert {row["name"].partition(":")[0] for row in json.loads(capsys.readouterr().out)["nodes"]} == {"identifier"}
+    assert main(["watch", "--once", "--wait", "2.5"]) == 1
+    assert "but in /arm_1, /arm_2: say --namespace" in capsys.readouterr().err
     assert not any("Traceback" in output(process) for process in started.values())
 
 

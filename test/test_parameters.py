@@ -61,7 +61,7 @@ def node(request, monkeypatch, tmp_path):
 
 
 def test_every_parameter_is_described_ranged_and_marked(node):
-    declared = {name for name in node.list_parameters([], 0).result.names if name not in OF_RCLPY}
+    declared = {name for name in node.list_parameters([], 0).names if name not in OF_RCLPY}
     assert declared == known_parameters(node.get_name())
     for descriptor in node.describe_parameters(sorted(declared)):
         name = descriptor.name
