@@ -23,6 +23,7 @@ def generate_launch_description() -> LaunchDescription:
             package=PACKAGE,
             executable=name,
             name=name,
+            namespace=LaunchConfiguration("namespace"),
             output="screen",
             parameters=[LaunchConfiguration("params"), parameters],
             condition=condition,
@@ -37,6 +38,7 @@ def generate_launch_description() -> LaunchDescription:
         [
             argument("arm", PathJoinSubstitution([config, "paper_arm.yaml"]), "arm YAML: limits, gears, URDF"),
             argument("can", PathJoinSubstitution([config, "paper_arm_can.yaml"]), "CAN YAML: buses and drives"),
+            argument("namespace", "", "namespace of all nodes, such as arm_1 where there are two; empty: none"),
             argument("params", PathJoinSubstitution([config, "spacearm.yaml"]), "ROS parameters of all nodes"),
             argument("sim", "true", "whether to start the simulated arm; false: the drives are on the buses"),
             argument("record", "true", "whether to record from the start; false: on /recorder/start"),

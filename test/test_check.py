@@ -251,6 +251,15 @@ def params(folder: Path, text: str) -> list[CheckResult]:
             Level.FAIL,
             "told of different arms",
         ),
+        ("/**: {ros__parameters: {buffer_mb: 8, use_sim_time: false}}", Level.OK, "every parameter exists"),
+        ("/**: {ros__parameters: {bufer_mb: 8}}", Level.FAIL, "** has no parameter 'bufer_mb'"),
+        ("/arm_1/recorder: {ros__parameters: {directry: x}}", Level.FAIL, "recorder has no parameter 'directry'"),
+        (
+            f"{{/a/identifier: {{ros__parameters: {{arm: {CONFIG / 'paper_arm.urdf'}}}}}, "
+            f"/b/identifier: {{ros__parameters: {{arm: {ARM}}}}}}}",
+            Level.OK,
+            "every parameter exists",
+        ),
         ("[a, list]", Level.FAIL, "holds no 'key: value' pairs"),
     ],
 )

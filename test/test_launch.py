@@ -63,7 +63,15 @@ def used(value):
 
 def test_every_argument_is_described_and_used(entities):
     arguments = of_kind(entities, "DeclareLaunchArgument")
-    assert {argument.args[0] for argument in arguments} == {"arm", "can", "params", "sim", "record", "trajectory"}
+    assert {argument.args[0] for argument in arguments} == {
+        "namespace",
+        "arm",
+        "can",
+        "params",
+        "sim",
+        "record",
+        "trajectory",
+    }
     assert all(argument.kwargs["description"] for argument in arguments)
     assert used(of_kind(entities, "Node")) == {argument.args[0] for argument in arguments}
 
@@ -78,6 +86,7 @@ def test_every_node_is_started_by_its_name_with_its_parameters(entities):
     assert {node.kwargs["executable"] for node in nodes} == set(NODES)
     for node in nodes:
         assert node.kwargs["name"] == node.kwargs["executable"] and node.kwargs["package"] == "spacearm_ident"
+        assert used(node.kwargs["namespace"]) == {"namespace"}
         source = source_of(node.kwargs["executable"])
         assert used(node.kwargs["parameters"][0]) == {"params"}
         for name in node.kwargs["parameters"][1]:

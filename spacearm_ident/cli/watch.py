@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import math
+import re
 from dataclasses import asdict
 from typing import Any
 
@@ -18,6 +19,7 @@ Show the live graph: what every node says, drive states, positions, torques and 
 cycle keeps time and how full the buses are, progress of run and identification, and the parameters that moved most
 since the set before, with their standard errors so far. It only listens. Ctrl-C ends it.
 """
+NAMESPACE = r"([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?"
 
 
 def add(commands: Any) -> None:
@@ -28,6 +30,7 @@ def add(commands: Any) -> None:
     command.add_argument("--wait", type=float, default=10.0, metavar="S", help="with --once: for a node (default 10)")
     command.add_argument("--rate", type=float, default=4.0, metavar="HZ", help="frames a second (default 4)")
     command.add_argument("--parameters", type=int, default=12, metavar="N", help="most parameters shown (default 12)")
+    command.add_argument("--namespace", default="", metavar="NS", help="of the nodes, such as arm_1 (default: none)")
     command.set_defaults(run=run)
 
 
@@ -35,6 +38,9 @@ def run(options: argparse.Namespace) -> int:
     """Listen and show."""
     if not (options.rate > 0 and options.wait > 0 and options.parameters >= 0):
         raise UserError("--rate and --wait must be above zero, --parameters not below")
+    namespace = options.namespace.strip("/")
+    if not re.fullmatch(NAMESPACE, namespace):
+        raise UserError(f"--namespace {options.namespace}: not a ROS namespace such as arm_1 or station/arm_1")
     console, once = Console(), options.once or options.json
     if not (once or console.is_terminal):
         raise UserError("this is no terminal: use --once for one frame, or --json")
@@ -44,9 +50,9 @@ def run(options: argparse.Namespace) -> int:
     from ..nodes.watch_screen import screen
 
     if not once:
-        watch(console, options.rate, options.parameters)
+        watch(console, options.rate, options.parameters, namespace)
         return 0
-    view = look_once(options.wait, options.parameters)
+    view = look_once(options.wait, options.parameters, namespace)
     if options.json:
         common.print_json(plain(asdict(view)))
     else:

@@ -17,6 +17,8 @@ from .yaml_file import read_yaml
 FILES: Final = frozenset({"arm", "can_config", "model", "structure", "replay", "mismatch_reference", "trajectory_file"})
 """Parameters that name a file which must be there when the node starts or the run begins."""
 EVERY_NODE: Final = frozenset({"use_sim_time"})
+EVERY: Final = "**"
+"""`/**:` in a file: whatever node reads it."""
 
 
 def check_params(path: Path) -> list[CheckResult]:
@@ -26,7 +28,8 @@ def check_params(path: Path) -> list[CheckResult]:
     except UserError as error:
         return [fail("parameters", str(error), "correct it; config/spacearm.yaml is an example")]
     results = [result for node, given in data.items() for result in _node(str(node), given)]
-    results += _one_arm(data)
+    for place in sorted({_place(node) for node in data}):
+        results += _one_arm({node: given for node, given in data.items() if _place(node) == place})
     return results or [ok("parameters", f"{', '.join(map(str, data))}: every parameter exists")]
 
 
@@ -53,18 +56,26 @@ def _declared(call: ast.Call) -> list[str]:
     return [value for value in values if isinstance(value, str)]
 
 
-def _node(node: str, given: Any) -> Iterator[CheckResult]:
-    if node not in NODES:
+def _place(node: str) -> str:
+    """The namespace in a node's full name; empty where it stands for any."""
+    return str(node).rpartition("/")[0]
+
+
+def _node(key: str, given: Any) -> Iterator[CheckResult]:
+    node = key.removeprefix(f"{_place(key)}/")
+    nodes = NODES if node == EVERY else (node,)
+    if not set(nodes) <= set(NODES):
         yield fail("parameters", f"there is no node {node!r}", f"the nodes are {', '.join(NODES)}")
         return
     values = given.get("ros__parameters") if isinstance(given, dict) else None
     if not isinstance(values, dict):
         yield fail("parameters", f"{node} has no 'ros__parameters:'", "ROS ignores what is not under that key")
         return
+    known = EVERY_NODE.union(*map(known_parameters, nodes))
     for name, value in values.items():
-        if name not in known_parameters(node) | EVERY_NODE:
-            known = ", ".join(sorted(known_parameters(node)))
-            yield fail("parameters", f"{node} has no parameter {name!r}; ROS would ignore it", f"it has {known}")
+        if name not in known:
+            has = ", ".join(sorted(known - EVERY_NODE))
+            yield fail("parameters", f"{node} has no parameter {name!r}; ROS would ignore it", f"it has {has}")
         elif name in FILES and value and not Path(str(value)).expanduser().exists():
             yield warn("parameters", f"{node}: {name}: there is no {value}", "write it before the node is started")
 

@@ -48,15 +48,19 @@ class CanopenDriver(LiveNode):
             "temperature_hz", 1.0, "temperature readings a joint and second", low=0.1, high=10.0
         )
         self._patience = self.parameter(
-            "connect_timeout_s", 30.0, "give up (exit code 2) without drives after so long (s); 0: never", low=0.0
+            "connect_timeout_s",
+            30.0,
+            "give up (exit code 2) without drives after so long (s); 0: never",
+            low=0.0,
+            high=86400.0,
         )
         self._config = load_arm_can(Path(file) if file else config_path("paper_arm_can.yaml"))
         self.hardware_id = self._config.arm.name
         joints = self._config.limits.joints
-        self._states = self.create_publisher(JointState, "/joint_states", STREAM)
-        self._currents = self.create_publisher(JointState, "/motor_currents", STREAM)
-        self._temperatures = self.create_publisher(Temperature, "/joint_temperatures", 10)
-        self._description = self.create_publisher(String, "/robot_description", LATCHED)
+        self._states = self.create_publisher(JointState, "joint_states", STREAM)
+        self._currents = self.create_publisher(JointState, "motor_currents", STREAM)
+        self._temperatures = self.create_publisher(Temperature, "joint_temperatures", 10)
+        self._description = self.create_publisher(String, "robot_description", LATCHED)
         self._description.publish(String(data=self._config.arm.urdf))
         self._state_writer = JointStateWriter(joints, "position", "effort")
         self._current_writer = JointStateWriter(joints, "effort")
@@ -71,10 +75,10 @@ class CanopenDriver(LiveNode):
             priority=priority,
             temperature_hz=temperature_hz,
         )
-        self.create_subscription(JointState, "/joint_command", self._command, STREAM, raw=True)
-        self.offer_switch("/driver/enable", lambda on: self._driver.enable() if on else self._driver.disable())
-        self.offer("/driver/halt", self._driver.halt)
-        self.offer("/driver/recover", self._driver.recover)
+        self.create_subscription(JointState, "joint_command", self._command, STREAM, raw=True)
+        self.offer_switch("driver/enable", lambda on: self._driver.enable() if on else self._driver.disable())
+        self.offer("driver/halt", self._driver.halt)
+        self.offer("driver/recover", self._driver.recover)
         self._waiting_s = 0.0
         self.create_timer(_WATCH_S, self._watch)
         self._driver.start()

@@ -1,4 +1,4 @@
-"""Every message of every topic on the graph, raw, as it comes.
+"""Every message of every topic on the graph, or in a namespace, raw, as it comes.
 
 Topics are looked for four times a second; hidden ones (a part of the name begins with `_`) are left out. The
 subscriptions belong to a node that is in no executor: one thread takes what has arrived every 20 ms. That is
@@ -64,23 +64,25 @@ class GraphReader:
     """Feeds a sink until closed.
 
     Attributes:
-        counts: By topic name.
+        counts: By topic name, as on the graph.
         problems: Sentences on topics that cannot be recorded (well), each once.
         failure: Why reading ended before `close`, or None; never expected, never to be passed over.
     """
 
-    def __init__(self, node: Node, sink: Sink) -> None:
+    def __init__(self, node: Node, sink: Sink, shared: Sequence[str] = ()) -> None:
         """Begin.
 
         Args:
             node: A node in no executor (`LiveNode.unspun_node`), used by nothing else while this reader is open.
             sink: Where messages go; called in the reader's thread.
+            shared: Where the node is in a namespace: topics outside it that are read as well.
         """
         self.counts: dict[str, Count] = {}
         self.problems: list[str] = []
         self.failure: str | None = None
         self._node = node
         self._sink = sink
+        self._shared = frozenset(shared)
         self._taps: dict[str, _Tap] = {}
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._work, name="graph reader")
@@ -113,7 +115,7 @@ class GraphReader:
 
     def _look(self) -> None:
         for name, kinds in self._node.get_topic_names_and_types():
-            if not topic_or_service_is_hidden(name):
+            if not topic_or_service_is_hidden(name) and self._recorded(name) is not None:
                 publishers = self._node.get_publishers_info_by_topic(name)
                 try:
                     if publishers:
@@ -149,7 +151,14 @@ class GraphReader:
         if text is None:
             self._complain(f"{name} is recorded without its message definition: no .msg file of {publisher.topic_type}")
         kind = MessageType(publisher.topic_type, text or "", str(publisher.topic_type_hash))
-        return replace(Topic(name, kind), latched=latched, described=text is not None)
+        return replace(Topic(self._recorded(name) or name, kind), latched=latched, described=text is not None)
+
+    def _recorded(self, name: str) -> str | None:
+        """The name of a topic of the graph in the recording, None where it is not to be in there."""
+        namespace = self._node.get_namespace().rstrip("/")
+        if name.startswith(f"{namespace}/"):
+            return name.removeprefix(namespace)
+        return name if name in self._shared else None
 
     def _complain(self, sentence: str) -> None:
         if sentence not in self.problems:

@@ -44,7 +44,7 @@ from .jobs import Done, Explained, ExplainJob, IdentifyJob, Job
 from .live_tracking import LiveTracking, sentence
 from .message_buffer import Capture, MessageBuffer
 from .residual_stream import ResidualStream
-from .runtime import LATCHED, STREAM, Level, LiveNode, Status, run
+from .runtime import LATCHED, STREAM, Level, LiveNode, Status, relative, run
 from .worker import Failed, Step, Worker
 
 RATE_HZ = 1000.0
@@ -95,11 +95,11 @@ class Identifier(LiveNode):
         self._stream: ResidualStream | None = None
         self._tracking: LiveTracking | None = None
         self._seen = self._seen_warm = 0
-        self._parameters_out = self.create_publisher(DiagnosticArray, "/identifier/parameters", LATCHED)
-        self._residuals = self.create_publisher(JointState, "/identifier/residuals", STREAM)
-        self._predicted = self.create_publisher(JointState, "/identifier/predicted", STREAM)
+        self._parameters_out = self.create_publisher(DiagnosticArray, "identifier/parameters", LATCHED)
+        self._residuals = self.create_publisher(JointState, "identifier/residuals", STREAM)
+        self._predicted = self.create_publisher(JointState, "identifier/predicted", STREAM)
         self._subscribe()
-        self.offer("/identifier/identify", self._identify_buffer)
+        self.offer("identifier/identify", self._identify_buffer)
         self.create_timer(WATCH_S, self._watch)
         self.create_timer(STREAM_S, self._go_on)
         if self._model_file:
@@ -109,11 +109,10 @@ class Identifier(LiveNode):
 
     def _subscribe(self) -> None:
         # In no executor: a wake-up a message would cost three times what taking them by the fifty does.
-        node = self.unspun_node()
-        self._arriving = node.create_subscription(JointState, STATES_TOPIC, lambda _: None, STREAM, raw=True)
-        self.create_subscription(Temperature, TEMPERATURES_TOPIC, self._on_temperature, STREAM, raw=True)
-        self.create_subscription(String, DESCRIPTION_TOPIC, self._on_description, LATCHED, raw=True)
-        self.create_subscription(String, "/excitation/state", self._on_excitation, LATCHED)
+        self._arriving = self.subscribe_unspun(JointState, relative(STATES_TOPIC), STREAM)
+        self.create_subscription(Temperature, relative(TEMPERATURES_TOPIC), self._on_temperature, STREAM, raw=True)
+        self.create_subscription(String, relative(DESCRIPTION_TOPIC), self._on_description, LATCHED, raw=True)
+        self.create_subscription(String, "excitation/state", self._on_excitation, LATCHED)
 
     def _take_states(self) -> None:
         """Joint states that have arrived, with the time at which each did."""

@@ -106,7 +106,7 @@ def _how(node: LiveNode) -> How:
     if structure and friction != AUTO:
         raise UserError(f"parameter structure: it has its own friction law: leave friction at {AUTO}")
     solver = require_solver(node.parameter("solver", SEPARABLE, "Solver, as spacearm identify --solver"))
-    seed = node.parameter("seed", 0, "Of the solver's particle swarm", low=0)
+    seed = node.parameter("seed", 0, "Of the solver's particle swarm", low=0, high=2**32 - 1)
     bandwidth = node.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
     surroundings = surroundings_of(node.parameter)
     return How(arm, gravity, friction, bandwidth or None, structure, solver, seed, **surroundings)

@@ -1,5 +1,8 @@
 """`recorder`: everything on the graph, into a rosbag2 folder (MCAP) that survives a killed process.
 
+In a namespace it records the topics of that namespace alone, under the names they have without it, so that a bag of
+one of two arms is a bag like any other; and `shared_topics`, which are the whole graph's.
+
 Services: `/recorder/start` and `/recorder/stop` (std_srvs/srv/Trigger); both replies name the folder. What
 goes wrong while recording (disk full) is on `/diagnostics` as ERROR, and in the reply to stop; the node stays
 alive, and can start anew.
@@ -30,6 +33,9 @@ class Recorder(LiveNode):
         self._buffer_bytes = 2**20 * self.parameter(
             "buffer_mb", 64, "messages that may wait for the disk, MiB; more are dropped and counted", low=1, high=4096
         )
+        self._shared = self.parameter(
+            "shared_topics", ["/diagnostics"], "in a namespace: topics outside it that are recorded as well"
+        )
         immediately = self.parameter("start_immediately", False, "record from the start, without being asked")
         if not self._prefix or "/" in self._prefix:
             raise UserError(f"parameter prefix: {self._prefix!r} is not the beginning of a file name")
@@ -38,8 +44,8 @@ class Recorder(LiveNode):
         self._reader: GraphReader | None = None
         self._started = 0.0
         self._refusal = ""
-        self.offer("/recorder/start", self.start)
-        self.offer("/recorder/stop", self.stop)
+        self.offer("recorder/start", self.start)
+        self.offer("recorder/stop", self.stop)
         if immediately:
             try:
                 self.start()
@@ -62,7 +68,7 @@ class Recorder(LiveNode):
             self.publish_diagnostics()
             raise
         self._refusal = ""
-        self._writer, self._reader = writer, GraphReader(self._subscriber, writer.put)
+        self._writer, self._reader = writer, GraphReader(self._subscriber, writer.put, self._shared)
         self._started = time.monotonic()
         self.publish_diagnostics()
         return f"recording to {writer.path}"

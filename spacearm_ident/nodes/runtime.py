@@ -10,6 +10,9 @@ subscriptions; it overrides `diagnose` (called once a second, and by `publish_di
 `close` (called once, while it can still publish: bring the arm to rest, end threads, close files). Bad input
 is a `UserError`: in `__init__` the process says it in one line and exits with 2; in a service it is the reply.
 Callbacks run in the main thread, one after another; a node that has a deadline keeps its own thread.
+
+Topics and services are named relatively (`joint_states`, `driver/enable`), so that they follow the node's namespace;
+only `/diagnostics` is one for the whole graph, as in all of ROS 2, and says in each status whose it is (`local_name`).
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from ..errors import UserError
+from .params_file import holding_in_namespace
 
 STREAM: Final = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -84,22 +88,39 @@ class Status:
     part: str = ""
 
 
+def relative(topic: str) -> str:
+    """A recording's topic as a node names it: it follows the node's namespace."""
+    return topic.removeprefix("/")
+
+
+def local_name(status: str, namespace: str) -> str | None:
+    """The name of a diagnostics status without its namespace, or None where it is from another one.
+
+    Args:
+        status: `recorder: topics`, or `arm_1/recorder: topics` of a node in the namespace `/arm_1`.
+        namespace: That of who listens, as rclpy says it (`/` where there is none).
+    """
+    node, colon, part = status.partition(":")
+    place, _, name = node.rpartition("/")
+    return name + colon + part if place == namespace.strip("/") else None
+
+
 class Newest:
     """The newest message of a topic, taken when asked for: between, it costs no more than DDS itself.
 
     A callback a message is a wake-up a message; and what a callback knows is old where callbacks had to wait.
     """
 
-    def __init__(self, node: Node, kind: type, topic: str) -> None:
+    def __init__(self, node: LiveNode, kind: type, topic: str) -> None:
         """Subscribe.
 
         Args:
-            node: A node in no executor (`LiveNode.unspun_node`).
+            node: Whose subscription it is.
             kind: Message type.
             topic: Topic name.
         """
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._subscription = node.create_subscription(kind, topic, lambda _: None, qos, raw=True)
+        self._subscription = node.subscribe_unspun(kind, topic, qos)
         self._payload: bytes | None = None
         self._received_ns = 0
 
@@ -117,7 +138,7 @@ class LiveNode(Node):
     """A node with parameters, services and diagnostics in the manner of this package.
 
     Args:
-        name: Node name; its diagnostics are called `name` and `name: part`.
+        name: Node name; its diagnostics are called `name` and `name: part`, in a namespace `arm_1/name`.
         hardware_id: What the diagnostics are about, such as the arm's name.
 
     Attributes:
@@ -148,6 +169,11 @@ class LiveNode(Node):
         self._unspun.append(node)
         return node
 
+    def subscribe_unspun(self, kind: type, topic: str, qos: QoSProfile) -> Any:
+        """A subscription of an `unspun_node`, to the topic that this node means: remapped as its own would be."""
+        name = self.resolve_topic_name(topic)
+        return self.unspun_node().create_subscription(kind, name, lambda _: None, qos, raw=True)
+
     def destroy_node(self) -> None:
         """Destroy it and its `unspun_node`s."""
         for node in self._unspun:
@@ -168,7 +194,7 @@ class LiveNode(Node):
         self._diagnostics.publish(message)
 
     def _message(self, status: Status) -> DiagnosticStatus:
-        name = self.get_name()
+        name = self.get_fully_qualified_name().lstrip("/")
         return DiagnosticStatus(
             level=bytes([status.level]),
             name=f"{name}: {status.part}" if status.part else name,
@@ -256,7 +282,8 @@ def run(make: Callable[[], LiveNode], arguments: Sequence[str]) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     try:
-        rclpy.init(args=[sys.argv[0], *arguments], signal_handler_options=SignalHandlerOptions.NO)
+        with holding_in_namespace(arguments) as words:
+            rclpy.init(args=[sys.argv[0], *words], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises bare RuntimeErrors and its own, for the same mistake
         print(f"the --ros-args cannot be used: {_first_line(error)}", file=sys.stderr)
         return 2

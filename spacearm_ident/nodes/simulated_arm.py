@@ -24,8 +24,8 @@ class SimulatedArm(LiveNode):
         super().__init__("simulated_arm")
         file = self.parameter("can_config", "", "CAN YAML of the arm; empty: config/paper_arm_can.yaml")
         model = self.parameter("model", "", "model file the arm obeys; empty: config/paper_arm_model.yaml")
-        noise = self.parameter("noise", 1.0, "times the usual noise of the current sensors; 0: none", low=0.0)
-        seed = self.parameter("seed", 0, "of the noise", low=0)
+        noise = self.parameter("noise", 1.0, "times the usual noise of the current sensors; 0: none", low=0.0, high=1e3)
+        seed = self.parameter("seed", 0, "of the noise", low=0, high=2**32 - 1)
         start = self.parameter(
             "start_position", [0.0], "joint angles at power-on (rad); a single one is for all joints"
         )

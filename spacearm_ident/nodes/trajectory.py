@@ -40,7 +40,7 @@ from ..excitation.run import Run, check_limits, limits_of, plan_run
 from ..excitation.trajectory import FloatArray, MotionLimits
 from ..excitation.trajectory_file import load_trajectory
 from ..recording import cdr
-from .runtime import LATCHED, STREAM, Level, LiveNode, Newest, Status, run
+from .runtime import LATCHED, STREAM, Level, LiveNode, Newest, Status, local_name, run
 from .set_point_stream import SetPointStream
 
 _WATCH_S = 0.05
@@ -73,19 +73,19 @@ class TrajectoryNode(LiveNode):
         self._run: Run | None = None
         self._run_id: str | None = None
         self._said: dict[str, object] = {}
-        self._command = self.create_publisher(JointState, "/joint_command", STREAM)
-        self._state = self.create_publisher(String, "/excitation/state", LATCHED)
-        self._feedback = Newest(self.unspun_node(), JointState, "/joint_states")
+        self._command = self.create_publisher(JointState, "joint_command", STREAM)
+        self._state = self.create_publisher(String, "excitation/state", LATCHED)
+        self._feedback = Newest(self, JointState, "joint_states")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._keep_status, 100)
-        self.offer("/excitation/start", self.start)
-        self.offer("/excitation/stop", self.stop)
+        self.offer("excitation/start", self.start)
+        self.offer("excitation/stop", self.stop)
         self.create_timer(_WATCH_S, self._watch)
         self._announce()
         prepare_process()
 
     def _keep_status(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if _DRIVER in status.name:
+            if _DRIVER in (local_name(status.name, self.get_namespace()) or ""):
                 for pair in status.values:
                     if pair.key == "operation_enabled":
                         self._enabled[status.name] = (pair.value == "true", time.monotonic())
@@ -110,7 +110,8 @@ class TrajectoryNode(LiveNode):
         if self._require_enabled and self._drives_enabled() is not True:
             unknown = self._drives_enabled() is None
             raise UserError(
-                f"the drives are {'not known to be' if unknown else 'not'} enabled; call /driver/enable first"
+                f"the drives are {'not known to be' if unknown else 'not'} enabled; "
+                f"call {self.resolve_service_name('driver/enable')} first"
                 + (f" (no operation_enabled of {_DRIVER} on /diagnostics)" if unknown else "")
             )
         plan = plan_run(excitation, limits, position)

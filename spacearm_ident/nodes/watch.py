@@ -14,6 +14,7 @@ from types import TracebackType
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
@@ -24,7 +25,8 @@ from std_msgs.msg import String
 from ..errors import UnfitDataError
 from ..recording import cdr
 from ..recording.messages import STATES_TOPIC, TEMPERATURES_TOPIC
-from .runtime import LATCHED
+from .main import NODES
+from .runtime import LATCHED, local_name, relative
 from .watch_screen import screen
 from .watch_state import View, WatchState
 
@@ -34,27 +36,34 @@ ALL_NODES_S = 1.2
 
 
 class Listener:
-    """A hidden node that feeds a `WatchState`."""
+    """A hidden node that feeds a `WatchState` with what the nodes of one namespace say.
 
-    def __init__(self) -> None:
+    Attributes:
+        elsewhere: Namespaces in which other nodes of this package were heard.
+    """
+
+    def __init__(self, namespace: str = "") -> None:
         self.state = WatchState()
+        self.elsewhere: set[str] = set()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(
-            "_spacearm_watch", context=self._context, enable_rosout=False, start_parameter_services=False
-        )
+        self._node = self._hidden_node("_spacearm_watch", namespace)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._statuses, 100)
-        self._node.create_subscription(DiagnosticArray, "/identifier/parameters", self._parameters, LATCHED)
-        self._node.create_subscription(String, "/excitation/state", self._run, LATCHED)
-        self._node.create_subscription(Temperature, TEMPERATURES_TOPIC, self._temperature, 10)
+        self._node.create_subscription(DiagnosticArray, "identifier/parameters", self._parameters, LATCHED)
+        self._node.create_subscription(String, "excitation/state", self._run, LATCHED)
+        self._node.create_subscription(Temperature, relative(TEMPERATURES_TOPIC), self._temperature, 10)
         # In no executor: taken when a screen is due, for a wake-up a message would cost more than all the rest.
-        self._unspun = rclpy.create_node(
-            "_spacearm_watch_joints", context=self._context, enable_rosout=False, start_parameter_services=False
-        )
+        self._unspun = self._hidden_node("_spacearm_watch_joints", namespace)
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._joints = self._unspun.create_subscription(JointState, STATES_TOPIC, lambda _: None, newest, raw=True)
+        states = relative(STATES_TOPIC)
+        self._joints = self._unspun.create_subscription(JointState, states, lambda _: None, newest, raw=True)
+
+    def _hidden_node(self, name: str, namespace: str) -> Node:
+        return rclpy.create_node(
+            name, namespace=namespace, context=self._context, enable_rosout=False, start_parameter_services=False
+        )
 
     def __enter__(self) -> Listener:
         """The listener."""
@@ -95,8 +104,14 @@ class Listener:
 
     def _statuses(self, message: DiagnosticArray) -> None:
         for item in message.status:
+            name = local_name(item.name, self._node.get_namespace())
+            if name is None:
+                place, _, other = item.name.rpartition("/")
+                if other in NODES:
+                    self.elsewhere.add(f"/{place}")
+                continue
             values = {pair.key: pair.value for pair in item.values}
-            self.state.hear_status(item.name, item.level[0], item.message, item.hardware_id, values, time.monotonic())
+            self.state.hear_status(name, item.level[0], item.message, item.hardware_id, values, time.monotonic())
 
     def _parameters(self, message: DiagnosticArray) -> None:
         self.state.hear_parameters(
@@ -110,15 +125,18 @@ class Listener:
         self.state.hear_temperature(message.header.frame_id, message.temperature)
 
 
-def look_once(wait_s: float, most_parameters: int) -> View:
-    """One view, once every node has had its second to speak.
+def look_once(wait_s: float, most_parameters: int, namespace: str = "") -> View:
+    """One view of a namespace, once every node has had its second to speak.
 
     Raises:
         UnfitDataError: No node speaks within `wait_s`.
     """
-    with Listener() as listener:
+    with Listener(namespace) as listener:
         end = time.monotonic() + wait_s
         while not listener.state.nodes_heard:
+            if time.monotonic() > end and listener.elsewhere:
+                heard = ", ".join(sorted(listener.elsewhere))
+                raise UnfitDataError(f"no node was heard in /{namespace}, but in {heard}: say --namespace")
             if time.monotonic() > end:
                 raise UnfitDataError(
                     f"no node of spacearm_ident was heard within {wait_s:g} s: start them (docs/live.md), or set "
@@ -129,13 +147,13 @@ def look_once(wait_s: float, most_parameters: int) -> View:
         return listener.view(most_parameters)
 
 
-def watch(console: Console, rate_hz: float, most_parameters: int) -> None:
-    """Keep a screen up to date until SIGINT or SIGTERM; the terminal is given back."""
+def watch(console: Console, rate_hz: float, most_parameters: int, namespace: str = "") -> None:
+    """Keep a screen of a namespace up to date until SIGINT or SIGTERM; the terminal is given back."""
     # An exception out of a signal handler, in the middle of a C++ call, becomes another one there.
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with Listener() as listener, Live(console=console, screen=True, auto_refresh=False) as live:
+    with Listener(namespace) as listener, Live(console=console, screen=True, auto_refresh=False) as live:
         while not stop.is_set():
             listener.spin(1.0 / rate_hz)
             live.update(screen(listener.view(most_parameters)), refresh=True)
