@@ -1,4 +1,4 @@
-"""Many bags: each as `spacearm identify` would, none in the way of another, nothing done twice, trends that are there."""
+"""Many bags: each as `spacearm identify` would, none in another's way, nothing done twice, trends that are there."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def bags(tmp_path_factory) -> Path:
     return folder
 
 
-def batch(*words: object) -> int:
-    return main(["batch", *map(str, words), *QUICK, "--quiet"])
+def batch(*words: object, jobs: int = 1) -> int:
+    return main(["batch", *map(str, words), *QUICK, "--quiet", "--jobs", str(jobs)])
 
 
 @pytest.fixture(scope="module")
 def done(bags, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("results") / "new" / "out"
-    assert batch(bags, "--out", out, "--jobs", 2) == 1
+    assert batch(bags, "--out", out, jobs=2) == 1
     return out
 
 

@@ -42,7 +42,7 @@ def arm_section(arm: Arm, runs: Sequence[Run]) -> Markup | None:
 
 def _over(found: Sequence[Trend], what: str) -> Markup:
     friction = [one for symbol in FRICTION for one in found if one.estimates[0].symbol == symbol]
-    others = [one for one in found if one not in friction]
+    others = [one for one in found if one.estimates[0].symbol not in FRICTION]
     return join(
         element("h3", f"Over {WORDS[what]}"),
         element("p", _clear(found)),
