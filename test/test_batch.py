@@ -245,7 +245,7 @@ def test_without_dask_a_scheduler_is_refused_in_one_line(bags, tmp_path, monkeyp
     assert "pip install 'spacearm_ident[dask]'" in capsys.readouterr().err
 
 
-def test_a_cluster_does_the_same(bags, done, tmp_path, capsys):
+def test_a_cluster_does_the_same(bags, done, tmp_path, monkeypatch, capsys):
     distributed = pytest.importorskip("distributed", reason="needs dask.distributed (pip install distributed)")
     with distributed.LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster:
         assert dict(on_cluster(pool_tasks.perform, ["one"], cluster.scheduler_address)) == {"one": "ONE"}
@@ -253,6 +253,7 @@ def test_a_cluster_does_the_same(bags, done, tmp_path, capsys):
         assert batch(*words) == 1
     assert (tmp_path / "a" / "parameters.csv").read_bytes() == (done / "a" / "parameters.csv").read_bytes()
     assert rows_of(tmp_path)["text"]["reason"] == rows_of(done)["text"]["reason"]
+    monkeypatch.setattr("spacearm_ident.side_by_side.CONNECT_S", 0.5)
     assert batch(*words) == 2
     assert "no Dask scheduler at" in capsys.readouterr().err
 
