@@ -119,9 +119,8 @@ def test_the_tables_have_the_numbers_of_the_results(done):
 
 def test_the_index_is_in_order_of_recording_and_says_what_failed(done):
     text = text_of(done / "index.html")
-    assert Page((done / "index.html").read_text()).references == ["./deeper/b/report.html", "./a/report.html"], (
-        "no link where there is no report"
-    )
+    links = [link for link in Page((done / "index.html").read_text()).references if not link.startswith("#")]
+    assert links == ["./deeper/b/report.html", "./a/report.html"], "none where there is no report"
     assert text.index("2025-01-01 00:00") < text.index("2025-01-02 00:00") < text.index("not an MCAP file")
     assert rows_of(done)["still"]["reason"] in text
     before = (done / "index.html").read_bytes()
