@@ -37,6 +37,8 @@ setup(
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         # The neural network of bench/figure2.py; everything else runs without.
         "bench": ["scikit-learn"],
+        # `spacearm batch --scheduler`, on the workers of a cluster.
+        "dask": ["distributed"],
         "test": ["pytest", "pytest-rerunfailures", "hypothesis", "rosbags", "mcap-ros2-support", "ruff", "mypy"],
     },
     zip_safe=False,

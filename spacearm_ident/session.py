@@ -6,9 +6,10 @@ same because the code is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from .identification.solvers import SEPARABLE, require_solver
 from .identification.validation import split, validate
 from .recording import Recording, read_recording
 from .report.folder import write_result
-from .report.provenance import provenance
+from .report.provenance import OPTIONS, provenance
 
 AUTO, VACUUM = "auto", "vacuum"
 ON_OTHERS = "on other recordings than the fit"
@@ -50,6 +51,7 @@ def identify_session(
     directory: Path,
     *,
     command: str | None = None,
+    asked: Mapping[str, Any] | None = None,
     known: Identified | None = None,
     progress: Progress | None = None,
 ) -> Session:
@@ -63,6 +65,7 @@ def identify_session(
         settings: Decisions of the user.
         directory: Result folder.
         command: How to do it again; kept with the result.
+        asked: What of `settings` and `arm` is not by default, as plain data; kept with the result as `OPTIONS`.
         known: The identification of all of `fitted`, where there is one already: then it is only validated.
         progress: Called with a share done in 0..1 and what is being done.
 
@@ -84,8 +87,12 @@ def identify_session(
     identified = known or identify(whole, arm, settings, within(report, 0.0, 0.6))
     report(0.6, "validating")
     validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
-    source = {} if settings.prior is None else {"prior": settings.prior.source}
-    identified = with_provenance(identified, {**provenance(fitted, validated or fitted[-1:], command), **source})
+    origin = provenance(fitted, validated or fitted[-1:], command)
+    if settings.prior is not None:
+        origin["prior"] = settings.prior.source
+    if asked is not None:
+        origin[OPTIONS] = dict(asked)
+    identified = with_provenance(identified, origin)
     report(0.7, "writing the report")
     page = write_result(identified, validation, directory)
     report(1.0, "done")

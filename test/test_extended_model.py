@@ -10,6 +10,7 @@ import small_arm
 from planted_arm import Friction, two_link_run
 from simulated_arm import CONFIG, paper_drives, paper_limits
 
+from spacearm_ident.bag_session import Options
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, structure_of
@@ -283,5 +284,5 @@ def test_a_structure_that_does_not_fit_is_refused_in_one_line(tmp_path):
 
 
 def test_the_identifiers_job_says_the_command_with_its_structure(tmp_path):
-    job = IdentifyJob((tmp_path / "a.mcap",), (), tmp_path, structure=tmp_path / "extended_model.yaml")
+    job = IdentifyJob((tmp_path / "a.mcap",), (), tmp_path, Options(structure=tmp_path / "extended_model.yaml"))
     assert f"--structure {tmp_path}/extended_model.yaml" in job.command

@@ -205,6 +205,15 @@ def test_pages_load_nothing_and_follow_the_readers_colours(tmp_path, known):
         assert not {"script", "link", "img", "iframe"} & set(Page(text).tags)
 
 
+def test_a_page_in_a_result_folder_leaves_the_result_there(tmp_path, known):
+    runs(tmp_path, a=known, b=known)
+    for name in ("mismatch.json", "model.yaml", "report.html"):
+        (tmp_path / name).write_text("{}")
+    before = {path.name for path in tmp_path.iterdir()}
+    pages = {write_index(tmp_path).name, write_comparison(tmp_path, Path("a"), Path("b")).name}
+    assert {path.name for path in tmp_path.iterdir()} == before | pages
+
+
 def test_the_same_result_twice_has_not_moved(known):
     result = Result(known, validation(known.model.model.arm.joint_names), WRITTEN)
     assert "None of " in comparison_html(("a", "b"), (result, result))

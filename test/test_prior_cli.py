@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from planted_arm import TWO_LINKS, Friction, incommensurate, plant, two_link_run
 
+from spacearm_ident.bag_session import Options
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.model import IdentifiedModel
 from spacearm_ident.identification.from_prior import update
@@ -113,7 +114,7 @@ def test_the_intervals_are_the_updates(folder):
 
 def test_a_result_is_a_prior_again_and_the_node_takes_it(folder):
     """Five seconds, then five more: the covariance is in the folder, gravity in the model."""
-    job = IdentifyJob((folder / "next.mcap",), (), folder / "twice", prior=folder / "orbit")
+    job = IdentifyJob((folder / "next.mcap",), (), folder / "twice", Options(prior=folder / "orbit"))
     done = job.perform(lambda share, what: None)
     assert f"--prior {folder / 'orbit'}" in job.command
     twice = done.session.identified
@@ -122,7 +123,7 @@ def test_a_result_is_a_prior_again_and_the_node_takes_it(folder):
     errors = [{e.name: e.standard_error for e in one.estimates}["J_m[elbow]"] for one in (once, twice)]
     assert errors[1] < errors[0]
     assert twice.model.provenance["prior"].startswith(str(folder / "orbit"))
-    words = replace(job, prior=None, temperature=("f_c", "k_v1"), estimate_gravity="direction").command
+    words = replace(job, options=Options(temperature=("f_c", "k_v1"), estimate_gravity="direction")).command
     assert "--temperature f_c,k_v1 --estimate-gravity direction" in words
 
 

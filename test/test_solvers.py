@@ -10,6 +10,7 @@ import pytest
 import small_arm
 from planted_arm import Friction, two_link_run
 
+from spacearm_ident.bag_session import Options
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
@@ -131,7 +132,7 @@ def test_the_command_passes_solver_and_seed_on(tmp_path, capsys):
 
 
 def test_the_job_of_the_node_says_which_command_does_the_same(tmp_path):
-    job = IdentifyJob((tmp_path / "a.mcap",), (), tmp_path, solver="pso-separable", seed=3)
+    job = IdentifyJob((tmp_path / "a.mcap",), (), tmp_path, Options(solver="pso-separable", seed=3))
     assert "--solver pso-separable --seed 3" in job.command
     assert "--solver" not in IdentifyJob((tmp_path / "a.mcap",), (), tmp_path).command
 

@@ -16,7 +16,6 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from ..documents import file_sha256
 from ..dynamics.arm import Arm
 from ..errors import one_line
-from ..identification.from_prior import GroundPrior
 from ..recording import Recording, describe
 from ..report.provenance import versions
 from ..session import find_arm
@@ -53,13 +52,13 @@ def add_output_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--quiet", action="store_true", help="no progress bar and no notes on standard error")
 
 
-def arm_of(options: argparse.Namespace, recordings: Sequence[Recording], prior: GroundPrior | None = None) -> Arm:
-    """The arm asked for, or the one the recordings describe, or the prior's.
+def arm_of(options: argparse.Namespace, recordings: Sequence[Recording]) -> Arm:
+    """The arm asked for, or the one the recordings describe.
 
     Raises:
         UserError: Neither is there.
     """
-    return find_arm(options.arm, options.gravity, recordings, prior)
+    return find_arm(options.arm, options.gravity, recordings)
 
 
 def note(options: argparse.Namespace, text: str) -> None:

@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from ..bag_session import Options, identify_bags
 from ..dynamics.model import FRICTION_LAWS
 from ..identification.gravity import GRAVITY_CHOICES, VECTOR
 from ..identification.identified import Identified, Validation
 from ..identification.solvers import SEPARABLE, SOLVERS
-from ..report.store import load_prior
 from ..report.tables import validation_dict
-from ..session import AUTO, identify_session, settings_for
+from ..session import AUTO
 from . import common
 
 DESCRIPTION = """
@@ -35,6 +35,13 @@ def add(commands: Any) -> None:
         help="recordings to validate on; default: the last third of the last BAG is held out of the fit",
     )
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="result folder")
+    add_options(command)
+    common.add_output_options(command)
+    command.set_defaults(run=run)
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """How to identify: what `options_of` reads."""
     common.add_arm_options(command)
     common.add_base_option(command)
     command.add_argument(
@@ -63,8 +70,6 @@ def add(commands: Any) -> None:
         "whether noise in the positions biases least squares",
     )
     command.add_argument("--seed", type=int, default=0, metavar="N", help="of the particle swarms (default 0)")
-    common.add_output_options(command)
-    command.set_defaults(run=run)
 
 
 def _add_surroundings(command: argparse.ArgumentParser) -> None:
@@ -94,34 +99,37 @@ def _add_surroundings(command: argparse.ArgumentParser) -> None:
     )
 
 
+def options_of(options: argparse.Namespace) -> Options:
+    """What `add_options` added."""
+    return Options(
+        arm=options.arm,
+        gravity=None if options.gravity is None else tuple(options.gravity),
+        fixed_base=options.fixed_base,
+        friction=options.friction,
+        cutoff_hz=options.bandwidth,
+        structure=options.structure,
+        solver=options.solver,
+        seed=options.seed,
+        temperature=options.temperature,
+        estimate_gravity=options.estimate_gravity,
+        prior=options.prior,
+    )
+
+
 def run(options: argparse.Namespace) -> int:
     """Read, identify, validate, write."""
     with common.progress(options) as report:
-        fitted = common.read_bags(options.bags, common.within(report, 0.0, 0.2), options.fixed_base)
-        validated = common.read_bags(options.validate, common.within(report, 0.2, 0.3), options.fixed_base)
-        prior = load_prior(options.prior) if options.prior else None
-        arm = common.arm_of(options, [*fitted, *validated], prior)
-        session = identify_session(
-            fitted,
-            validated,
-            arm,
-            settings_for(
-                arm,
-                options.friction,
-                options.bandwidth,
-                options.structure,
-                options.solver,
-                options.seed,
-                options.temperature,
-                options.estimate_gravity,
-                prior,
-            ),
+        session, findings = identify_bags(
+            options.bags,
+            options.validate,
             options.out,
+            options_of(options),
             command=options.command_line,
-            progress=common.within(report, 0.3, 1.0),
+            progress=report,
         )
     identified, validation = session.identified, session.validation
-    common.note_findings(options, [*fitted, *validated])
+    for line in findings:
+        common.note(options, line)
     if options.json:
         surroundings = identified.environment.as_dict()
         figures = validation_dict(identified, validation)

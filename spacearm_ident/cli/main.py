@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from .. import __version__
 from ..errors import UnfitDataError, UserError
 from . import (
+    batch,
     calibrate_temperature,
     check,
     demo,
@@ -27,7 +28,20 @@ from . import (
     watch,
 )
 
-COMMANDS = (demo, new_arm, check, excite, identify, simulate, report, mismatch, calibrate_temperature, watch, node)
+COMMANDS = (
+    demo,
+    new_arm,
+    check,
+    excite,
+    identify,
+    batch,
+    simulate,
+    report,
+    mismatch,
+    calibrate_temperature,
+    watch,
+    node,
+)
 
 
 def parser() -> argparse.ArgumentParser:

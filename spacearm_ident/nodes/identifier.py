@@ -213,10 +213,10 @@ class Identifier(LiveNode):
             fitted=fitted,
             validated=validated,
             directory=self._settings.directory,
+            options=self._settings.how,
             captures=captures,
             bag=bag,
             known=known,
-            **vars(self._settings.how),
         )
 
     def _change_job(self, start_ns: int, stop_ns: int) -> ExplainJob:

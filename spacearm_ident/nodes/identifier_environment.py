@@ -12,7 +12,7 @@ from ..identification.gravity import GRAVITY_CHOICES
 
 
 def surroundings_of(parameter: Callable[..., Any]) -> dict[str, Any]:
-    """Declare and read `temperature`, `estimate_gravity` and `prior`, as `IdentifyJob` takes them.
+    """Declare and read `temperature`, `estimate_gravity` and `prior`, as `Options` takes them.
 
     Raises:
         UserError: A value that is none, or a prior that is not there.

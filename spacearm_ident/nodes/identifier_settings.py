@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..bag_session import Options
 from ..dynamics.model import FRICTION_LAWS
 from ..errors import UserError
 from ..identification.solvers import SEPARABLE, require_solver
@@ -13,22 +14,6 @@ from ..session import AUTO
 from .identifier_environment import surroundings_of
 from .runtime import LiveNode
 from .tracking_stream import TrackingChoice
-
-
-@dataclass(frozen=True)
-class How:
-    """How to identify; as `IdentifyJob`."""
-
-    arm: Path | None
-    gravity: tuple[float, float, float] | None
-    friction: str
-    cutoff_hz: float | None
-    structure: Path | None
-    solver: str
-    seed: int
-    temperature: tuple[str, ...]
-    estimate_gravity: str
-    prior: Path | None
 
 
 @dataclass(frozen=True)
@@ -57,7 +42,7 @@ class IdentifierSettings:
         change_window_s: Length of what is explained behind a change; None: changes are not explained.
     """
 
-    how: How
+    how: Options
     buffer_s: float
     auto: bool
     directory: Path
@@ -95,7 +80,7 @@ def declare(node: LiveNode) -> IdentifierSettings:
     )
 
 
-def _how(node: LiveNode) -> How:
+def _how(node: LiveNode) -> Options:
     text = "Gravity in the base frame, m/s^2, as [0.0, 0.0, -9.81]; nan: the arm's own"
     gravity = _gravity(node.parameter("gravity", [math.nan] * 3, text))
     arm = _file(node, "arm", "URDF or arm YAML; empty: of /robot_description")
@@ -109,7 +94,16 @@ def _how(node: LiveNode) -> How:
     seed = node.parameter("seed", 0, "Of the solver's particle swarm", low=0, high=2**32 - 1)
     bandwidth = node.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
     surroundings = surroundings_of(node.parameter)
-    return How(arm, gravity, friction, bandwidth or None, structure, solver, seed, **surroundings)
+    return Options(
+        arm=arm,
+        gravity=gravity,
+        friction=friction,
+        cutoff_hz=bandwidth or None,
+        structure=structure,
+        solver=solver,
+        seed=seed,
+        **surroundings,
+    )
 
 
 def _replay(node: LiveNode) -> Replay | None:

@@ -6,19 +6,16 @@ A job is what an offline command does, in words that cross to another process; i
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from ..bag_session import Options, arm_words, identify_bags
 from ..identification.identified import Identified
 from ..identification.identify import Progress
-from ..identification.solvers import SEPARABLE
 from ..mismatch.finding import Explanation
 from ..mismatch_session import explain_session
-from ..recording import Recording, describe
-from ..report.store import load_prior
-from ..session import AUTO, Session, find_arm, identify_session, read_bags, settings_for, within
+from ..session import Session, within
 from .message_buffer import Capture, write_captures
 
 
@@ -68,10 +65,7 @@ class IdentifyJob:
     Attributes:
         fitted, validated: Bags; `validated` may be empty (hold-out) or `fitted` again (no hold-out).
         directory: Result folder.
-        arm: URDF or arm YAML; None: of the bags' `/robot_description`.
-        gravity: (3,) m/s^2 instead of the arm's; None: the arm's.
-        friction, cutoff_hz, structure, solver, seed, temperature, estimate_gravity: As `session.settings_for`.
-        prior: Result folder, or the model.yaml in one, to update.
+        options: How.
         captures: Written to `bag` before anything else.
         bag: Where to.
         known: Identification of `fitted`, where there is one.
@@ -80,16 +74,7 @@ class IdentifyJob:
     fitted: tuple[Path, ...]
     validated: tuple[Path, ...]
     directory: Path
-    arm: Path | None = None
-    gravity: tuple[float, float, float] | None = None
-    friction: str = AUTO
-    cutoff_hz: float | None = None
-    structure: Path | None = None
-    solver: str = SEPARABLE
-    seed: int = 0
-    temperature: tuple[str, ...] = ()
-    estimate_gravity: str = ""
-    prior: Path | None = None
+    options: Options = field(default_factory=Options)
     captures: tuple[Capture, ...] = ()
     bag: Path | None = None
     known: Identified | None = None
@@ -102,21 +87,7 @@ class IdentifyJob:
         words = ["spacearm", "identify", *map(str, self.fitted)]
         if self.validated:
             words += ["--validate", *map(str, self.validated)]
-        words += _arm_words(self.arm, self.gravity)
-        if self.friction != AUTO:
-            words += ["--friction", self.friction]
-        if self.structure is not None:
-            words += ["--structure", str(self.structure)]
-        if self.solver != SEPARABLE:
-            words += ["--solver", self.solver, "--seed", str(self.seed)]
-        if self.temperature:
-            words += ["--temperature", ",".join(self.temperature)]
-        if self.estimate_gravity:
-            words += ["--estimate-gravity", self.estimate_gravity]
-        if self.prior is not None:
-            words += ["--prior", str(self.prior)]
-        if self.cutoff_hz is not None:
-            words += ["--bandwidth", f"{self.cutoff_hz:g}"]
+        words += self.options.words()
         return shlex.join([*words, "--out", str(self.directory)])
 
     @property
@@ -133,38 +104,21 @@ class IdentifyJob:
         """Write the captures, identify or validate, write the result.
 
         Raises:
-            UserError: As `identify_session`.
+            UserError: As `identify_bags`.
         """
         if self.bag is not None:
             progress(0.0, "writing the recording")
             write_captures(self.bag, self.captures)
-        fitted = read_bags(self.fitted, within(progress, 0.05, 0.2))
-        again = self.holds_nothing_out
-        validated = fitted if again else read_bags(self.validated, within(progress, 0.2, 0.3))
-        recordings: list[Recording] = [*fitted, *(() if again else validated)]
-        prior = load_prior(self.prior) if self.prior else None
-        arm = find_arm(self.arm, self.gravity, recordings, prior)
-        session = identify_session(
-            fitted,
-            validated,
-            arm,
-            settings_for(
-                arm,
-                self.friction,
-                self.cutoff_hz,
-                self.structure,
-                self.solver,
-                self.seed,
-                self.temperature,
-                self.estimate_gravity,
-                prior,
-            ),
+        done = identify_bags(
+            self.fitted,
+            self.validated,
             self.directory,
+            self.options,
             command=self.command,
             known=self.known,
-            progress=within(progress, 0.3, 1.0),
+            progress=within(progress, 0.05, 1.0),
         )
-        return Done(session, tuple(line for recording in recordings for line in describe(recording)))
+        return Done(*done)
 
 
 @dataclass(frozen=True)
@@ -198,7 +152,7 @@ class ExplainJob:
         words = ["spacearm", "mismatch", *map(str, self.field), "--reference", *map(str, self.reference)]
         if self.judged:
             words += ["--validate", *map(str, self.judged)]
-        words += _arm_words(self.arm, self.gravity)
+        words += arm_words(self.arm, self.gravity)
         return shlex.join([*words, "--out", str(self.directory)])
 
     @property
@@ -226,8 +180,3 @@ class ExplainJob:
             progress=progress,
         )
         return Explained(session.explanation, session.page)
-
-
-def _arm_words(arm: Path | None, gravity: Sequence[float] | None) -> list[str]:
-    words = [] if arm is None else ["--arm", str(arm)]
-    return words if gravity is None else [*words, "--gravity", *(f"{value:g}" for value in gravity)]

@@ -8,7 +8,7 @@ from typing import Any
 from ..identification.identified import Identified
 from ..identification.updated import TOLD
 from .markup import Markup, element, join, measured, number, unit_text
-from .provenance import FITTED, VALIDATED
+from .provenance import FITTED, OPTIONS, RECORDED, VALIDATED
 
 
 def structure(identified: Identified) -> Markup:
@@ -81,6 +81,8 @@ def obtained(identified: Identified) -> Markup:
         source_table(known.pop(which, None), title)
         for which, title in ((FITTED, "Fitted on"), (VALIDATED, "Validated on"))
     ]
+    known.pop(OPTIONS, None)  # the command says it in words
+    runs = known.pop(RECORDED, None)
     rows = [
         f"{joint}: {count} (residual {number(float(sigma))} N·m RMS)"
         for joint, count, sigma in zip(arm.joint_names, identified.rows, identified.residual_sigma_Nm)
@@ -91,6 +93,7 @@ def obtained(identified: Identified) -> Markup:
         ("rows fitted", " · ".join(rows)),
         ("physical consistency", _consistency(identified.consistency_shift)),
         ("gravity", f"({', '.join(number(float(g), 4) for g in arm.gravity)}) m/s² in the base frame"),
+        *([("recorded, UTC", "; ".join(_when(run) for run in runs))] if isinstance(runs, list) else ()),
         *((str(key).replace("_", " "), fact(value)) for key, value in known.items()),
     ]
     return join(
@@ -111,6 +114,14 @@ def _consistency(shift: float) -> str:
     if shift == 0.0:
         return "the data's estimate was physically consistent by itself"
     return f"imposing it moved no base parameter by more than {number(shift, 2)} of its standard errors"
+
+
+def _when(run: Any) -> str:
+    """Start and length of a run, and how warm its joints were."""
+    known = run if isinstance(run, Mapping) else {}
+    text = f"{known.get('start', '')}, {known.get('duration_s', '')} s"
+    warm = known.get("temperature_C")
+    return text + (f" at {fact(warm)} °C" if isinstance(warm, Mapping) else "")
 
 
 def fact(value: Any) -> object:

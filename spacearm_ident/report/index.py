@@ -1,26 +1,34 @@
-"""`index.html` of a folder that holds several results: every run in a row, and what moved since the one before."""
+"""`index.html` of a folder that holds several results: every run in a row, what moved since the one before, trends.
+
+What `spacearm batch` could not identify is known from the `summary.json` it leaves there.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
 from ..errors import UserError
+from ..identification.identified import Validation
 from .comparison import FAR, comparison_html, differences, moved
 from .folder import REPORT, replacing
 from .html import page
 from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent
 from .mismatch_folder import DOCUMENT
+from .provenance import moment
 from .store import FIGURES, Result, load_result
+from .trend_figures import arm_section
+from .trends import arm_of, date_text, runs_by_arm
 from .verdict import judge_result
 
 INDEX: Final = "index.html"
+SUMMARY: Final = "summary.json"
 MOST_NAMED: Final = 4
 
 
@@ -30,13 +38,31 @@ class Entry:
 
     Attributes:
         name: Path below the indexed folder.
-        result: What it holds; None where it cannot be read.
+        result: What it holds, without signals; None where it cannot be read, or was not identified.
         problem: Why not.
+        page: Whether there is a report to link to.
     """
 
     name: str
     result: Result | None
     problem: str = ""
+    page: bool = True
+
+    @property
+    def recorded(self) -> str:
+        """When its first run was, `2025-01-31 12:05` UTC; empty where it does not say."""
+        when = moment(self.result.identified.model.provenance) if self.result else None
+        return date_text(when.start) if when else ""
+
+    @property
+    def written(self) -> str:
+        """When the result was, in the same form."""
+        return self.result.written[:16].replace("T", " ") if self.result else ""
+
+    @property
+    def order(self) -> tuple[bool, str, str]:
+        """By recording, where that is known, else by writing; those without a result last."""
+        return (self.result is None, self.recorded or self.written, self.name)
 
 
 @dataclass(frozen=True)
@@ -57,13 +83,13 @@ def write_index(directory: Path, progress: Progress = lambda share, what: None) 
     Raises:
         UserError: There is no result below it, or it cannot be written.
     """
-    entries = find_results(directory, progress)
+    entries = with_failures(find_results(directory, progress), directory, *_failures(directory))
     mismatches = find_mismatches(directory)
     if not entries and not mismatches:
         raise UserError(
             f"no result in {directory} or below: give a folder that holds some of 'spacearm identify --out'"
         )
-    with replacing(directory) as staging:
+    with replacing(directory, marker=None) as staging:
         (staging / INDEX).write_text(index_html(directory.resolve().name, entries, mismatches), encoding="utf-8")
     return directory / INDEX
 
@@ -83,25 +109,53 @@ def write_comparison(directory: Path, first: Path, second: Path) -> Path:
     names = (_name(folders[0], directory), _name(folders[1], directory))
     text = comparison_html(names, (load_result(folders[0]), load_result(folders[1])))
     file = f"comparison_{_slug(names[0])}_{_slug(names[1])}.html"
-    with replacing(directory) as staging:
+    with replacing(directory, marker=None) as staging:
         (staging / file).write_text(text, encoding="utf-8")
     return directory / file
 
 
 def find_results(directory: Path, progress: Progress = lambda share, what: None) -> list[Entry]:
-    """All results below a folder, oldest first; those that cannot be read last."""
+    """All results below a folder, oldest recording first; those that cannot be read last."""
     folders = _holding(directory, FIGURES)
     entries = []
     for number_, folder in enumerate(folders):
         progress(number_ / len(folders), f"reading {folder.name}")
         name = _name(folder, directory)
         try:
-            entries.append(Entry(name, load_result(folder)))
+            result = load_result(folder)
+            entries.append(Entry(name, replace(result, validation=replace(result.validation, traces=()))))
         except UserError as error:
             entries.append(Entry(name, None, str(error)))
-    return sorted(
-        entries, key=lambda entry: (entry.result is None, entry.result.written if entry.result else "", entry.name)
-    )
+    return sorted(entries, key=lambda entry: entry.order)
+
+
+def with_failures(
+    entries: Sequence[Entry], directory: Path, failures: Mapping[str, str], when: str | None = None
+) -> list[Entry]:
+    """The entries of a folder, with those that a batch could not identify in place of what older results say.
+
+    Args:
+        entries: As `find_results`.
+        directory: The folder.
+        failures: Name -> reason.
+        when: Of the batch (ISO 8601); later results count. None: now.
+    """
+    shown = {entry.name: entry for entry in entries}
+    for name, reason in failures.items():
+        there = shown.get(name)
+        if when is None or there is None or there.result is None or there.result.written < when:
+            shown[name] = Entry(name, None, reason, (directory / name / REPORT).is_file())
+    return sorted(shown.values(), key=lambda entry: entry.order)
+
+
+def _failures(directory: Path) -> tuple[dict[str, str], str]:
+    """What the last batch into a folder could not identify, with its reason, and when that was; nothing if none was."""
+    try:
+        data = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+        found = {str(run["run"]): str(run["reason"]) for run in data["runs"] if run["reason"]}
+        return found, str(data["written"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return {}, ""
 
 
 def find_mismatches(directory: Path) -> list[MismatchEntry]:
@@ -142,10 +196,12 @@ def _slug(name: str) -> str:
 def index_html(title: str, entries: Sequence[Entry], mismatches: Sequence[MismatchEntry]) -> str:
     """The whole page."""
     count = f"{len(entries)} runs" if len(entries) != 1 else "1 run"
+    arms = runs_by_arm(entry.result for entry in entries if entry.result is not None)
     body = join(
         element("h1", f"Results in {title}"),
         element("p", f"{count}, oldest first", class_="quiet"),
         _runs(entries) if entries else None,
+        *(arm_section(arm, runs) for arm, runs in arms.items()),
         _mismatches(mismatches) if mismatches else None,
     )
     return page(f"Results in {title}", body)
@@ -154,6 +210,7 @@ def index_html(title: str, entries: Sequence[Entry], mismatches: Sequence[Mismat
 def _runs(entries: Sequence[Entry]) -> Markup:
     heads = (
         "run",
+        "recorded, UTC",
         "written, UTC",
         "arm",
         "verdict",
@@ -161,20 +218,17 @@ def _runs(entries: Sequence[Entry]) -> Markup:
         "lowest R",
         "moved since the run before",
     )
-    texts = (0, 1, 2, 3, 6)
+    texts = (0, 1, 2, 3, 4, 7)
     header = element("tr", *(element("th", h, class_="text" if k in texts else None) for k, h in enumerate(heads)))
     rows, last = [], dict[tuple[str, ...], Entry]()
     for entry in entries:
         if entry.result is None:
             rows.append(
-                element(
-                    "tr", _link(entry.name), element("td", entry.problem, class_="text wrap", colspan=len(heads) - 1)
-                )
+                element("tr", _link(entry), element("td", entry.problem, class_="text wrap", colspan=len(heads) - 1))
             )
             continue
-        arm = entry.result.identified.model.model.arm
-        key = (arm.name, *arm.joint_names)
-        rows.append(_run_row(entry.name, entry.result, last.get(key)))
+        key = arm_of(entry.result)
+        rows.append(_run_row(entry, entry.result, last.get(key)))
         last[key] = entry
     return join(
         element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide"),
@@ -189,21 +243,28 @@ def _runs(entries: Sequence[Entry]) -> Markup:
     )
 
 
-def _run_row(name: str, result: Result, before: Entry | None) -> Markup:
-    joints = result.validation.joints.values()
+def _run_row(entry: Entry, result: Result, before: Entry | None) -> Markup:
     verdict = judge_result(result.identified, result.validation)
-    shares = [joint.moving.relative_rms for joint in joints if math.isfinite(joint.moving.relative_rms)]
-    correlations = [j.everything.correlation for j in joints if math.isfinite(j.everything.correlation)]
+    worst, lowest = merit(result.validation)
     return element(
         "tr",
-        _link(name),
-        element("td", result.written[:16].replace("T", " "), class_="text"),
+        _link(entry),
+        element("td", entry.recorded or NOTHING, class_="text"),
+        element("td", entry.written, class_="text"),
         element("td", result.identified.model.model.arm.name, class_="text wrap"),
         element("td", verdict.level, class_=f"text {verdict.level}", title=verdict.headline),
-        element("td", percent(max(shares)) if shares else NOTHING),
-        element("td", f"{min(correlations):.4f}" if correlations else NOTHING),
+        element("td", percent(worst)),
+        element("td", f"{lowest:.4f}" if math.isfinite(lowest) else NOTHING),
         element("td", *_since(result, before), class_="text wrap"),
     )
+
+
+def merit(validation: Validation) -> tuple[float, float]:
+    """Residual over torque (RMS) of the worst joint while it moves, and the lowest R; NaN where no joint has one."""
+    joints = validation.joints.values()
+    shares = [joint.moving.relative_rms for joint in joints if math.isfinite(joint.moving.relative_rms)]
+    correlations = [j.everything.correlation for j in joints if math.isfinite(j.everything.correlation)]
+    return max(shares, default=math.nan), min(correlations, default=math.nan)
 
 
 def _since(result: Result, before: Entry | None) -> tuple[object, ...]:
@@ -222,7 +283,7 @@ def _mismatches(mismatches: Sequence[MismatchEntry]) -> Markup:
     rows = [
         element(
             "tr",
-            _link(entry.name),
+            _link(entry),
             element("td", entry.verdict.replace("_", " "), class_="text wrap"),
             element("td", "; ".join(entry.findings) or NOTHING, class_="text wrap"),
         )
@@ -234,7 +295,9 @@ def _mismatches(mismatches: Sequence[MismatchEntry]) -> Markup:
     )
 
 
-def _link(name: str) -> Markup:
+def _link(entry: Entry | MismatchEntry) -> Markup:
     """To a run's page. Relative, so that the folder may move; a scheme in a name stays part of the path."""
-    target = f"./{quote(name)}/{REPORT}"
-    return element("th", element("a", breakable(name), href=target), class_="text wrap")
+    name = breakable(entry.name)
+    if isinstance(entry, Entry) and not entry.page:
+        return element("th", name, class_="text wrap")
+    return element("th", element("a", name, href=f"./{quote(entry.name)}/{REPORT}"), class_="text wrap")

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
+
+import numpy as np
 
 from .. import __version__
 from ..recording.recording import Recording
 
 FITTED = "fitted_on"
 VALIDATED = "validated_on"
+RECORDED = "recorded"
+OPTIONS = "options"
 PACKAGES = ("numpy", "scipy", "pin", "clarabel")
 
 
@@ -26,12 +32,53 @@ def provenance(
         validated: Recordings it was validated on (the fitted ones again for a hold-out in time).
         command: How to do it again.
     """
+    fitted = list(fitted)
     return {
         **({"command": command} if command else {}),
         FITTED: [asdict(source) for recording in fitted for source in recording.sources],
+        RECORDED: [_run(recording) for recording in fitted],
         VALIDATED: [asdict(source) for recording in validated for source in recording.sources],
         "versions": versions(),
     }
+
+
+def _run(recording: Recording) -> dict[str, Any]:
+    """When a run was recorded, for how long, and how warm its joints were on average."""
+    start = datetime.fromtimestamp(recording.start_ns // 10**9, UTC)
+    warm = {joint: float(np.mean(series.values)) for joint, series in recording.temperatures.items()}
+    return {
+        "start": start.isoformat(),
+        "duration_s": float(recording.time[-1]),
+        **({"temperature_C": warm} if warm else {}),
+    }
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When, and how warm, the runs were that a model was fitted to.
+
+    Attributes:
+        start: Of the first of them, UTC.
+        temperature: Joint -> mean temperature over all of them that recorded it, degrees Celsius.
+    """
+
+    start: datetime
+    temperature: dict[str, float]
+
+
+def moment(known: Mapping[str, Any] | None) -> Moment | None:
+    """Of a provenance; None where it does not say (results of earlier versions, files of others)."""
+    try:
+        runs = list((known or {})[RECORDED])
+        start = min(datetime.fromisoformat(run["start"]).astimezone(UTC) for run in runs)
+        warm: dict[str, list[tuple[float, float]]] = {}
+        for run in runs:
+            for joint, value in run.get("temperature_C", {}).items():
+                warm.setdefault(str(joint), []).append((float(value), float(run["duration_s"])))
+        means = {joint: sum(v * s for v, s in pairs) / sum(s for _, s in pairs) for joint, pairs in warm.items()}
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError):
+        return None
+    return Moment(start, {joint: value for joint, value in means.items() if math.isfinite(value)})
 
 
 def versions() -> dict[str, str]:

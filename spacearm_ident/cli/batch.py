@@ -1,0 +1,79 @@
+"""`spacearm batch`: many bags in, a result folder each, a summary and their trends out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..batch_session import identify_batch
+from ..report.index import INDEX
+from ..report.summary import IDENTIFIED
+from . import common, identify
+
+DESCRIPTION = """
+Identify every bag by itself, as 'spacearm identify BAG' does, side by side, into DIR/NAME; the last third of each is
+held out of its fit. DIR/index.html shows all, with trends of the parameters over date and temperature; summary.csv
+and summary.json have the same for programs. A bag that is unfit or cannot be read is a row with its reason. The same
+command again does only what is missing: a result of the same bag, options and versions stays.
+"""
+INTERRUPTED = 130
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser."""
+    command = commands.add_parser("batch", help="identify many bags, and show trends", description=DESCRIPTION)
+    command.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags, or folders to look for bags in")
+    command.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the result folders")
+    command.add_argument("--jobs", type=int, metavar="N", help="processes at a time, one core each (default: cores)")
+    command.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="have it done by the workers of a Dask cluster (tcp://host:8786), which must see bags and DIR under the "
+        "same paths; needs pip install 'spacearm_ident[dask]'",
+    )
+    command.add_argument("--again", action="store_true", help="do again what is there already")
+    identify.add_options(command)
+    common.add_output_options(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Identify all, and say what became of each."""
+    try:
+        with common.progress(options) as report:
+            summary = identify_batch(
+                options.bags,
+                options.out,
+                identify.options_of(options),
+                jobs=options.jobs,
+                scheduler=options.scheduler,
+                again=options.again,
+                progress=report,
+            )
+    except KeyboardInterrupt:
+        print("spacearm: interrupted; the same command goes on with what is missing", file=sys.stderr)
+        return INTERRUPTED
+    if options.json:
+        common.print_json(summary)
+    else:
+        print(table(summary["runs"]))
+        print(f"report: {options.out / INDEX}")
+    return 0 if all(row["status"] == IDENTIFIED for row in summary["runs"]) else 1
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The summary on a terminal."""
+    width = max(len("run"), *(len(row["run"]) for row in rows))
+    lines = [f"{'run':<{width}}  {'recorded, UTC':<17}{'R':>8}{'rel. RMS':>10}"]
+    for row in rows:
+        if row["status"] != IDENTIFIED:
+            lines.append(f"{row['run']:<{width}}  {row['status']}: {row['reason']}")
+            continue
+        when = (row["recorded"] or "")[:16].replace("T", " ")
+        r = "-" if row["r"] is None else f"{row['r']:.4f}"
+        share = "-" if row["relative_rms"] is None else f"{row['relative_rms']:.1%}"
+        lines.append(f"{row['run']:<{width}}  {when:<17}{r:>8}{share:>10}" + ("  as before" if row["skipped"] else ""))
+    done = sum(row["status"] == IDENTIFIED for row in rows)
+    return "\n".join([*lines, f"{done} of {len(rows)} bags identified"])

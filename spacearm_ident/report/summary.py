@@ -1,0 +1,133 @@
+"""`summary.json` and `summary.csv` of a batch, with the index page: every bag in a row, whatever became of it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from ..identification.identified import Estimate
+from .folder import replacing
+from .index import INDEX, SUMMARY, Progress, find_mismatches, find_results, index_html, merit, with_failures
+from .provenance import moment
+from .store import Result
+from .tables import by_joint, finite
+from .trends import DATE, TEMPERATURE, runs_by_arm, trend_dict, trends
+
+SCHEMA: Final = "spacearm_ident/batch/1"
+TABLE: Final = "summary.csv"
+IDENTIFIED, UNFIT, FAILED = "identified", "unfit", "failed"
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of one bag.
+
+    Attributes:
+        name: Of its result, below the folder.
+        bag: The recording.
+        status: `IDENTIFIED`, `UNFIT` (readable, and cannot carry it) or `FAILED`.
+        reason: Why not, one line.
+        skipped: Whether it was up to date already.
+    """
+
+    name: str
+    bag: Path
+    status: str
+    reason: str = ""
+    skipped: bool = False
+
+
+def write_summary(
+    directory: Path, rows: Sequence[Row], progress: Progress = lambda share, what: None
+) -> dict[str, Any]:
+    """Write both summaries and the index into a folder that holds the results.
+
+    Returns:
+        The content of `summary.json`.
+
+    Raises:
+        UserError: The folder cannot be written.
+    """
+    found = find_results(directory, progress)
+    failures = {row.name: row.reason for row in rows if row.status != IDENTIFIED}
+    results = {entry.name: entry.result for entry in found if entry.result and entry.name not in failures}
+    document = {
+        "schema": SCHEMA,
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "runs": [_run(row, results.get(row.name)) for row in rows],
+        "trends": [
+            trend_dict(arm, trend)
+            for arm, runs in runs_by_arm(results[row.name] for row in rows if row.name in results).items()
+            for over in (DATE, TEMPERATURE)
+            for trend in trends(runs, over)
+            if trend.slope is not None
+        ],
+    }
+    entries = with_failures(found, directory, failures)
+    with replacing(directory, marker=None) as staging:
+        text = json.dumps(document, indent=1, allow_nan=False)
+        (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
+        (staging / TABLE).write_text(summary_csv(document["runs"]), encoding="utf-8")
+        page = index_html(directory.resolve().name, entries, find_mismatches(directory))
+        (staging / INDEX).write_text(page, encoding="utf-8")
+    return document
+
+
+def _run(row: Row, result: Result | None) -> dict[str, Any]:
+    """One bag, for `summary.json`."""
+    about: dict[str, Any] = {"run": row.name, "bag": str(row.bag), "status": row.status, "reason": row.reason}
+    if result is None:
+        return about
+    worst, lowest = merit(result.validation)
+    when = moment(result.identified.model.provenance)
+    return {
+        **about,
+        "skipped": row.skipped,
+        "recorded": when.start.isoformat() if when else None,
+        "written": result.written,
+        "arm": result.identified.model.model.arm.name,
+        "r": finite(lowest),
+        "relative_rms": finite(worst),
+        "temperature_C": when.temperature if when else {},
+        "parameters": _parameters(item for items in by_joint(result.identified).values() for item in items),
+    }
+
+
+def _parameters(estimates: Iterable[Estimate]) -> dict[str, dict[str, Any]]:
+    return {
+        item.name: {
+            "value": finite(item.value),
+            "standard_error": finite(item.standard_error),
+            "unit": item.unit,
+            "determined_by": item.determination.value,
+        }
+        for item in estimates
+    }
+
+
+def summary_csv(runs: Sequence[Mapping[str, Any]]) -> str:
+    """One row a bag: what `summary.json` says of it, a column a joint's temperature, a value and an error a parameter.
+
+    Numbers keep every digit; an empty cell is one that is not known.
+    """
+    about = ("run", "bag", "status", "reason", "recorded", "written", "arm", "r", "relative_rms")
+    warm = list(dict.fromkeys(joint for run in runs for joint in run.get("temperature_C", {})))
+    names = list(dict.fromkeys(name for run in runs for name in run.get("parameters", {})))
+    columns = [f"temperature_C[{joint}]" for joint in warm]
+    columns += [column for name in names for column in (name, f"standard error {name}")]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*about, *columns])
+    for run in runs:
+        cells = [*(run.get(key) for key in about), *(run.get("temperature_C", {}).get(joint) for joint in warm)]
+        for name in names:
+            item = run.get("parameters", {}).get(name, {})
+            cells += [item.get("value"), item.get("standard_error")]
+        writer.writerow("" if cell is None else repr(cell) if isinstance(cell, float) else cell for cell in cells)
+    return text.getvalue()

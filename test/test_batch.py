@@ -1,0 +1,304 @@
+"""Many bags: each as `spacearm identify` would, none in another's way, nothing done twice, trends that are there."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pool_tasks
+import pytest
+import small_arm
+from test_index import text_of
+from test_report import Page
+
+from spacearm_ident.bag_session import Options
+from spacearm_ident.batch_session import Task, find_bags, perform, up_to_date
+from spacearm_ident.cli.main import main
+from spacearm_ident.recording import Series, write_recording
+from spacearm_ident.report.store import load_result
+from spacearm_ident.report.summary import write_summary
+from spacearm_ident.report.trends import line
+from spacearm_ident.side_by_side import Lost, on_cluster, on_cores
+
+QUICK = ("--friction", "coulomb-viscous", "--bandwidth", "5")
+DAY_NS = 86_400 * 10**9
+START_NS = 1_735_689_600 * 10**9  # 2025-01-01
+GAIN = 0.5
+"""Coulomb friction that the elbow gains a day."""
+
+
+def dated(day: int, warm: float = 20.0) -> small_arm.Recording:
+    """A run of some day, at some temperature, with more friction at the elbow every day."""
+    run = small_arm.with_step(small_arm.recording(8.0, 100.0, seed=day), 0.0, GAIN * day)
+    every_second = np.arange(0.0, 8.0)
+    series = {"elbow": Series(every_second, np.full(len(every_second), warm))}
+    return replace(run, start_ns=START_NS + day * DAY_NS, temperatures=series)
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory) -> Path:
+    """A folder of two good bags, one in a folder below, one that is unfit and one that is no bag."""
+    folder = tmp_path_factory.mktemp("fleet")
+    write_recording(folder / "a.mcap", dated(1, warm=25.0))
+    (folder / "deeper").mkdir()
+    write_recording(folder / "deeper" / "b", dated(0))
+    write_recording(folder / "still.mcap", small_arm.recording(8.0, 100.0, still=(0, 1)))
+    (folder / "text.mcap").write_text("this is not a bag")
+    (folder / "notes.txt").write_text("nor is this")
+    return folder
+
+
+def batch(*words: object, jobs: int = 1) -> int:
+    return main(["batch", *map(str, words), *QUICK, "--quiet", "--jobs", str(jobs)])
+
+
+@pytest.fixture(scope="module")
+def done(bags, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("results") / "new" / "out"
+    assert batch(bags, "--out", out, jobs=2) == 1
+    return out
+
+
+def inodes(out: Path, *names: str) -> list[int]:
+    return [(out / name / "model.yaml").stat().st_ino for name in names]
+
+
+def rows_of(out: Path) -> dict[str, dict]:
+    return {row["run"]: row for row in json.loads((out / "summary.json").read_text())["runs"]}
+
+
+# --- what comes out ---------------------------------------------------------------------------------------------
+
+
+def test_every_bag_is_a_row_whatever_became_of_it(done):
+    rows = rows_of(done)
+    assert {name: row["status"] for name, row in rows.items()} == {
+        "a": "identified",
+        "deeper/b": "identified",
+        "still": "unfit",
+        "text": "failed",
+    }
+    assert "moves" in rows["still"]["reason"] and "not an MCAP file" in rows["text"]["reason"]
+    assert all("\n" not in row["reason"] for row in rows.values())
+    assert not (done / "still").exists() and not (done / "text").exists()
+
+
+def test_a_result_is_that_of_the_command_to_the_last_digit(bags, done, tmp_path):
+    words = ["identify", str(bags / "a.mcap"), *QUICK, "--out", str(tmp_path / "a"), "--quiet"]
+    assert main(words) == 0
+    for name in ("parameters.csv", "base_parameters.csv", "identified.urdf", "covariance.json"):
+        assert (done / "a" / name).read_bytes() == (tmp_path / "a" / name).read_bytes(), name
+    mine, other = (dict(np.load(place / "a" / "result.npz")) for place in (done, tmp_path))
+    assert set(mine) == set(other) and all(np.array_equal(mine[name], other[name]) for name in mine)
+    assert load_result(done / "a").validation.held_out
+
+
+def test_the_tables_have_the_numbers_of_the_results(done):
+    result = load_result(done / "a")
+    item = next(one for one in result.identified.estimates if one.name == "f_c[elbow]")
+    row = rows_of(done)["a"]
+    assert row["parameters"]["f_c[elbow]"]["value"] == item.value
+    assert row["parameters"]["f_c[elbow]"]["standard_error"] == item.standard_error
+    assert row["recorded"] == datetime(2025, 1, 2, tzinfo=UTC).isoformat()
+    assert row["temperature_C"] == {"elbow": 25.0} and row["arm"] == "small_arm"
+    table = {one["run"]: one for one in csv.DictReader((done / "summary.csv").open())}
+    assert float(table["a"]["f_c[elbow]"]) == item.value
+    assert float(table["a"]["standard error f_c[elbow]"]) == item.standard_error
+    assert float(table["a"]["temperature_C[elbow]"]) == 25.0
+    assert table["still"]["f_c[elbow]"] == "" and table["still"]["status"] == "unfit"
+    lowest = min(joint.everything.correlation for joint in result.validation.joints.values())
+    assert float(table["a"]["r"]) == lowest == row["r"]
+
+
+def test_the_index_is_in_order_of_recording_and_says_what_failed(done):
+    text = text_of(done / "index.html")
+    links = [link for link in Page((done / "index.html").read_text()).references if not link.startswith("#")]
+    assert links == ["./deeper/b/report.html", "./a/report.html"], "none where there is no report"
+    assert text.index("2025-01-01 00:00") < text.index("2025-01-02 00:00") < text.index("not an MCAP file")
+    assert rows_of(done)["still"]["reason"] in text
+    before = (done / "index.html").read_bytes()
+    assert main(["report", str(done), "--quiet"]) == 0
+    assert (done / "index.html").read_bytes() == before, "spacearm report makes the same page"
+
+
+# --- again ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def finished(done, tmp_path) -> Path:
+    """A copy, to go on with."""
+    return Path(shutil.copytree(done, tmp_path / "out"))
+
+
+def test_what_is_there_is_not_done_again_until_it_is_asked_for(bags, finished, capsys):
+    before = inodes(finished, "a", "deeper/b")
+    assert batch(bags, "--out", finished, "--json") == 1
+    shown = json.loads(capsys.readouterr().out)
+    assert inodes(finished, "a", "deeper/b") == before
+    assert shown == json.loads((finished / "summary.json").read_text())
+    assert [row["skipped"] for row in shown["runs"] if row["status"] == "identified"] == [True, True]
+    assert batch(bags / "a.mcap", "--out", finished, "--again") == 0
+    after = inodes(finished, "a", "deeper/b")
+    assert after[0] != before[0] and after[1] == before[1]
+
+
+def test_a_result_is_up_to_date_for_the_same_bag_options_and_versions_only(bags, done, tmp_path, monkeypatch):
+    quick = Options(friction="coulomb-viscous", cutoff_hz=5.0)
+    task = Task("a", bags / "a.mcap", done / "a", quick)
+    assert up_to_date(task)
+    moved = Path(shutil.copy(bags / "a.mcap", tmp_path / "moved.mcap"))
+    assert up_to_date(replace(task, bag=moved)), "its content counts, not its place"
+    moved.write_bytes(moved.read_bytes() + b"x")
+    assert not up_to_date(replace(task, bag=moved))
+    for changed in (Options(), replace(quick, cutoff_hz=6.0), replace(quick, gravity=(0.0, 0.0, -9.8))):
+        assert not up_to_date(replace(task, options=changed))
+    monkeypatch.setattr("spacearm_ident.batch_session.versions", lambda: {"spacearm_ident": "9"})
+    assert not up_to_date(task)
+
+
+def test_files_of_the_options_count_by_their_content(tmp_path):
+    urdf, arm = tmp_path / "arm.urdf", tmp_path / "arm.yaml"
+    urdf.write_text(small_arm.URDF)
+    arm.write_text("schema: spacearm_ident/arm/1\nurdf: arm.urdf\n")
+    known = Options(arm=arm).fingerprint()
+    elsewhere = Path(shutil.copytree(tmp_path, tmp_path / "copy")) / "arm.yaml"
+    assert Options(arm=elsewhere).fingerprint() == known
+    urdf.write_text(small_arm.URDF.replace("0.4", "0.5"))
+    assert Options(arm=arm).fingerprint() != known, "the URDF that the YAML names"
+    assert Options().fingerprint() == {}
+
+
+def test_a_bag_that_has_become_unfit_does_not_pass_for_its_old_result(finished, tmp_path):
+    bag = tmp_path / "a.mcap"
+    write_recording(bag, small_arm.recording(8.0, 100.0, still=(0, 1)))
+    assert batch(bag, "--out", finished) == 1
+    assert rows_of(finished)["a"]["status"] == "unfit" and "parameters" not in rows_of(finished)["a"]
+    text = text_of(finished / "index.html")
+    assert rows_of(finished)["a"]["reason"] in text and "deeper/b" in text
+
+
+# --- usage ------------------------------------------------------------------------------------------------------
+
+
+def test_usage_errors_are_said_before_anything_is_done(bags, tmp_path, capsys):
+    out = tmp_path / "out"
+    (tmp_path / "empty").mkdir()
+    for words, said in (
+        ([tmp_path / "nowhere"], "no such file or folder"),
+        ([tmp_path / "empty"], "no bag in it"),
+        ([bags, "--arm", tmp_path / "none.urdf"], "none.urdf"),
+        ([bags, "--structure", tmp_path / "none.yaml"], "none.yaml"),
+        ([bags, "--jobs", 0], "at least one"),
+    ):
+        assert main(["batch", *map(str, words), "--out", str(out)]) == 2
+        assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_bags_are_found_in_folders_and_named_apart(tmp_path):
+    for name in ("x/run.mcap", "y/run.mcap", "x/split/run_0.mcap", "x/split/run_1.mcap", "y/.hidden/no.mcap"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "x" / "split" / "metadata.yaml").touch()
+    assert set(find_bags([tmp_path])) == {"x/run", "y/run", "x/split"}
+    apart = find_bags([tmp_path / "x", tmp_path / "y" / "run.mcap", tmp_path / "x" / "run.mcap"])
+    assert {name: bag.relative_to(tmp_path).as_posix() for name, bag in apart.items()} == {
+        "x/run.mcap": "x/run.mcap",
+        "y/run.mcap": "y/run.mcap",
+        "split": "x/split",
+    }
+
+
+# --- side by side -----------------------------------------------------------------------------------------------
+
+
+def test_a_task_that_kills_its_process_does_not_take_the_others_along():
+    tasks = ["one", "kill", "two", "three"]
+    outcomes = dict(on_cores(pool_tasks.perform, tasks, 2))
+    assert isinstance(outcomes.pop("kill"), Lost)
+    assert outcomes == {"one": "ONE", "two": "TWO", "three": "THREE"}
+
+
+def test_a_process_killed_from_outside_costs_nothing(tmp_path):
+    marker = tmp_path / "killed"
+    assert dict(on_cores(pool_tasks.dies_once, [str(marker)], 1)) == {str(marker): "alive"}
+
+
+def test_processes_have_one_blas_thread_and_leave_ours_alone(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    assert dict(on_cores(pool_tasks.variable, ["OMP_NUM_THREADS"], 1)) == {"OMP_NUM_THREADS": "1"}
+    assert os.environ["OMP_NUM_THREADS"] == "7" and "MKL_NUM_THREADS" not in os.environ
+
+
+def test_without_dask_a_scheduler_is_refused_in_one_line(bags, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert batch(bags / "a.mcap", "--out", tmp_path, "--scheduler", "tcp://127.0.0.1:1") == 2
+    assert "pip install 'spacearm_ident[dask]'" in capsys.readouterr().err
+
+
+def test_a_cluster_does_the_same(bags, done, tmp_path, monkeypatch, capsys):
+    distributed = pytest.importorskip("distributed", reason="needs dask.distributed (pip install distributed)")
+    with distributed.LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster:
+        assert dict(on_cluster(pool_tasks.perform, ["one"], cluster.scheduler_address)) == {"one": "ONE"}
+        words = (bags / "a.mcap", bags / "text.mcap", "--out", tmp_path, "--scheduler", cluster.scheduler_address)
+        assert batch(*words) == 1
+    assert (tmp_path / "a" / "parameters.csv").read_bytes() == (done / "a" / "parameters.csv").read_bytes()
+    assert rows_of(tmp_path)["text"]["reason"] == rows_of(done)["text"]["reason"]
+    monkeypatch.setattr("spacearm_ident.side_by_side.CONNECT_S", 0.5)
+    assert batch(*words) == 2
+    assert "no Dask scheduler at" in capsys.readouterr().err
+
+
+# --- trends -----------------------------------------------------------------------------------------------------
+
+
+def test_the_line_is_the_weighted_one_and_its_error_at_least_that_of_the_estimates():
+    rng = np.random.default_rng(3)
+    x, errors = rng.uniform(0, 9, 8), rng.uniform(0.1, 0.3, 8)
+    columns = np.column_stack([np.ones(8), x])
+    for scatter in (0.1, 6.0):
+        values = 2.0 - 0.3 * x + scatter * errors * rng.standard_normal(8)
+        covariance = np.linalg.inv(columns.T @ np.diag(errors**-2) @ columns)
+        offset, slope = covariance @ columns.T @ (values / errors**2)
+        ratio = np.sum(((values - offset - slope * x) / errors) ** 2) / 6
+        found = line(x, values, errors)
+        assert (found.value, found.at_zero) == pytest.approx((slope, offset))
+        assert found.error == pytest.approx(np.sqrt(covariance[1, 1] * max(1.0, ratio)))
+    assert ratio > 1.0
+
+
+def test_scatter_alone_is_called_a_trend_as_rarely_as_said():
+    rng = np.random.default_rng(4)
+    x = np.arange(6.0)
+    for scale in (1.0, 5.0):
+        calls = [line(x, scale * rng.standard_normal(6), np.ones(6)).clear for _ in range(2000)]
+        assert np.mean(calls) < 0.016, "1 in 100, and its scatter over 2000 draws"
+
+
+def test_friction_that_was_planted_over_dates_is_found_and_no_other(tmp_path, monkeypatch):
+    monkeypatch.setattr("spacearm_ident.report.folder.report_html", lambda result: "a page")
+    rows = []
+    for day in range(6):
+        bag = tmp_path / f"{day}.mcap"
+        write_recording(bag, dated(day, warm=20.0 + 5.0 * (day % 2)))
+        rows.append(perform(Task(str(day), bag, tmp_path / "out" / str(day), Options(friction="coulomb-viscous"))))
+    document = write_summary(tmp_path / "out", rows)
+    over = {(one["over"], one["parameter"]): one for one in document["trends"]}
+    gain = over["date", "f_c[elbow]"]
+    assert abs(gain["slope"] - GAIN) < 4 * gain["standard_error"] < 0.1 * GAIN
+    assert gain["unit"] == "N m / day" and gain["p_value"] < 1e-4
+    assert over["date", "f_c[shoulder]"]["p_value"] > 0.01 and over["date", "k_v1[elbow]"]["p_value"] > 0.01
+    assert over["temperature", "f_c[elbow]"]["p_value"] > 0.01
+    assert not any(key[0] == "temperature" and "shoulder" in key[1] for key in over), "of it none was recorded"
+    text = text_of(tmp_path / "out" / "index.html")
+    start = text.index("Over the date of recording")
+    assert "f_c[elbow]" in text[start : text.index("Over the joint's mean temperature")]
+    assert "Trends of small_arm" in text and "Friction levels" in text
