@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PLACES = [str(ROOT / name) for name in ("spacearm_ident", "launch", "test", "bench", "setup.py")]
+PLACES = [str(ROOT / name) for name in ("spacearm_ident", "launch", "setup.py")]
 
 
 @pytest.mark.linter
