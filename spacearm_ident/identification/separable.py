@@ -203,9 +203,9 @@ def system(
                     extra[joint][1].append(column[:, None])
     blocks: list[FloatArray] = []
     sides: list[FloatArray] = []
-    for joint, (indices, columns) in extra.items():
-        stacked = np.concatenate([np.empty((len(regression.rows[joint].torque), 0)), *columns], axis=1)
-        block, side = regression.compress(joint, indices, stacked, width + len(slots))
+    for joint, (numbers, parts) in extra.items():
+        stacked = np.concatenate([np.empty((len(regression.rows[joint].torque), 0)), *parts], axis=1)
+        block, side = regression.compress(joint, numbers, stacked, width + len(slots))
         blocks.append(block)
         sides.append(side)
     blocks.append(np.pad(prior.rows, ((0, 0), (0, len(slots)))))

@@ -124,7 +124,7 @@ class Evidence:
         stacked = np.concatenate([*columns, belief])
         self._used = np.flatnonzero(np.any(stacked != 0, axis=0))
         self._width = width
-        self._triangle = np.linalg.qr(stacked[:, self._used], mode="r")
+        self._triangle: FloatArray = np.asarray(np.linalg.qr(stacked[:, self._used], mode="r"))
         basis = solve_triangular(self._triangle, stacked[:, self._used].T, trans="T").T
         self._basis = basis[: self.rows]
         self._inside = basis.T @ torque
@@ -162,7 +162,7 @@ class Evidence:
         own = self._used[self._used < count]
         # Nuisance columns come last: with them first in the factorisation, what is below is the own ones' share.
         order = np.concatenate([np.flatnonzero(self._used >= count), np.flatnonzero(self._used < count)])
-        triangle: FloatArray = np.asarray(np.linalg.qr(np.asarray(self._triangle[:, order], dtype=float), mode="r"))
+        triangle: FloatArray = np.asarray(np.linalg.qr(self._triangle[:, order], mode="r"))
         beside = len(self._used) - len(own)
         whole = np.zeros((len(own), count))
         whole[:, own] = triangle[beside:, beside:]

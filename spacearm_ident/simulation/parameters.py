@@ -105,7 +105,7 @@ class PlantParameters:
         plain = values["v_b"] == 0.0
         values["f_b"] = np.where(plain, values["f_c"], values["f_b"])
         values["v_b"] = np.where(plain, 1.0, values["v_b"])
-        if quadratic != "even" and quadratic != "odd":
+        if quadratic not in ("even", "odd"):
             raise UserError(f"quadratic is {quadratic!r}; use even or odd")
         return cls(
             joints=joints,
@@ -114,7 +114,7 @@ class PlantParameters:
             rigid_body=np.column_stack([values[name] for name in RIGID_BODY]),
             rotor_inertia=values["J_m"],
             joint_spring=values["k_1"],
-            quadratic=quadratic,
+            quadratic="even" if quadratic == "even" else "odd",
             **{name: values[name] for name in FRICTION},
         )
 
