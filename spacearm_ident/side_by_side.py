@@ -156,7 +156,7 @@ def on_cluster(perform: Callable[[Task], Result], tasks: Sequence[Task], address
     with client:
         alone = _OneAtATime(perform)
         futures = {client.submit(alone, task, pure=False): task for task in tasks}
-        for future in distributed.as_completed(list(futures)):
+        for future in distributed.as_completed(list(futures), loop=client.loop):
             try:
                 result: Result | Lost = future.result()
             except Exception as error:  # KilledWorker, a scheduler that is gone, a worker without this package
