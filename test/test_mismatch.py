@@ -20,7 +20,7 @@ from spacearm_ident.identification.prior import make_prior
 from spacearm_ident.mismatch.competition import penalty
 from spacearm_ident.mismatch.document import EXTENDED_MODEL, to_document
 from spacearm_ident.mismatch.evidence import NUISANCE, base_columns, stacked_effect
-from spacearm_ident.mismatch.explain import explain
+from spacearm_ident.mismatch.explain import doubted, explain
 from spacearm_ident.mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH
 from spacearm_ident.mismatch.integrity import faults
 from spacearm_ident.mismatch.preparation import prepare_evidence
@@ -407,6 +407,20 @@ def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
         assert finding.parameters[f"moment_{axis}"].value == pytest.approx(0.7 * place, abs=0.02)
     assert ("held elsewhere" in finding.where) == (there != here)
     assert finding.explained > 0.9
+
+
+@pytest.mark.parametrize(
+    ("explained", "left", "named"), [(0.7, 2.0, False), (0.7, 1.1, True), (0.95, 2.0, True), (float("nan"), 2.0, True)]
+)
+def test_a_law_that_leaves_much_of_what_there_was_is_not_the_one(rippled, explained, left, named):
+    """Nearly all must be explained, or nothing but noise be left; else it is unknown, and what it is like is told."""
+    (finding,) = rippled.findings
+    finding = replace(finding, explained=explained, after_Nm={"elbow": 0.1 * left})
+    judged = doubted(finding, {"shoulder": 0.2, "elbow": 0.1})
+    assert (judged == finding) == named
+    if not named:
+        assert (judged.effect, judged.joints, judged.parameters) == (UNKNOWN, ("elbow",), {})
+        assert judged.alternatives[0].effect == "torque_ripple" and "2.0 times the noise" in judged.where
 
 
 def test_noise_that_has_grown_is_a_mismatch_without_a_name():

@@ -6,7 +6,7 @@ effects explain what is left (`competition`); and a card for each, judged on a r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from .cards import Cards
 from .competition import GATE, SEEN_AGAIN, Competition, Outcome, Scored
 from .evidence import Evidence
 from .extend import extended_model
-from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
+from .finding import MISMATCH, NO_MISMATCH, Alternative, Explanation, Finding, Unexplained, joined, unfit
 from .integrity import faults
 from .preparation import Prepared, prepare_evidence
 from .residuals import Residuals
@@ -33,6 +33,8 @@ LEFT_OVER = 2.0
 """A joint whose residual variance is so many times the noise's has something unexplained."""
 UNNAMED = 2.5
 """The same where nothing was found at all: then it is a mismatch without a name. Healthy arms had 1.5 at most."""
+NAMES = 0.8
+"""A finding that leaves more than noise on unseen data, and more than a fifth of what there was, has not that name."""
 SHOWS = 0.5
 """A finding beside the first that removes less than this share of what is above the noise on unseen data is not one: it
 is a crumb of the first, whose law is not quite the catalogue's."""
@@ -113,7 +115,8 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
             break
         # What shows beside another may show no more without it.
         outcome = competition.without(outcome, idle)
-    findings = _by_cause(made, joints)
+    noise = dict(zip(joints, floor))
+    findings = tuple(doubted(finding, noise) for finding in _by_cause(made, joints))
     accepted = outcome.accepted
     before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
@@ -166,6 +169,26 @@ def _shows(finding: Finding, first: bool) -> bool:
         return True
     asleep = first and finding.unseen_gain < SEEN_AGAIN * finding.gain
     return asleep or finding.explained >= (FIRST_SHOWS if first else SHOWS)
+
+
+def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
+    """A finding whose law is clearly not quite its own, as an unknown one that is like it; else the finding itself."""
+    left = [rms / floor[joint] for joint, rms in finding.after_Nm.items() if floor[joint] > 0]
+    worst = max(left, default=0.0)
+    if finding.effect == UNKNOWN or not finding.explained < NAMES or worst**2 <= UNNAMED:
+        return finding
+    why_not = f"explains {finding.explained:.0%}, and leaves {worst:.1f} times the noise"
+    like = Alternative(finding.effect, finding.joints, finding.explained, why_not)
+    where = f"most like {finding.effect} ({finding.where}), which leaves {worst:.1f} times the noise"
+    return replace(
+        finding,
+        effect=UNKNOWN,
+        where=where,
+        equation="",
+        source="",
+        parameters={},
+        alternatives=(like, *finding.alternatives),
+    )
 
 
 def _healthy(evidence: Evidence, prepared: Prepared) -> tuple[FloatArray, FloatArray]:
