@@ -1,12 +1,25 @@
-"""Property-based inputs are the same in every run, so that a verdict is the code's and not the draw's.
+"""What all tests share. Property-based inputs are the same in every run: a verdict is the code's, not the draw's.
 
 `HYPOTHESIS_PROFILE=search pytest` draws new ones; what it finds becomes a case of its own.
 """
 
 import os
 
+import pytest
 from hypothesis import settings
 
 settings.register_profile("same", derandomize=True)
 settings.register_profile("search", max_examples=300)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+
+
+@pytest.fixture
+def graph(tmp_path):
+    """Processes to start on a graph, and a node that sees what they say there."""
+    pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
+    from live_nodes import Probe, Processes
+
+    processes, probe = Processes(tmp_path), Probe()
+    yield processes, probe
+    probe.close()
+    processes.end()

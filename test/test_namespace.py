@@ -119,17 +119,6 @@ def test_arguments_are_changed_in_a_namespace_only(tmp_path):
 # --- on a graph ---------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def graph(tmp_path):
-    pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-    from live_nodes import Probe, Processes
-
-    processes, probe = Processes(tmp_path), Probe()
-    yield processes, probe
-    probe.close()
-    processes.end()
-
-
 def local(*cases):
     from spacearm_ident.nodes.runtime import local_name
 

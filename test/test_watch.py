@@ -200,17 +200,6 @@ def test_a_spark_is_as_long_as_its_values_and_full_where_they_are_largest(values
 # --- on a real graph --------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def graph(tmp_path):
-    pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
-    from live_nodes import Probe, Processes
-
-    processes, probe = Processes(tmp_path), Probe()
-    yield processes, probe
-    probe.close()
-    processes.end()
-
-
 def speak(probe):
     """What a driver and an identifier would say, once for the latched ones, again and again for the others."""
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
