@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -52,6 +53,8 @@ SLOW = (0.003, 0.006, 0.012, 0.025, 0.05)
 as the reference shows."""
 NEAR = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3)
 """rad since the last reversal. There friction builds up by no law known to the last N m: rows count for less too."""
+LARGEST_ROOT = 0.995
+"""Of an autoregressive model: noise that remembers two hundred rows is a base model's error, and has no variance."""
 OUTLIER = 6.0
 """Robust standard deviations beyond which a residual does not say what the noise is like."""
 ONE_WAY = 0.98
@@ -106,26 +109,48 @@ class Whitener:
         """P."""
         return len(self.coefficients)
 
-    def apply(self, rows: FloatArray) -> FloatArray:
-        """(M - p, k) whitened rows of (M, k)."""
-        order = self.order
-        white = rows[order:].copy()
-        for lag, coefficient in enumerate(self.coefficients, start=1):
-            white -= coefficient * rows[order - lag : len(rows) - lag]
-        return np.asarray(white / self.sigma_Nm)
+    @cached_property
+    def predictors(self) -> list[tuple[FloatArray, float]]:
+        """Best prediction from 0, 1, ... p rows before: coefficients, and standard deviation of its error, N·m.
+
+        The Levinson recursion backwards (Brockwell and Davis 1991, §5.2).
+        """
+        own, sigma = self.coefficients, self.sigma_Nm
+        steps = [(own, sigma)]
+        while len(own):
+            last = float(own[-1])
+            remaining = 1.0 - last**2
+            own = (own[:-1] + last * own[-2::-1]) / remaining
+            sigma = sigma / np.sqrt(remaining)
+            steps.append((own, sigma))
+        return steps[::-1]
+
+    def apply(self, rows: FloatArray, before: np.ndarray) -> FloatArray:
+        """(M, k) whitened rows of (M, k).
+
+        Args:
+            rows: What to whiten.
+            before: (M,) how many rows before each belong to the same stretch; a stretch begins unpredicted.
+        """
+        white = np.empty_like(rows)
+        for known, (coefficients, sigma) in enumerate(self.predictors):
+            place = np.flatnonzero(before == known if known < self.order else before >= known)
+            error = rows[place]
+            for lag, coefficient in enumerate(coefficients, start=1):
+                error = error - coefficient * rows[place - lag]
+            white[place] = error / sigma
+        return white
 
     def weight(self, speed: FloatArray, gone: FloatArray) -> FloatArray:
         """(M,) what rows at these speeds, rad/s, so far from a reversal, rad, count for."""
         slow = np.array([*self.loud, 1.0])[np.searchsorted(SLOW, np.abs(speed))]
         return np.asarray(1.0 / np.sqrt(slow * np.array([*self.near, 1.0])[np.searchsorted(NEAR, gone)]))
 
-    def keep(self, moving: np.ndarray) -> np.ndarray:
-        """(M - p,) whether a whitened row and all it is made of are from rows that move."""
-        order = self.order
-        kept = moving[order:].copy()
-        for lag in range(1, order + 1):
-            kept &= moving[order - lag : len(moving) - lag]
-        return np.asarray(kept)
+
+def stretch(sound: np.ndarray) -> np.ndarray:
+    """(M,) number of sound rows without interruption before each sound one (M,); -1 where it is not sound."""
+    place = np.arange(len(sound))
+    return np.where(sound, place - np.maximum.accumulate(np.where(sound, -1, place)) - 1, -1)
 
 
 class Scene:
@@ -151,11 +176,11 @@ class Scene:
             model.background(quiet(motion), base.parameters, base.constants) for motion in self.motions
         ]
         self.sound = [one_way(motion) for motion in self.motions]
-        self._keep = [[whitener.keep(sound[:, j]) for sound in self.sound] for j, whitener in enumerate(whiteners)]
+        self._before = [[stretch(sound[:, j]) for sound in self.sound] for j in range(len(whiteners))]
         joint, owner, place = [], [], []
-        for j, whitener in enumerate(whiteners):
-            for m, keep in enumerate(self._keep[j]):
-                where = np.flatnonzero(keep) + whitener.order
+        for j in range(len(whiteners)):
+            for m, sound in enumerate(self.sound):
+                where = np.flatnonzero(sound[:, j])
                 joint.append(np.full(len(where), j))
                 owner.append(np.full(len(where), m))
                 place.append(where)
@@ -187,7 +212,8 @@ class Scene:
 
     def whiten(self, joint: int, motion: int, rows: FloatArray) -> FloatArray:
         """(r, k) stacked rows of reduced rows (M, k)."""
-        white = self.whiteners[joint].apply(rows)[self._keep[joint][motion]]
+        before = self._before[joint][motion]
+        white = self.whiteners[joint].apply(rows, before)[before >= 0]
         return np.asarray(white * self.weight[self.slot(joint, motion), None])
 
     def torque(self) -> FloatArray:
@@ -231,7 +257,7 @@ def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], 
     while order > 0:
         past, now = [], []
         for residual, kept in zip(residuals, moving):
-            whole = Whitener(np.zeros(order), 1.0).keep(kept)
+            whole = stretch(kept)[order:] >= order
             lags = np.stack([residual[order - k : len(residual) - k] for k in range(1, order + 1)], axis=1)
             past.append(lags[whole])
             now.append(residual[order:][whole])
@@ -241,12 +267,20 @@ def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], 
             within = OUTLIER * 1.4826 * np.median(np.abs(target)) + floor
             sound = np.all(np.abs(np.column_stack([target, columns])) < within, axis=1)
             coefficients = np.linalg.lstsq(columns[sound], target[sound], rcond=None)[0]
+            coefficients = stable(coefficients)
             error = target[sound] - columns[sound] @ coefficients
             return Whitener(coefficients, max(float(np.sqrt(np.mean(error**2))), floor))
         order //= 2
     usable = np.concatenate([residual[kept] for residual, kept in zip(residuals, moving)])
     spread = float(np.sqrt(np.mean(usable**2))) if len(usable) else floor
     return Whitener(np.zeros(0), max(spread, floor))
+
+
+def stable(coefficients: FloatArray) -> FloatArray:
+    """Autoregressive coefficients (p,) with no root near the unit circle or outside, moved in as little as need be."""
+    roots = np.abs(np.roots([1.0, *-coefficients])) if len(coefficients) else np.zeros(0)
+    shrink = min(1.0, LARGEST_ROOT / max(float(roots.max(initial=0.0)), 1e-9))
+    return np.asarray(coefficients * shrink ** np.arange(1, len(coefficients) + 1))
 
 
 def louder(whitener: Whitener, scene: Scene, residual: FloatArray, joint: int) -> Whitener:
