@@ -528,10 +528,21 @@ def test_below_its_resonance_a_link_is_heavier_and_above_it_is_gone(ratio):
 
 def test_play_under_a_load_that_stays_on_one_side_is_half_the_gap():
     slow, width, arm = swing(0.4, 0.3, 20.0, centre=0.9), 0.02, arm_of(PENDULUM)
-    made = torque(one("backlash", arm, joint="hip"), slow, [1.0], [width], background_of(arm, slow))[:, 0]
+    stiff = 1e9  # as stiff as teeth may be
+    made = torque(one("backlash", arm, joint="hip"), slow, [1.0], [width, stiff], background_of(arm, slow))[:, 0]
     q = slow.position[:, 0]
     want = HANGING_NM * (np.sin(q - width / 2) - np.sin(q))
     np.testing.assert_allclose(made, want, atol=0.05 * np.abs(want).max())
+
+
+def test_play_is_the_same_alone_and_among_the_grid():
+    moved, arm = swing(0.8, 0.5, 20.0), arm_of(PENDULUM)
+    effect, background = one("backlash", arm, joint="hip"), background_of(arm, moved)
+    gap, contact = (constant.grid for constant in effect.constants)
+    for point in ((gap[3], contact[0]), (gap[10], contact[2])):
+        among = torque(effect, moved, [1.0], point, background)
+        alone = torque(effect, moved, [1.0], np.nextafter(point, 1), background)
+        np.testing.assert_allclose(among, alone, atol=1e-3 * np.abs(alone).max())
 
 
 @pytest.mark.parametrize("kind", ["link_flexibility", "base_flexibility"])

@@ -139,7 +139,7 @@ def test_friction_falls_with_temperature_as_the_term_says():
     ("kind", "place", "values", "share"),
     [
         ("joint_elasticity", THIRD, {"share": 1.0, "stiffness": 8e3}, 0.15),
-        ("backlash", THIRD, {"share": 1.0, "gap": 0.01}, 0.25),
+        ("backlash", THIRD, {"share": 1.0, "gap": 0.01, "stiffness": 3e4}, 0.25),
         ("encoder_eccentricity", {**THIRD, "cycles": 1}, {"sin": 0.01, "cos": -0.005}, 0.1),
         ("encoder_eccentricity", {**THIRD, "cycles": 2}, {"sin": 0.003, "cos": 0.008}, 0.1),
     ],

@@ -25,7 +25,19 @@ from spacearm_ident.mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH
 from spacearm_ident.mismatch.integrity import faults
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival, rivals
-from spacearm_ident.mismatch.scene import NEAR, Scene, Whitener, coarse, fit_whitener, louder, one_way, travel
+from spacearm_ident.mismatch.scene import (
+    LARGEST_ROOT,
+    NEAR,
+    Scene,
+    Whitener,
+    coarse,
+    fit_whitener,
+    louder,
+    one_way,
+    stable,
+    stretch,
+    travel,
+)
 from spacearm_ident.recording.signals import prepare
 
 LAWS = (
@@ -75,7 +87,7 @@ def test_after_its_whitener_coloured_noise_is_white_with_variance_one():
     whitener = fit_whitener(noise, [np.ones(4000, bool)] * 2, 4, 1e-6)
     np.testing.assert_allclose(whitener.coefficients, [1.2, -0.5, 0.0, 0.0], atol=0.06)
     assert whitener.sigma_Nm == pytest.approx(0.3, rel=0.04)
-    white = whitener.apply(noise[0][:, None])[:, 0]
+    white = whitener.apply(noise[0][:, None], np.arange(4000))[:, 0]
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.08)
     lags = [np.mean(white[lag:] * white[:-lag]) for lag in range(1, 8)]
     assert np.abs(lags).max() < 4 / np.sqrt(len(white))
@@ -91,12 +103,28 @@ def test_outliers_do_not_define_the_noise_and_few_rows_make_it_plain():
     assert fit_whitener([np.zeros(7)], [np.zeros(7, bool)], 6, 0.25).sigma_Nm == 0.25
 
 
-def test_a_whitened_row_counts_only_if_all_it_is_made_of_does():
-    moving = np.ones(10, bool)
-    moving[4] = False
-    np.testing.assert_array_equal(
-        Whitener(np.array([0.5, 0.1]), 1.0).keep(moving), [True, True, False, False, False, True, True, True]
-    )
+def test_a_stretch_is_counted_from_where_the_last_one_was_broken():
+    moving = np.array([0, 1, 1, 0, 0, 1, 1, 1], bool)
+    np.testing.assert_array_equal(stretch(moving), [-1, 0, 1, -1, -1, 0, 1, 2])
+    np.testing.assert_array_equal(stretch(np.zeros(3, bool)), [-1, -1, -1])
+
+
+def test_the_first_rows_of_a_stretch_are_white_too():
+    """Of noise that remembers, 3000 stretches of five rows, with none known before them."""
+    rng = np.random.default_rng(4)
+    noise = lfilter([1.0], [1.0, -1.6, 0.8], rng.standard_normal(3000 * 60)).reshape(3000, 60)[:, -5:]
+    whitener = Whitener(np.array([1.6, -0.8]), 1.0)
+    white = whitener.apply(noise.reshape(-1, 1), np.tile(np.arange(5), 3000)).reshape(3000, 5)
+    np.testing.assert_allclose(np.cov(white.T), np.eye(5), atol=5 / np.sqrt(3000))
+    np.testing.assert_allclose(whitener.predictors[0][1] ** 2, np.mean(noise**2), rtol=0.05)
+
+
+@pytest.mark.parametrize("coefficients", [(1.0,), (1.2, 0.0), (2.0, -1.0), (0.3, 0.2, 0.9)])
+def test_noise_without_end_is_taken_for_noise_that_forgets(coefficients):
+    tamed = stable(np.array(coefficients))
+    assert np.abs(np.roots([1.0, *-tamed])).max() == pytest.approx(LARGEST_ROOT)
+    assert np.isfinite(Whitener(tamed, 1.0).predictors[0][1])
+    np.testing.assert_array_equal(stable(0.5 * tamed), 0.5 * tamed)
 
 
 def test_slow_rows_and_rows_after_a_reversal_count_for_less():
@@ -248,7 +276,12 @@ def test_stacked_rows_are_reduced_filtered_and_weighted_columns(prepared):
     weighted = white * whitener.weight(motion.velocity_rows[:, 1], travel(motion)[:, 1])
     slot = scene.slot(1, 0)
     assert (stacked.rows.start, stacked.rows.stop) == (slot.start, slot.stop)
-    np.testing.assert_allclose(stacked.columns[:, 1], weighted[scene.place[slot]], atol=1e-9)
+    before = stretch(scene.sound[0][:, 1])
+    place = scene.place[slot]
+    np.testing.assert_array_equal(place, np.flatnonzero(before >= 0))
+    inside = before[place] >= whitener.order
+    np.testing.assert_allclose(stacked.columns[inside, 1], weighted[place[inside]], atol=1e-9)
+    assert inside.any() and not inside.all()
 
 
 def test_a_healthy_arm_leaves_white_noise_of_variance_one(prepared):

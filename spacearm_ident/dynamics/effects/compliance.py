@@ -3,7 +3,7 @@
 The motor's encoder says q; the link is at q - d, because the gear (or the link, or the base) has given way by d under
 the torque it carries. d follows from the link side alone, driven by the rigid arm's load along the recording:
 
-    M d'' + c d' + s(d) + G d = load,     s(d) = K d, or K times what exceeds the gap.
+    M d'' + c d' + s(d) + G d = load,     s(d) = K d, or K times what is beyond the gap.
 
 Recorded torque then differs from the rigid model's by -(M[:, a] d'' + G[:, a] d) (Spong 1987, linearised about the
 recorded motion).
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import ClassVar
 
 import numpy as np
@@ -25,13 +26,16 @@ from .effect import Effect, Options, each, known_axis, known_joint, nothing
 from .linearised import COARSE_HZ, Sensitivity, by_position, by_virtual_joint
 
 DAMPING_RATIO = 0.05
-CONTACT_HZ = 30.0
-"""Gear teeth in contact are as stiff as makes the link swing at this frequency: above what is looked at."""
-CONTACT_DAMPING = 0.3
-LARGEST_TURN = 0.5
-"""Phase, rad, that a swing between stops may advance in a sample: the integration is stable up to 2."""
+CONTACT_HZ = 40.0
+"""Gear teeth in contact are no stiffer than makes the link swing at this frequency: above what is looked at."""
+CONTACT_DAMPING = 0.35
+"""More than teeth have (0.03 to 0.17; Kasuba and Evans 1981): how long a bounce rings cannot be told from its start."""
+STEPS = 2
+"""A sample: a swing at `CONTACT_HZ` then advances by half a radian."""
 STIFFNESS_GRID = tuple(float(k) for k in np.geomspace(400.0, 120e3, 20))
-GAP_GRID = tuple(float(b) for b in np.geomspace(5e-4, 0.03, 10))
+GAP_GRID = tuple(float(b) for b in np.geomspace(2e-4, 0.02, 22))
+"""rad, dense: when the teeth meet again follows from how far apart they are."""
+CONTACT_GRID = (3e4, 1e5, 3e5)
 
 
 @dataclass(frozen=True)
@@ -42,16 +46,18 @@ class _Compliance(Effect):
         """About the axis that gives way."""
         raise NotImplementedError
 
-    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
-        """(N,) d and d'' for a value of the constant."""
-        raise NotImplementedError
+    def give(
+        self, sensitivity: Sensitivity, constants: Values, background: Background
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N,) d and d'' of a link on a spring; others say what is different."""
+        return spring(sensitivity, constants[0])
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the rows of all joints differ by."""
         if background is None or background.arm is None:
             return nothing(motion, range(len(motion.joints)), 1)
         sensitivity = self.sensitivity(motion, background)
-        give, acceleration = self.give(sensitivity, constants[0])
+        give, acceleration = self.give(sensitivity, constants, background)
         torque = -sensitivity.torque(give, acceleration)
         return each({row: torque[:, [row]] for row in range(torque.shape[1])})
 
@@ -76,24 +82,25 @@ def spring(sensitivity: Sensitivity, stiffness: float) -> tuple[FloatArray, Floa
     return _finer(give, acceleration, step, len(sensitivity.load))
 
 
-def gap(sensitivity: Sensitivity, width: float) -> tuple[FloatArray, FloatArray]:
-    """D (N,) rad and d'' of a link that hangs between two stops `width` apart."""
+def gap(sensitivity: Sensitivity, width: FloatArray, stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """D (N, p) rad and d'' of a link between two stops, for p pairs of width, rad, and contact stiffness, N·m/rad."""
     inertia = np.maximum(sensitivity.own_inertia, 1e-6)
-    natural = min(2 * np.pi * CONTACT_HZ, LARGEST_TURN * sensitivity.rate_hz)
-    stiffness, damping = natural**2 * inertia, 2 * CONTACT_DAMPING * natural * inertia
-    h, half = 1 / sensitivity.rate_hz, 0.5 * width
-    first = float(sensitivity.load[0] / stiffness[0])
-    d, v = first + np.copysign(half, first), 0.0
-    give, acceleration = np.empty_like(inertia), np.empty_like(inertia)
-    columns = zip(sensitivity.load.tolist(), inertia.tolist(), stiffness.tolist(), damping.tolist())
-    for k, (force, mass, stiff, damp) in enumerate(columns):
-        beyond = d - half if d > half else d + half if d < -half else 0.0
-        torque = stiff * beyond + damp * v if beyond else 0.0
-        # A tooth pushes, it does not pull.
-        torque = torque if torque * beyond > 0 else 0.0
-        a = (force - torque) / mass
-        v += h * a
-        d += h * v
+    h, half = 1 / (STEPS * sensitivity.rate_hz), 0.5 * width
+    d = np.copysign(half, sensitivity.load[0])
+    d = d + sensitivity.load[0] / np.minimum(stiffness, (2 * np.pi * CONTACT_HZ) ** 2 * inertia[0])
+    v = np.zeros_like(d)
+    give, acceleration = np.empty((2, len(inertia), len(d)))
+    for k, (force, mass) in enumerate(zip(sensitivity.load.tolist(), inertia.tolist())):
+        stiff = np.minimum(stiffness, (2 * np.pi * CONTACT_HZ) ** 2 * mass)
+        damp = 2 * CONTACT_DAMPING * np.sqrt(stiff * mass)
+        for _ in range(STEPS):
+            beyond = d - np.minimum(np.maximum(d, -half), half)
+            push = stiff * beyond + damp * v
+            # Teeth push, they do not pull.
+            push *= push * beyond > 0
+            a = (force - push) / mass
+            v += h * a
+            d += h * v
         give[k], acceleration[k] = d, a
     return give, acceleration
 
@@ -126,10 +133,6 @@ class JointElasticity(_Compliance):
         """About the joint's own axis."""
         return by_position(motion, background, motion.joints.index(self.place["joint"]))
 
-    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
-        """Of a spring."""
-        return spring(sensitivity, constant)
-
 
 @dataclass(frozen=True)
 class Backlash(_Compliance):
@@ -137,7 +140,7 @@ class Backlash(_Compliance):
 
     kind: ClassVar[str] = "backlash"
     words: ClassVar[str] = "play in the gear"
-    equation: ClassVar[str] = "-(M d'' + G d), d free within the gap"
+    equation: ClassVar[str] = "-(M d'' + G d), d free within the gap, on a spring beyond"
     source: ClassVar[str] = "Nordin and Gutman 2002"
     confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "presliding_hysteresis", "time_delay")
     experiment: ClassVar[str] = "slow reversals of the load (not only of the speed): gravity from either side"
@@ -147,17 +150,27 @@ class Backlash(_Compliance):
         """At one joint."""
         joint = known_joint(arm, place)
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
-        return cls((share,), (Constant("gap", joint, "rad", GAP_GRID),), place=place)
+        gap_ = Constant("gap", joint, "rad", GAP_GRID)
+        return cls((share,), (gap_, Constant("stiffness", joint, "N m/rad", CONTACT_GRID)), place=place)
 
     def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
         """About the joint's own axis."""
         return by_position(motion, background, motion.joints.index(self.place["joint"]))
 
-    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
-        """Of a gap: what it adds to the same teeth without one."""
-        wide, wide_acceleration = gap(sensitivity, constant)
-        tight, tight_acceleration = gap(sensitivity, 0.0)
-        return wide - tight, wide_acceleration - tight_acceleration
+    def give(
+        self, sensitivity: Sensitivity, constants: Values, background: Background
+    ) -> tuple[FloatArray, FloatArray]:
+        """Of a gap; those of the whole grid are computed at once."""
+        points = list(product(*(constant.grid for constant in self.constants)))
+        if tuple(constants) not in points:
+            give, acceleration = gap(sensitivity, *np.array([constants]).T)
+            return give[:, 0], acceleration[:, 0]
+        gives, accelerations = background.keep(
+            ("gap", self.place["joint"]),
+            lambda: [x.astype(np.float32) for x in gap(sensitivity, *np.array(points).T)],
+        )
+        which = points.index(tuple(constants))
+        return gives[:, which].astype(float), accelerations[:, which].astype(float)
 
 
 def _across(axis: FloatArray) -> list[tuple[float, ...]]:
@@ -200,10 +213,6 @@ class LinkFlexibility(_Compliance):
         link = motion.joints.index(self.place["joint"])
         return by_virtual_joint(motion, background, link, tuple(self.place["axis"]))
 
-    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
-        """Of a spring."""
-        return spring(sensitivity, constant)
-
 
 @dataclass(frozen=True)
 class BaseFlexibility(_Compliance):
@@ -237,7 +246,3 @@ class BaseFlexibility(_Compliance):
     def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
         """About a hinge at the base."""
         return by_virtual_joint(motion, background, -1, tuple(self.place["axis"]))
-
-    def give(self, sensitivity: Sensitivity, constant: float) -> tuple[FloatArray, FloatArray]:
-        """Of a spring."""
-        return spring(sensitivity, constant)

@@ -260,7 +260,7 @@ _CONVERTERS: dict[str, Callable[[_Found], Values]] = {
     "vacuum_friction": lambda found: {"fraction": found["share"]},
     "torque_ripple": _ripple,
     "joint_elasticity": _elasticity,
-    "backlash": lambda found: {"gap": found["gap"] * found.share},
+    "backlash": lambda found: {"gap": found["gap"] * found.share, "stiffness": found["stiffness"]},
     "harness_spring": _harness,
     "rotor_coupling": _rotor_coupling,
     "wrist_coupling": _wrist_coupling,

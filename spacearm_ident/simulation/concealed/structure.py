@@ -80,7 +80,7 @@ class Backlash(Effect):
     parameters: ClassVar = {
         "gap": Parameter("rad", 1e-3, 2e-2),
         "stiffness": Parameter("N m/rad", 1e4, 8e4, 3e4),
-        "damping": Parameter("N m s/rad", 1.0, 40.0, 15.0),
+        "damping": Parameter("N m s/rad", 1.0, 400.0, 15.0),
     }
 
     def build(self, structure: Structure) -> None:
