@@ -23,7 +23,7 @@ from ..arm import Arm, FloatArray
 from ..background import Background
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, each, known_axis, known_joint, nothing
-from .linearised import COARSE_HZ, Sensitivity, by_position, by_virtual_joint
+from .linearised import COARSE_HZ, Sensitivity, by_position, by_virtual_joint, next_joint
 
 DAMPING_RATIO = 0.05
 CONTACT_HZ = 40.0
@@ -32,6 +32,11 @@ CONTACT_DAMPING = 0.35
 """More than teeth have (0.03 to 0.17; Kasuba and Evans 1981): how long a bounce rings cannot be told from its start."""
 STEPS = 2
 """A sample: a swing at `CONTACT_HZ` then advances by half a radian."""
+HALFWAY = 0.5
+SHORTEST_M = 0.02
+"""A shorter link is a block, not a beam."""
+ALONG = 0.1
+"""A joint's axis this near its link's length (sine) turns the link; it cannot bend it."""
 STIFFNESS_GRID = tuple(float(k) for k in np.geomspace(400.0, 120e3, 20))
 GAP_GRID = tuple(float(b) for b in np.geomspace(2e-4, 0.02, 22))
 """rad, dense: when the teeth meet again follows from how far apart they are."""
@@ -173,45 +178,50 @@ class Backlash(_Compliance):
         return gives[:, which].astype(float), accelerations[:, which].astype(float)
 
 
-def _across(axis: FloatArray) -> list[tuple[float, ...]]:
-    """Two directions across an axis, along coordinates where possible."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(axis, helper)
-    first /= np.linalg.norm(first)
-    second = np.cross(axis, first)
-    return [tuple(float(np.round(x, 9)) for x in direction) for direction in (first, second)]
+def _square_to(length: FloatArray, axis: FloatArray) -> list[tuple[float, ...]]:
+    """Two directions square to a link's length: as near the joint's axis as can be, and across both."""
+    along = length / np.linalg.norm(length)
+    near = axis - (axis @ along) * along
+    if np.linalg.norm(near) < ALONG:
+        near = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
+    near /= np.linalg.norm(near)
+    return [tuple(float(np.round(x, 9)) for x in direction) for direction in (near, np.cross(along, near))]
 
 
 @dataclass(frozen=True)
 class LinkFlexibility(_Compliance):
-    """A link bends: a hinge with a spring across the joint's axis."""
+    """A link bends: a sprung hinge halfway to the next joint, where a beam under a moment at its end has its bend."""
 
     kind: ClassVar[str] = "link_flexibility"
     words: ClassVar[str] = "the link bends"
-    equation: ClassVar[str] = "-(M d'' + G d) about an axis across the joint's"
+    equation: ClassVar[str] = "-(M d'' + G d) about a hinge square to the link's length"
     source: ClassVar[str] = "lumped first mode; De Luca and Siciliano 1991"
     confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "base_flexibility", "backlash")
     experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Each link, about two axes."""
-        for joint in arm.joints:
-            for axis in _across(joint.axis):
-                yield {"joint": joint.name, "axis": list(axis)}
+        """Each link that another follows, about two axes."""
+        for number, joint in enumerate(arm.joints):
+            length = next_joint(arm, number)
+            if np.linalg.norm(length) > SHORTEST_M:
+                for axis in _square_to(length, joint.axis):
+                    yield {"joint": joint.name, "axis": list(axis), "along": HALFWAY}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """The link of one joint, about `axis` in its frame."""
+        """The link of one joint, about `axis` in its frame, `along` of the way to the next joint (0: at its root)."""
         known_axis(place)
+        if not 0.0 <= float(place.get("along", 0.0)) <= 1.0:
+            raise ValueError("along is a share of the way to the next joint, 0 to 1")
         joint = known_joint(arm, place)
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("stiffness", joint, "N m/rad", STIFFNESS_GRID),), place=place)
 
     def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
-        """About a hinge across the joint's axis."""
-        link = motion.joints.index(self.place["joint"])
-        return by_virtual_joint(motion, background, link, tuple(self.place["axis"]))
+        """About a hinge in the link."""
+        link, along = motion.joints.index(self.place["joint"]), float(self.place.get("along", 0.0))
+        return by_virtual_joint(motion, background, link, tuple(self.place["axis"]), along)
 
 
 @dataclass(frozen=True)

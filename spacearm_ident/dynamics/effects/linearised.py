@@ -56,31 +56,51 @@ def by_position(motion: Motion, background: Background, joint: int) -> Sensitivi
     return background.keep(("position", joint), lambda: _sensitivity(motion, background, arm, joint, {}))  # type: ignore[no-any-return]
 
 
-def by_virtual_joint(motion: Motion, background: Background, link: int, axis: tuple[float, ...]) -> Sensitivity:
-    """Sensitivity to a hinge that the arm does not have: at the root of link `link` (-1: of the base), about `axis`."""
+def by_virtual_joint(
+    motion: Motion, background: Background, link: int, axis: tuple[float, ...], along: float = 0.0
+) -> Sensitivity:
+    """Sensitivity to a hinge that the arm does not have: in link `link` (-1: the base), about `axis`.
+
+    Args:
+        motion: What was recorded.
+        background: What the model says of it.
+        link: Number of the link.
+        axis: In the link's frame.
+        along: Where: 0 at the link's root, whose own mass then hangs on the hinge; else so much of the way to the next
+            joint, and only what follows hangs on it.
+    """
     assert background.arm is not None
-    arm, places = with_virtual_joint(background.arm, link, np.array(axis, dtype=float))
+    offset = along * next_joint(background.arm, link) if along else np.zeros(3)
+    arm, places = with_virtual_joint(background.arm, link, np.array(axis, dtype=float), offset)
     return background.keep(  # type: ignore[no-any-return]
-        ("virtual", link, axis), lambda: _sensitivity(motion, background, arm, link + 1, places)
+        ("virtual", link, axis, along), lambda: _sensitivity(motion, background, arm, link + 1, places, along == 0.0)
     )
 
 
-def with_virtual_joint(arm: Arm, link: int, axis: FloatArray) -> tuple[Arm, dict[int, int]]:
-    """The arm with a hinge between joint `link` and its link, at number `link + 1`.
+def next_joint(arm: Arm, link: int) -> FloatArray:
+    """(3,) m, where in the frame of a link the next joint is; zero where none follows."""
+    return next((joint.translation for joint in arm.joints if joint.parent == link), np.zeros(3))
+
+
+def with_virtual_joint(arm: Arm, link: int, axis: FloatArray, offset: FloatArray) -> tuple[Arm, dict[int, int]]:
+    """The arm with a hinge in link `link`, (3,) m off its root, at number `link + 1`.
 
     Returns:
-        The arm, and the new number of each joint by its old one. The joint `link` keeps its place and carries nothing;
-        the hinge carries what it carried.
+        The arm, and the new number of each joint by its old one. The joint `link` keeps its place; the hinge carries
+        the joints that it carried.
     """
     places = {k: k if k <= link else k + 1 for k in range(len(arm.joints))}
-    hinge = Joint("hinge", link, True, axis, np.eye(3), np.zeros(3), np.zeros(10))
+    hinge = Joint("hinge", link, True, axis, np.eye(3), offset, np.zeros(10))
     joints: list[Joint] = []
     for k, joint in enumerate(arm.joints):
         if k == link + 1:
             joints.append(hinge)
-        parent = joint.parent
-        parent = link + 1 if parent == link else (-1 if parent < 0 else places[parent])
-        joints.append(replace(joint, parent=parent))
+        parent, translation = joint.parent, joint.translation
+        if parent == link:
+            parent, translation = link + 1, translation - offset
+        else:
+            parent = -1 if parent < 0 else places[parent]
+        joints.append(replace(joint, parent=parent, translation=translation))
     if link + 1 == len(arm.joints):
         joints.append(hinge)
     return replace(arm, joints=tuple(joints), couplings=()), places
@@ -98,14 +118,16 @@ def rigid_torque(
     return torque
 
 
-def _sensitivity(motion: Motion, background: Background, arm: Arm, axis: int, places: dict[int, int]) -> Sensitivity:
-    """Computed on a coarse grid, then interpolated."""
+def _sensitivity(
+    motion: Motion, background: Background, arm: Arm, axis: int, places: dict[int, int], whole: bool = True
+) -> Sensitivity:
+    """Computed on a coarse grid, then interpolated; `whole`: the link's own mass is beyond the hinge."""
     assert background.arm is not None and background.inertials is not None
     count = len(arm.joints)
     real = [places.get(k, k) for k in range(len(background.arm.joints))]
     inertials = np.zeros((count, 10))
     inertials[real] = background.inertials
-    if count > len(real) and axis > 0:
+    if count > len(real) and axis > 0 and whole:
         # What hung on the joint before the hinge hangs on the hinge.
         inertials[axis] = inertials[axis - 1]
         inertials[axis - 1] = 0.0
