@@ -102,7 +102,7 @@ def _draw(axes: Axes, trend: Trend) -> None:
     item = trend.estimates[0]
     unit = unit_text(item.unit)
     behind = f", {unit}" if unit else ""
-    axes.set_title(short(item.name, LONGEST_TITLE - len(behind)) + behind, fontsize=7.5, x=TITLE_AT)
+    axes.set_title(short(item.name, LONGEST_TITLE - len(behind)) + behind, fontsize=7.5, x=TITLE_AT, pad=6)
     axes.margins(x=0.08)
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}".replace("-", MINUS)))
