@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv demo test lint types clean
+.PHONY: venv demo test lint clean
 
 venv: .venv/.ready
 
@@ -24,8 +24,6 @@ test: venv lint
 lint: venv
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-
-types: venv
 	$(BIN)/mypy
 
 clean:

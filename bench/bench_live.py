@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from bench_publish import cpu_s
@@ -33,6 +34,7 @@ from spacearm_ident.report.store import load_result
 TABLE_2_NM = (3.9462, 5.0670, 3.2432, 1.4323, 1.0583, 1.1698)
 """RMSE of the paper's validation, joint by joint (Jing et al. 2025, table 2)."""
 SMALLEST_R = 0.97
+CYCLE_S = 1e-3
 
 
 def cpu_times(chain: Chain) -> dict[str, float]:
@@ -62,20 +64,39 @@ def live(folder: Path) -> None:
     print(f"set-points    {streamed['set_points']} in the last run, {streamed['late']} late")
     print(f"drives        {arm['physics_steps_skipped']} steps skipped, {arm['sync_unanswered']} SYNCs unanswered")
     print("CPU           " + ", ".join(f"{name} {share:.0%}" for name, share in shares.items()) + " of a core")
-    count_samples(next((folder / "recordings").glob("*/")))
-
-
-def count_samples(bag: Path) -> None:
-    """Compare the samples in the bag with what the driver says in the same bag, between two of its words."""
-    first, last = said_by_driver(bag)
-    stamps = 1e-9 * read_recording(bag).start_ns + read_recording(bag).time
-    inside = stamps[(stamps > first[0]) & (stamps <= last[0])]
-    slots = round(np.ptp(inside) / 1e-3) + 1
-    samples, missed, incomplete = (after - before for before, after in zip(first[1:], last[1:]))
+    found = count_samples(next((folder / "recordings").glob("*/")))
     print(
-        f"samples       {slots} slots, {samples} published, {len(inside)} in the bag ({missed} slots missed, "
-        f"{incomplete} incomplete: {slots - len(inside)} without); largest gap {1e3 * np.diff(inside).max():.0f} ms"
+        "samples       {slots} slots, {published} published, {in_bag} in the bag ({missed} slots missed, "
+        "{incomplete} incomplete: {without} without); largest gap {largest_gap_ms:.0f} ms".format(**found)
     )
+
+
+def count_samples(bag: Path) -> dict[str, Any]:
+    """Compare the samples in the bag with what the driver says in the same bag, between two of its words.
+
+    Returns:
+        Slots of the cycle; samples published and in the bag; slots missed, incomplete and without a sample; gaps, the
+        largest in ms, and by how many µs intervals without a gap differ from the cycle (50, 99 and 99.9 %).
+    """
+    first, last = said_by_driver(bag)
+    recording = read_recording(bag)
+    stamps = 1e-9 * recording.start_ns + recording.time
+    inside = stamps[(stamps > first[0]) & (stamps <= last[0])]
+    slots = round(np.ptp(inside) / CYCLE_S) + 1
+    samples, missed, incomplete = (after - before for before, after in zip(first[1:], last[1:]))
+    steps = np.diff(inside)
+    off = np.abs(steps[steps < 1.5 * CYCLE_S] - CYCLE_S)
+    return {
+        "slots": slots,
+        "published": samples,
+        "in_bag": len(inside),
+        "missed": missed,
+        "incomplete": incomplete,
+        "without": slots - len(inside),
+        "gaps": sum(issue.count for issue in recording.issues if issue.kind == "gap"),
+        "largest_gap_ms": 1e3 * float(steps.max()),
+        "jitter_us": [1e6 * float(value) for value in np.quantile(off, (0.5, 0.99, 0.999))],
+    }
 
 
 def said_by_driver(bag: Path) -> list[tuple[float, int, int, int]]:

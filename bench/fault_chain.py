@@ -152,10 +152,11 @@ class BreakableChain(Chain):
 
     def held(self) -> dict[str, tuple[int, int, int]]:
         """Of each node: file descriptors, threads, MiB of memory."""
-        return {name: _held(pid) for name, pid in self.processes.items() if self.alive(name)}
+        return {name: held(pid) for name, pid in self.processes.items() if self.alive(name)}
 
 
-def _held(pid: int) -> tuple[int, int, int]:
+def held(pid: int) -> tuple[int, int, int]:
+    """Of a process: file descriptors, threads, MiB of memory."""
     status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     return (
         len(os.listdir(f"/proc/{pid}/fd")),

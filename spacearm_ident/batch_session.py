@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .bag_session import Options, identify_bags
 from .documents import file_sha256
 from .dynamics.arm import load_arm
@@ -147,7 +149,7 @@ def check(options: Options) -> None:
     prior = load_prior(options.prior) if options.prior else None
     arm = load_arm(options.arm) if options.arm else prior.model.model.arm if prior else None
     if arm is not None:
-        arm = arm if options.gravity is None else arm.with_gravity(options.gravity)
+        arm = arm if options.gravity is None else arm.with_gravity(np.array(options.gravity))
         options.settings(arm, prior)
     elif options.structure is not None:
         load_model(options.structure)

@@ -53,7 +53,7 @@ class Estimate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % confidence interval (NaN, NaN where there is no standard error)."""
+        """95 % confidence interval; NaN, NaN where there is no standard error."""
         half = self.factor * self.standard_error
         return (self.value - half, self.value + half)
 

@@ -67,7 +67,7 @@ class _Table:
     values: FloatArray
 
     def at(self, logarithm: FloatArray) -> FloatArray:
-        """(N, w) at (N,) places, by the barycentric formula (Berrut and Trefethen 2004)."""
+        """Values (N, w) at N places, by the barycentric formula (Berrut and Trefethen 2004)."""
         signs = (-1.0) ** np.arange(len(self.points))
         signs[[0, -1]] /= 2
         difference = logarithm[:, None] - self.points

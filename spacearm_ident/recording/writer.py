@@ -204,7 +204,7 @@ def _disk(path: Path) -> Iterator[None]:
 
 
 def _loaded(qos: str) -> list[dict[str, Any]]:
-    """QoS of a channel as a list; what cannot be understood is an unknown QoS."""
+    """A channel's QoS as a list; what cannot be understood is an unknown QoS."""
     try:
         loaded = parse_yaml(qos, "the QoS")
     except UserError:

@@ -218,8 +218,8 @@ def _runs(entries: Sequence[Entry]) -> Markup:
         "lowest R",
         "moved since the run before",
     )
-    texts = (0, 1, 2, 3, 4, 7)
-    header = element("tr", *(element("th", h, class_="text" if k in texts else None) for k, h in enumerate(heads)))
+    kinds = ("text", "text", "text", "text", "text", "wrap", "wrap", "text wrap")
+    header = element("tr", *(element("th", head, class_=kind) for head, kind in zip(heads, kinds)))
     rows, last = [], dict[tuple[str, ...], Entry]()
     for entry in entries:
         if entry.result is None:

@@ -53,6 +53,7 @@ table { border-collapse: collapse; font-size: 13.5px; font-variant-numeric: tabu
 th, td { padding: 3px 10px; text-align: right; white-space: nowrap; border-bottom: 1px solid var(--line); }
 th { font-weight: 600; } thead th { color: var(--muted); font-weight: 500; vertical-align: bottom; }
 th.text, td.text { text-align: left; } td.wrap, th.wrap { white-space: normal; overflow-wrap: anywhere; }
+tbody th.wrap { min-width: 15ch; } td.wrap { min-width: 9ch; } thead th.wrap { overflow-wrap: normal; }
 tbody.group { border-top: 1.5px solid var(--line); break-inside: avoid; }
 tbody.group th { vertical-align: top; max-width: 200px; white-space: normal; overflow-wrap: anywhere; }
 td[rowspan] { vertical-align: top; }

@@ -57,10 +57,11 @@ def write_summary(
     found = find_results(directory, progress)
     failures = {row.name: row.reason for row in rows if row.status != IDENTIFIED}
     results = {entry.name: entry.result for entry in found if entry.result and entry.name not in failures}
+    described = [_run(row, results.get(row.name)) for row in rows]
     document = {
         "schema": SCHEMA,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        "runs": [_run(row, results.get(row.name)) for row in rows],
+        "runs": described,
         "trends": [
             trend_dict(arm, trend)
             for arm, runs in runs_by_arm(results[row.name] for row in rows if row.name in results).items()
@@ -73,7 +74,7 @@ def write_summary(
     with replacing(directory, marker=None) as staging:
         text = json.dumps(document, indent=1, allow_nan=False)
         (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
-        (staging / TABLE).write_text(summary_csv(document["runs"]), encoding="utf-8")
+        (staging / TABLE).write_text(summary_csv(described), encoding="utf-8")
         page = index_html(directory.resolve().name, entries, find_mismatches(directory))
         (staging / INDEX).write_text(page, encoding="utf-8")
     return document

@@ -18,7 +18,10 @@ from .trends import DATE, LEVEL, TEMPERATURE, Arm, Run, Trend, trends
 FRICTION = ("f_c", "f_b", "k_v1", "v_b")
 WORDS = {DATE: "the date of recording", TEMPERATURE: "the joint's mean temperature"}
 MOST_NAMED = 12
-LONGEST_TITLE = 24
+LONGEST_TITLE = 37
+"""Characters, unit and all, that fit over a panel and its tick labels."""
+TITLE_AT = -0.27
+"""Where it begins, in widths of the panel: over the tick labels."""
 WIDEST_BAR = 3.0
 """An interval wider than so many times the spread of its panel runs out of the picture."""
 
@@ -98,7 +101,8 @@ def _draw(axes: Axes, trend: Trend) -> None:
     axes.set_ylim(bottom - 0.08 * (top - bottom or spread), top + 0.08 * (top - bottom or spread))
     item = trend.estimates[0]
     unit = unit_text(item.unit)
-    axes.set_title(short(item.name, LONGEST_TITLE) + (f", {unit}" if unit else ""), fontsize=7.5)
+    behind = f", {unit}" if unit else ""
+    axes.set_title(short(item.name, LONGEST_TITLE - len(behind)) + behind, fontsize=7.5, x=TITLE_AT, pad=6)
     axes.margins(x=0.08)
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}".replace("-", MINUS)))

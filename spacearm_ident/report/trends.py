@@ -109,9 +109,9 @@ def trends(runs: Sequence[Run], over: str) -> list[Trend]:
     points: dict[str, list[tuple[float, Estimate]]] = {}
     for run in runs:
         for item in run.estimates:
-            x = run.moment.start.timestamp() if over == DATE else run.moment.temperature.get(item.joint, math.nan)
-            if item.identifiable and math.isfinite(x) and 0.0 < item.standard_error < math.inf:
-                points.setdefault(item.name, []).append((x, item))
+            at = run.moment.start.timestamp() if over == DATE else run.moment.temperature.get(item.joint, math.nan)
+            if item.identifiable and math.isfinite(at) and 0.0 < item.standard_error < math.inf:
+                points.setdefault(item.name, []).append((at, item))
     found = []
     for pairs in points.values():
         pairs.sort(key=lambda pair: pair[0])

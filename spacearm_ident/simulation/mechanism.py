@@ -79,7 +79,7 @@ class Mechanism(Protocol):
         """(n,) N·m the gears pass on to the links, that is without rotors and joint friction."""
 
     def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
-        """(13,) pose of the base (m, quaternion x y z w) and its twist in its own axes (m/s, rad/s); None: fixed."""
+        """Pose of the base (m, quaternion x y z w), then its twist in its own axes (m/s, rad/s): 13; None: fixed."""
 
 
 class RigidMechanism:
