@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from planted_arm import THREE_LINKS, Link, real, trees, urdf_of
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
-from spacearm_ident.dynamics.regressor import BASE_LINK, BASE_ROWS, regressor, rigid_body_blocks
+from spacearm_ident.dynamics.regressor import BASE_LINK, BASE_ROWS, regressor, rigid_body_blocks, rigid_body_torque
 from spacearm_ident.recording.base_motion import BaseMotion
 
 SAMPLES = 4
@@ -55,7 +55,10 @@ def test_it_is_pinocchio_s_on_any_tree(links, gravity, seed):
     scale = max(1.0, np.abs(columns).max())
     np.testing.assert_allclose(mine, columns, rtol=0, atol=1e-10 * scale)
     inertials = np.concatenate([joint.inertial for joint in arm.joints])
-    np.testing.assert_allclose(mine @ inertials, torque, rtol=0, atol=1e-9 * max(1.0, np.abs(torque).max()))
+    close = 1e-9 * max(1.0, np.abs(torque).max())
+    np.testing.assert_allclose(mine @ inertials, torque, rtol=0, atol=close)
+    direct = rigid_body_torque(arm, inertials.reshape(-1, 10), q, qd, qdd)
+    np.testing.assert_allclose(direct, torque, rtol=0, atol=close)
 
 
 @given(links=trees(), seed=st.integers(0, 2**32 - 1))
@@ -88,6 +91,12 @@ def test_on_a_moving_base_it_is_pinocchio_s_on_a_free_flyer(links, seed):
     plain = rigid_body_blocks(arm, q, qd, qdd, base)
     assert set(plain) == {place for place in blocks if place[0] >= 0}
     assert all(np.array_equal(plain[place], blocks[place]) for place in plain)
+    inertials = rng.uniform(-3, 3, (count, 10))  # The formula is linear: no link has to exist.
+    torque = np.zeros((SAMPLES, count))
+    for (row, link), block in plain.items():
+        torque[:, row] += inertials[link] @ block
+    direct = rigid_body_torque(arm, inertials, q, qd, qdd, base)
+    np.testing.assert_allclose(direct, torque, rtol=0, atol=1e-10 * max(1.0, np.abs(torque).max()))
 
 
 def test_blocks_are_there_exactly_where_a_joint_carries_a_link():

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 
 from ..errors import UserError
 from ..recording.motion import Motion
@@ -50,21 +51,20 @@ def bristle_state(target: FloatArray, travel: FloatArray, distance: float, cycli
         cyclic: Whether the last sample is followed by the first; then the periodic solution.
 
     Returns:
-        (N, k), the linear recurrence z_i = a_i z_(i-1) + (1 - a_i) target_i, a_i = exp(-travel_i/distance), by
-        recursive doubling: log2(N) vector operations instead of N steps.
+        (N, k), the linear recurrence z_i = a_i z_(i-1) + (1 - a_i) target_i, a_i = exp(-travel_i/distance): a
+        bidiagonal system, solved forwards.
     """
     if distance <= 0.0:
         return target
-    decay = np.exp(-travel / distance)[:, None]
-    state = (1.0 - decay) * target
-    shift = 1
-    while shift < len(state):
-        state[shift:] += decay[shift:] * state[:-shift]
-        decay[shift:] = decay[shift:] * decay[:-shift]
-        shift *= 2
+    decay = np.exp(-travel / distance)
+    band = np.ones((2, len(decay)), order="F")
+    band[1, :-1] = -decay[1:]
+    driven = np.asfortranarray((1.0 - decay)[:, None] * target)
+    state = np.asarray(dtbtrs(band, driven, uplo="L", diag="U", overwrite_b=True)[0])
     if cyclic:
-        # `decay` is now that from the first sample on: the state before it is that at the end of the cycle.
-        state += decay * state[-1] / max(1.0 - float(decay[-1, 0]), 1e-12)
+        # The state before the first sample is that at the end of the cycle.
+        since_first = np.exp(-np.cumsum(travel) / distance)
+        state += np.outer(since_first, state[-1] / max(1.0 - since_first[-1], 1e-12))
     return state
 
 
@@ -138,12 +138,12 @@ class StribeckFriction(Term):
         sign = np.sign(velocity) * (speed > 0)
         # v_b = 0 is Coulomb friction at every speed: the static column is empty, f_b moves no torque.
         share = np.exp(-((velocity / width) ** 2)) if stribeck_velocity > 0 else np.zeros_like(sign)
-        target = np.stack([sign, sign * share], axis=1)
+        target = np.stack([sign, sign * share]).T
         coulomb, static = bristle_state(target, speed / motion.rate_hz, distance, motion.cyclic).T
         columns = [coulomb - static, static]
         if self.loaded:
             columns.append(np.zeros_like(coulomb) if background is None else coulomb * np.abs(background.load[:, row]))
-        return {row: (list(range(len(columns))), np.stack(columns, axis=1))}
+        return {row: (list(range(len(columns))), np.stack(columns).T)}
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from .background import Background
 from .coupling import CoupledMotor
 from .effects import EFFECTS, Effect
 from .friction import StribeckFriction, ViscousFriction
+from .regressor import rigid_body_torque
 from .rigid_body import JointSpring, RigidBody, RotorInertia, TorqueOffset
 from .term import Constant, Parameter, Term, chosen_joints
 
@@ -186,9 +187,19 @@ class TorqueModel:
             self.arm,
             inertials,
             {item.name: float(value) for item, value in zip(self.parameters, parameters)},
-            lambda: self.torque(motion, parameters, constants, (RigidBody.kind,)),
+            lambda: self._load(motion, inertials),
             lambda: self.torque(motion, parameters, constants, healthy),
         )
+
+    def _load(self, motion: Motion, inertials: FloatArray | None) -> FloatArray:
+        """(N, n) torque of the rigid bodies along a motion, N·m."""
+        load = np.zeros(motion.position.shape)
+        if inertials is not None:
+            for part in motion.pieces():
+                piece = motion[part]
+                state = piece.position, piece.velocity, piece.acceleration
+                load[part] = rigid_body_torque(self.arm, inertials, *state, piece.base)
+        return load
 
     @cached_property
     def friction_kinds(self) -> tuple[str, ...]:

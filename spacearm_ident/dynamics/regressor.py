@@ -65,16 +65,44 @@ def rigid_body_blocks(
         (joint row, link) -> (10, N) columns, one row a parameter, N·m (N) per unit of it. A base row is numbered as
         in `BASE_ROWS`, the base link `BASE_LINK`.
     """
-    motions: list[_LinkMotion] = []
     root = _base_motion(arm, len(position), base, base_rows)
     blocks = {(row, BASE_LINK): _block(*twist, root) for row, twist in root.twists.items()}
-    for link, joint in enumerate(arm.joints):
-        carrier = root if joint.parent < 0 else motions[joint.parent]
-        motion = _child_motion(joint, link, carrier, position[:, link], velocity[:, link], acceleration[:, link])
-        motions.append(motion)
+    for link, motion in enumerate(_link_motions(arm, root, position, velocity, acceleration)):
         for row, (linear, angular) in motion.twists.items():
             blocks[row, link] = _block(linear, angular, motion)
     return blocks
+
+
+def rigid_body_torque(
+    arm: Arm,
+    inertials: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    base: BaseMotion | None = None,
+) -> FloatArray:
+    """(N, n) torque of links whose inertials (n, 10) are known, N·m: the regressor times them, sooner.
+
+    The wrench of each link is summed before the twists are: arguments otherwise as of `rigid_body_blocks`.
+    """
+    torque = np.zeros((len(arm.joints), len(position)))
+    root = _base_motion(arm, len(position), base, False)
+    for phi, motion in zip(inertials, _link_motions(arm, root, position, velocity, acceleration)):
+        force, moment = _wrench(phi, motion)
+        for row, (linear, angular) in motion.twists.items():
+            torque[row] += (linear * force + angular * moment).sum(axis=0)
+    return torque.T
+
+
+def _link_motions(
+    arm: Arm, root: _LinkMotion, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+) -> list[_LinkMotion]:
+    """All links' motions, base to tip."""
+    motions: list[_LinkMotion] = []
+    for link, joint in enumerate(arm.joints):
+        carrier = root if joint.parent < 0 else motions[joint.parent]
+        motions.append(_child_motion(joint, link, carrier, position[:, link], velocity[:, link], acceleration[:, link]))
+    return motions
 
 
 def _base_motion(arm: Arm, samples: int, base: BaseMotion | None, rows: bool) -> _LinkMotion:
@@ -150,6 +178,15 @@ def _to_child(rotation: FloatArray, vector: FloatArray) -> FloatArray:
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross product of (3, N) or (3, 1) vectors; several times faster than `numpy.cross`."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _wrench(phi: FloatArray, motion: _LinkMotion) -> tuple[FloatArray, FloatArray]:
+    """(3, N) force, and moment about its frame's origin, that carry a link of inertials `phi` (10,)."""
+    omega, epsilon, accel = motion.omega, motion.epsilon, motion.accel
+    first = phi[1:4, None]
+    inertia = phi[[4, 5, 7, 5, 6, 8, 7, 8, 9]].reshape(3, 3)
+    force = phi[0] * accel + _cross(epsilon, first) + _cross(omega, _cross(omega, first))
+    return force, _cross(first, accel) + inertia @ epsilon + _cross(omega, inertia @ omega)
 
 
 def _block(linear: FloatArray, angular: FloatArray, motion: _LinkMotion) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -39,10 +40,14 @@ class Prior:
     held: FloatArray
     free: np.ndarray
 
+    @cached_property
+    def _fixed(self) -> np.ndarray:
+        """Numbers of the parameters that are not estimated."""
+        return np.setdiff1d(np.arange(len(self.held)), self.free)
+
     def fixed_part(self, matrix: FloatArray) -> FloatArray:
         """(r,) what the parameters that are not estimated contribute to a system's rows (r, p or more)."""
-        fixed = np.setdiff1d(np.arange(len(self.held)), self.free)
-        return np.asarray(matrix[:, fixed] @ self.held[fixed])
+        return np.asarray(matrix[:, self._fixed] @ self.held[self._fixed])
 
 
 def make_prior(model: TorqueModel, motions: Sequence[Motion]) -> Prior:
@@ -82,7 +87,8 @@ class _Sizes:
         which = self.joints.index(parameter.joint) if known else slice(None)
         size = float(np.mean(self.torque[which]))
         for power, signal in zip(parameter.dimension, (self.position, self.velocity, self.acceleration)):
-            size /= max(float(np.mean(signal[which])), 1e-3 * float(signal.max()), 1e-12) ** power
+            if power:
+                size /= max(float(np.mean(signal[which])), 1e-3 * float(signal.max()), 1e-12) ** power
         return size
 
 

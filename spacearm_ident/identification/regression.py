@@ -23,6 +23,8 @@ from ..dynamics.model import TorqueModel
 from ..dynamics.term import Term, Values
 from ..recording.motion import Motion
 
+KEPT_VALUES = 4_000_000
+"""So many rows of shaped columns are kept: with two columns a term, 64 MB."""
 DERIVATIVE_STEP = 1e-4
 """Step of the forward difference by a constant's logarithm."""
 NARROWEST_SHARE = 0.25
@@ -82,8 +84,10 @@ class Regression:
         self.motions = list(motions)
         self.background: list[Background | None] = [None] * len(self.motions)
         self._terms = list(model.numbered())
-        self._kept: dict[int, tuple[tuple[float, ...], Shaped]] = {}
+        self._kept: dict[tuple[int, tuple[float, ...]], Shaped] = {}
         self.rows = [self._rows(joint) for joint in range(len(model.arm.joints))]
+        longest = max(len(rows.torque) for rows in self.rows)
+        self._most_kept = max(4 * len(self._terms), KEPT_VALUES // max(longest, 1))
         self._fixed: list[tuple[Term, Shaped]] = []
         self._fill_fixed(known._fixed if known else [])
         for rows in self.rows:
@@ -140,11 +144,17 @@ class Regression:
         return self._moving(joint, np.concatenate([motion.reduce(part) for motion, part in zip(self.motions, columns)]))
 
     def shaped(self, term_number: int, constants: Values) -> Shaped:
-        """Columns of one term that has constants, at given values of them (the last ones asked for are kept)."""
-        key = tuple(float(value) for value in constants)
-        if self._kept.get(term_number, (None, {}))[0] != key:
-            self._kept[term_number] = key, self._shaped(term_number, key)
-        return self._kept[term_number][1]
+        """Columns of one term that has constants, at given values of them.
+
+        The last ones computed are kept, where there is room all of a grid's: it is searched under several weights.
+        """
+        values = tuple(float(value) for value in constants)
+        key = term_number, values
+        if key not in self._kept:
+            if len(self._kept) >= self._most_kept:
+                del self._kept[next(iter(self._kept))]
+            self._kept[key] = self._shaped(term_number, values)
+        return self._kept[key]
 
     def _shaped(self, term_number: int, constants: tuple[float, ...]) -> Shaped:
         term, first, _ = self._terms[term_number]

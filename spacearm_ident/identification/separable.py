@@ -119,6 +119,7 @@ class _Local:
         """Project out the joint's other columns; those that constants shape as they are at `constants`."""
         self._regression, self._term = regression, term
         self._others: dict[int, FloatArray] = {}
+        self._costs: dict[tuple[float, ...], float] = {}
         middle = constants[:0]
         for other, first, count in regression.shaped_terms():
             values = constants[first : first + count]
@@ -140,6 +141,12 @@ class _Local:
 
     def cost(self, constants: FloatArray) -> float:
         """Weighted squares left at these constants of the term; infinite where they are implausible."""
+        key = tuple(constants.tolist())
+        if key not in self._costs:
+            self._costs[key] = self._cost(constants)
+        return self._costs[key]
+
+    def _cost(self, constants: FloatArray) -> float:
         total, known = 0.0, self._regression.model.parameters
         for joint, (indices, shaped) in self._regression.shaped(self._term, constants).items():
             rows = self._regression.rows[joint]

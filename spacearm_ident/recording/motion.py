@@ -122,9 +122,13 @@ class Motion:
         """
         blocks = len(signal) // self.block
         tail = signal.shape[1:]
-        # A product with ones is several times as fast as a mean over an axis in the middle.
-        parts = signal[: blocks * self.block].reshape(blocks, self.block, -1)
-        mean = np.matmul(np.full(self.block, 1.0 / self.block), parts).reshape(blocks, *tail)
+        weights = np.full(self.block, 1.0 / self.block)
+        whole = signal[: blocks * self.block]
+        # A product with ones is several times as fast as a mean over an axis, and fastest along the memory.
+        if signal.ndim == 2 and signal.flags.f_contiguous:
+            mean = (whole.T.reshape(-1, blocks, self.block) @ weights).T
+        else:
+            mean = np.matmul(weights, whole.reshape(blocks, self.block, -1)).reshape(blocks, *tail)
         return np.asarray(self._low_pass @ mean)
 
     def smoothed(self, signal: FloatArray, cutoff_hz: float) -> FloatArray:
