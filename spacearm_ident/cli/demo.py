@@ -158,7 +158,13 @@ def enable(chain: Chain) -> None:
 
 
 def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None:
-    """Run an excitation; returns when the arm has been identified from it, or validated on it.
+    """Run an excitation; returns when the arm has been identified from it, or validated on it."""
+    go_through(chain, plan, file, report)
+    _identified(chain, plan, report)
+
+
+def go_through(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None:
+    """Run a trajectory; returns when the arm has come through it.
 
     A run that breaks off, on a machine too busy for the cycle, is told and begun again: `ATTEMPTS` times in all.
     """
@@ -171,7 +177,6 @@ def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None
             print(f"spacearm: the {plan.name} run was stopped: {reason}", file=sys.stderr)
             enable(chain)
         if complete:
-            _identified(chain, plan, report)
             return
     raise UserError(f"the {plan.name} run was stopped {ATTEMPTS} times: is this machine too busy?")
 
