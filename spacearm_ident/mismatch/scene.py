@@ -266,8 +266,9 @@ def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], 
             # Outliers (a contact, a lost sample, a reversal) are not to define the noise, nor to be its past.
             within = OUTLIER * 1.4826 * np.median(np.abs(target)) + floor
             sound = np.all(np.abs(np.column_stack([target, columns])) < within, axis=1)
-            coefficients = np.linalg.lstsq(columns[sound], target[sound], rcond=None)[0]
-            coefficients = stable(coefficients)
+            coefficients = stable(
+                np.asarray(np.linalg.lstsq(columns[sound], target[sound], rcond=None)[0], dtype=float)
+            )
             error = target[sound] - columns[sound] @ coefficients
             return Whitener(coefficients, max(float(np.sqrt(np.mean(error**2))), floor))
         order //= 2
