@@ -415,13 +415,13 @@ def test_a_floating_base_moves_as_momentum_demands():
         accelerated = -np.linalg.solve(inertia[:6, :6], inertia[:6, 6:] @ qdd + bias[:6])
         want.append(pin.rnea(model, data, whole, speed, np.concatenate([accelerated, qdd]))[6:])
     fixed = rnea(THREE_LINKS, W.position[some], W.velocity[some], W.acceleration[some], np.zeros(3))
-    made = torque(one("floating_base", ARM), W, [1.0], [mass, radius], background_of(ARM, W))
+    made = torque(one("floating_base", ARM), W, [1.0], [mass * radius**2, mass], background_of(ARM, W))
     np.testing.assert_allclose(made[some], np.array(want) - fixed, atol=1e-8)
     assert np.abs(made).max() > 0.1
 
 
 def test_a_base_as_heavy_as_a_house_does_not_float():
-    made = torque(one("floating_base", ARM), W, [1.0], [1e9, 10.0], background_of(ARM, W))
+    made = torque(one("floating_base", ARM), W, [1.0], [1e11, 1e9], background_of(ARM, W))
     np.testing.assert_allclose(made, 0.0, atol=1e-5)
 
 

@@ -170,11 +170,12 @@ class FloatingBase(Effect):
         """Of the base."""
         share = Parameter("share", "base", "1", prior=1.0, scale=0.0)
         total = max(sum(joint.inertial[0] for joint in arm.joints), 1.0)
-        mass = tuple(float(total * ratio) for ratio in (2, 3, 5, 8, 13, 22, 36, 60))
-        radius = (0.15, 0.25, 0.4, 0.6, 0.9)
-        return cls(
-            (share,), (Constant("mass", "base", "kg", mass), Constant("radius", "base", "m", radius)), place=place
-        )
+        # Not its radius of gyration: mass and radius are searched one after the other, and the data know their inertia
+        # first. A mass that is changed at a fixed radius hardly leaves its grid point.
+        inertia = tuple(float(total * ratio) for ratio in 0.1 * 2.0 ** np.arange(9))
+        mass = tuple(float(total * ratio) for ratio in (2, 3.5, 6, 11, 20, 36, 60))
+        constants = (Constant("inertia", "base", "kg m^2", inertia), Constant("mass", "base", "kg", mass))
+        return cls((share,), constants, place=place)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -190,6 +191,11 @@ class FloatingBase(Effect):
         free = background.keep("free", lambda: _FreeBase(arm, inertials, motion))
         torque = free.change(*constants)
         return each({row: torque[:, [row]] for row in rows})
+
+    def shown(self, values: FloatArray) -> Shown:
+        """Inertia and mass, and the radius of gyration that they make."""
+        turn, mass = map(float, values[1:3])
+        return {"mass": (mass, "kg"), "inertia": (turn, "kg m^2"), "radius": (float(np.sqrt(turn / mass)), "m")}
 
 
 class _FreeBase:
@@ -218,9 +224,8 @@ class _FreeBase:
         unit[:, axis] = 1.0
         return rigid_torque(self.arm, self.inertials, self.q, None, unit)
 
-    def change(self, mass: float, radius: float) -> FloatArray:
-        """(N, n) torque of the free arm less that of the fixed one, N·m."""
-        turn = mass * radius**2
+    def change(self, turn: float, mass: float) -> FloatArray:
+        """(N, n) torque of the free arm less that of the fixed one, N·m, by the base's inertia and mass."""
         own = np.diag([mass] * 3 + [turn] * 3)
         inertials = self.inertials.copy()
         inertials[5] = mass, 0.0, 0.0, 0.0, turn, 0.0, turn, 0.0, 0.0, turn

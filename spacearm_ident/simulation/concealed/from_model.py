@@ -201,7 +201,7 @@ def _floating_base(found: _Found) -> Values:
     if np.any(found.plant.gravity):
         raise found.refused("under gravity a floating arm falls")
     ratio = found["mass"] / found.share / float(found.plant.rigid_body[:, 0].sum())
-    return {"base_ratio": ratio, "gyration": found["radius"], "below": 0.0}
+    return {"base_ratio": ratio, "gyration": float(np.sqrt(found["inertia"] / found["mass"])), "below": 0.0}
 
 
 def _contact(found: _Found) -> Values:
