@@ -109,10 +109,10 @@ class Worker:
         task = Identification(self.robot, self.config, self.joints, files)
         data = task.load_trajectory_data()
         task.load_trajectory_data = lambda data_source=None: data
-        start = time.perf_counter()
+        start = time.process_time()
         task.initialize()
         task.solve(decimate=decimation > 1, decimation_factor=decimation, plotting=False, wls=True)
-        seconds = time.perf_counter() - start
+        seconds = time.process_time() - start
         torques = {}
         for number, motion in enumerate(motions):
             q, qd, qdd = (np.load(motion)[key] for key in ("q", "qd", "qdd"))

@@ -39,7 +39,7 @@ class Worker:
     def identify(self, fit, motions, out):
         """Time of everything from filtered signals to a model; predicted torque by motion."""
         signals = [np.load(path) for path in fit]
-        start = time.perf_counter()
+        start = time.process_time()
         spec = self.spec()
         model = spec.compile()
         parameters = self.parameters(spec, model)
@@ -51,7 +51,7 @@ class Worker:
 
         found, _ = sysid.optimize(parameters, residual, verbose=False, max_iters=ITERATIONS)
         model = sysid.apply_param_modifiers(found, spec)
-        seconds = time.perf_counter() - start
+        seconds = time.process_time() - start
         torques = {}
         for number, motion in enumerate(motions):
             torques[str(number)] = torque(model, *(np.load(motion)[key] for key in ("q", "qd", "qdd")))

@@ -10,14 +10,16 @@ noise on torque and velocity and a quantised position; fitted on one bag, valida
 Every round has other coefficients and other noise. Friction is the improved Stribeck law, or Coulomb and viscous.
 The real case is the UR10e's commissioning bags.
 
-Timed is everything after reading, in an order that turns round every round; ratios are of the same round. Ours is
+Timed is everything after reading, in CPU seconds (all threads; a busy machine changes them little), in an order that
+turns round every round; ratios are of the same round. Ours is
 `identify`: filter, search of the Stribeck velocities, choice of structure, standard errors, consistent inertials.
 figaroh's is `initialize()` and `solve(wls=True)` with all its options (viscous and Coulomb friction, actuator inertia,
 offset), once decimated by ten, its default, and once on every sample. Pinocchio's is what one writes oneself: regressor
 in a loop, friction columns, least squares, weights by joint, least squares. MuJoCo's is `mujoco.sysid.optimize` (see
 `mujoco_worker.py`), which takes half a minute and more and so runs in the first round only. All of them filter at the
 cut-off that `identify` chose; all predict the validation bag from the same filtered motion. Errors are against the
-validation torque without its noise where there is such a thing, on all rows, standstill and reversals included.
+validation torque without its noise where there is such a thing, on all rows, standstill and reversals included. Beside
+them stands what no unbiased estimate can be expected to beat (`least_error.py`), the median of the rounds.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from __future__ import annotations
 import argparse
 import json
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -33,6 +36,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from least_error import least_rms
 from pinocchio_wls import Pinocchio
 
 from spacearm_ident.dynamics.arm import Arm, FloatArray, arm_from_urdf
@@ -61,6 +65,7 @@ ROTOR_INERTIA = np.array([3.2, 3.2, 1.6, 0.35, 0.33, 0.32])
 TORQUE_NOISE = 0.0035
 """Standard deviation of the white noise on the torque, as a share of the joint's torque limit: 1.2 to 0.2 N·m."""
 QUIET = TORQUE_NOISE / 10
+REAL = "real UR10e"
 TARGET_Nm, TARGET_TIME = 0.06, 0.5
 LIMITATIONS = {
     "ours": "a Stribeck velocity below the speeds that its low-pass resolves",
@@ -88,6 +93,8 @@ class Case:
     arm: Arm
     rounds: list[Round]
     cutoff_hz: float | None = None
+    law: dict[str, FloatArray] | None = None
+    noise: float = 0.0
 
 
 def series(seed: int, samples: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -129,7 +136,7 @@ def record(arm: Arm, motion: tuple[FloatArray, ...], law: dict[str, FloatArray],
 
 
 def simulated(
-    name: str, law: dict[str, FloatArray], folder: Path, rounds: int, noise: float, cutoff_hz: float | None = None
+    name: str, folder: Path, rounds: int, law: dict[str, FloatArray], noise: float, cutoff_hz: float | None = None
 ) -> Case:
     arm = arm_from_urdf((RECORDINGS / "arm.urdf").read_text())
     posed = []
@@ -139,13 +146,13 @@ def simulated(
             bags.append(folder / f"{abs(hash(name))}_{number}_{role}.mcap")
             write_recording(bags[-1], record(arm, series(seed, SAMPLES), law, noise, seed + 5))
         posed.append(Round(bags[:1], bags[1], record(arm, series(10 * number + 2, SAMPLES), law, 0.0, 0)))
-    return Case(name, arm, posed, cutoff_hz)
+    return Case(name, arm, posed, cutoff_hz, law, noise)
 
 
 def real(rounds: int) -> Case:
     arm = arm_from_urdf((RECORDINGS / "arm.urdf").read_text())
     fit = [RECORDINGS / f"{name}.mcap" for name in ("commissioning", "commissioning_2")]
-    return Case("real UR10e", arm, [Round(fit, RECORDINGS / "commissioning_validation.mcap")] * rounds)
+    return Case(REAL, arm, [Round(fit, RECORDINGS / "commissioning_validation.mcap")] * rounds)
 
 
 class Peer:
@@ -233,14 +240,14 @@ class Field:
         return field
 
     def _ours(self) -> Answer:
-        start = time.perf_counter()
+        start = time.process_time()
         result = identify(self.recordings, self.case.arm, Settings(self.case.cutoff_hz))
-        return time.perf_counter() - start, [result.model.torque(motion) for motion in self.motions]
+        return time.process_time() - start, [result.model.torque(motion) for motion in self.motions]
 
     def _pinocchio(self) -> Answer:
-        start = time.perf_counter()
+        start = time.process_time()
         model = Pinocchio(self.case.arm, self.recordings, self.cutoff_hz)
-        return time.perf_counter() - start, [model.torque(motion) for motion in self.motions]
+        return time.process_time() - start, [model.torque(motion) for motion in self.motions]
 
     def _peer(self, peer: Peer, **request: object) -> Answer:
         out = self.folder / "torque.npz"
@@ -252,6 +259,11 @@ class Field:
         """(n,) RMS by joint on all rows, N·m."""
         predicted = np.concatenate([motion.reduce(torque) for motion, torque in zip(self.motions, torques)])
         return np.sqrt(np.mean((self.truth - predicted) ** 2, axis=0))
+
+    def least(self) -> FloatArray:
+        """(n,) what that RMS is at the least for an unbiased estimate, N·m."""
+        limits = np.array([joint.effort_limit for joint in self.case.arm.joints])
+        return least_rms(self.case.arm, self.recordings, self.motions, self.case.law, self.case.noise * limits)
 
 
 def write_csv(path: str, recording: Recording) -> None:
@@ -265,8 +277,11 @@ def compete(case: Case, figaroh: Path, mujoco: Path | None, folder: Path) -> Non
     field = Field(case, figaroh, mujoco, folder)
     seconds: dict[str, list[float]] = {}
     errors: dict[str, list[FloatArray]] = {}
+    least = []
     for number, posed in enumerate(case.rounds):
         field.enter(posed)
+        if case.law is not None:
+            least.append(field.least())
         contestants = field.contestants(number == 0)
         if number == 0:
             for name in ("figaroh", "Pinocchio + numpy"):  # Ours has run once to find the cut-off.
@@ -283,15 +298,21 @@ def compete(case: Case, figaroh: Path, mujoco: Path | None, folder: Path) -> Non
     kind = "measured" if case.rounds[0].clean is None else "noiseless"
     print(f"\n### {case.name}: {samples} samples, low-pass {field.cutoff_hz:.3g} Hz, {len(case.rounds)} rounds\n")
     print(f"Validation RMS against the {kind} torque by joint, N·m: median of the rounds (worst)\n")
-    print("| | s | times ours | joint 1 | 2 | 3 | 4 | 5 | 6 | cannot represent |")
+    print("| | CPU s | times ours | joint 1 | 2 | 3 | 4 | 5 | 6 | cannot represent |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for name in LIMITATIONS:
         if name in seconds:
             print(line(name, seconds, errors))
     if case.rounds[0].clean is not None:
         noise = np.sqrt(np.mean(field.noise**2, axis=0))
-        print(f"\nNoise of the torque on the same rows: {' '.join(f'{value:.3f}' for value in noise)} N·m.")
+        print(f"\nNoise of the torque on the same rows: {listed(noise)} N·m.")
+        print(f"Cramér-Rao bound: {listed(np.median(least, axis=0))} N·m.")
         verdict(seconds, errors)
+    sys.stdout.flush()
+
+
+def listed(values: FloatArray) -> str:
+    return " ".join(f"{value:.3f}" for value in values)
 
 
 def line(name: str, seconds: dict[str, list[float]], errors: dict[str, list[FloatArray]]) -> str:
@@ -307,10 +328,10 @@ def verdict(seconds: dict[str, list[float]], errors: dict[str, list[FloatArray]]
     middle = np.median(errors["ours"], axis=0)
     reached = int(np.sum(middle <= TARGET_Nm))
     ratio = np.median([a / b for a, b in zip(seconds["ours"], seconds["figaroh"])])
-    words = "reached" if ratio <= TARGET_TIME else "not reached"
+    outcome = "reached" if ratio <= TARGET_TIME else "not reached"
     print(
         f"RMS of at most {TARGET_Nm} N·m in the median: {reached} of {len(middle)} joints (worst {middle.max():.3f}); "
-        f"time {ratio:.2f} of figaroh's (at most {TARGET_TIME}: {words})."
+        f"time {ratio:.2f} of figaroh's (at most {TARGET_TIME}: {outcome})."
     )
 
 
@@ -323,13 +344,13 @@ def regressors(repeats: int = 5) -> None:
     seconds: dict[str, list[float]] = {"ours": [], "Pinocchio in a loop": []}
     whole = np.empty((SAMPLES, 6, 60))
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         mine = regressor(arm, *state)
-        middle = time.perf_counter()
+        middle = time.process_time()
         for k, sample in enumerate(zip(*state)):
             whole[k] = pin.computeJointTorqueRegressor(model, data, *sample)
         seconds["ours"].append(middle - start)
-        seconds["Pinocchio in a loop"].append(time.perf_counter() - middle)
+        seconds["Pinocchio in a loop"].append(time.process_time() - middle)
     words = ", ".join(f"{name} {np.median(values):.4f} s" for name, values in seconds.items())
     print(f"regressor of {SAMPLES} samples: {words}; largest difference {np.abs(mine - whole).max():.1e}")
 
@@ -338,6 +359,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--figaroh-python", type=Path, metavar="PATH", help="Python of an environment with figaroh")
     parser.add_argument("--mujoco-python", type=Path, metavar="PATH", help="Python of one with mujoco[sysid]")
+    parser.add_argument("--only", default="", metavar="WORDS", help="only the cases whose name has these words")
     parser.add_argument("--rounds", type=int, default=5, help="rounds a case (default 5)")
     options = parser.parse_args()
     if options.figaroh_python is None or not options.figaroh_python.exists():
@@ -351,15 +373,17 @@ def main() -> None:
     regressors()
     with tempfile.TemporaryDirectory() as scratch:
         folder, rounds = Path(scratch), options.rounds
-        cases = [
-            simulated("Stribeck friction", STRIBECK, folder, rounds, TORQUE_NOISE),
-            simulated("Stribeck friction, --bandwidth 12", STRIBECK, folder, rounds, TORQUE_NOISE, 12.0),
-            simulated("Stribeck friction, a tenth of the noise, --bandwidth 12", STRIBECK, folder, rounds, QUIET, 12.0),
-            simulated("Coulomb and viscous friction", PLAIN, folder, rounds, TORQUE_NOISE),
-            real(rounds),
-        ]
-        for case in cases:
-            compete(case, options.figaroh_python, options.mujoco_python, folder)
+        cases = {
+            "Stribeck friction": (STRIBECK, TORQUE_NOISE),
+            "Stribeck friction, --bandwidth 12": (STRIBECK, TORQUE_NOISE, 12.0),
+            "Stribeck friction, a tenth of the noise, --bandwidth 12": (STRIBECK, QUIET, 12.0),
+            "Coulomb and viscous friction": (PLAIN, TORQUE_NOISE),
+            REAL: (),
+        }
+        for name, how in cases.items():
+            if options.only in name:
+                case = real(rounds) if name == REAL else simulated(name, folder, rounds, *how)
+                compete(case, options.figaroh_python, options.mujoco_python, folder)
 
 
 if __name__ == "__main__":
