@@ -16,6 +16,7 @@ import json
 import math
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -39,6 +40,10 @@ HEARD_S = 2.0
 VALIDATED_S = 120.0
 GROWTH_MIB = 15.0
 """What a process may hold more in the last third than in the middle one; in the first its buffers fill."""
+FILLED_S = 320.0
+"""When they are full: the identifier keeps five minutes. Thirds shorter than this say nothing of growth."""
+EDGE = 50
+"""Samples that may lie between the driver's count and the stamp of the status it stands in, where it is held up."""
 COUNTED = {
     "canopen_driver": ("cycles", "missed_cycles", "incomplete_cycles", "late_frames"),
     "recorder": ("lost", "dropped"),
@@ -122,8 +127,8 @@ def soak(directory: Path, minutes: float, fast: bool, keep: bool) -> list[Line]:
                 sampler = Sampler(chain, journal)
                 identified = False
                 while journal.at_s < 60.0 * minutes:
-                    _one_run(chain, journal, sampler, plans[identified], files[identified], directory, keep)
-                    identified = True
+                    done = _one_run(chain, journal, sampler, plans[identified], files[identified], directory, keep)
+                    identified = identified or done
                 chain.call("/driver/enable", False)
                 journal.add("end", {"codes": chain.close()})
         except UserError as error:
@@ -135,26 +140,33 @@ def soak(directory: Path, minutes: float, fast: bool, keep: bool) -> list[Line]:
 
 def _one_run(
     chain: Chain, journal: Journal, sampler: Sampler, plan: Any, file: Path, directory: Path, keep: bool
-) -> None:
-    """One run in a bag of its own, until it is identified from, or validated on."""
+) -> bool:
+    """One run in a bag of its own, until it is identified from, or validated on; whether it came to that."""
     if chain.values("recorder").get("recording") != "true":
         chain.call("/recorder/start")
     if chain.values("canopen_driver").get("operation_enabled") != "true":
         enable(chain)
     sampler.reasons.clear()
     begun = time.monotonic()
-    perform(chain, plan, file, sampler)
-    _idle(chain, sampler)
+    failed = ""
+    try:
+        perform(chain, plan, file, sampler)
+        _idle(chain, sampler)
+    except UserError as error:  # where a node has died, the next call says so
+        failed = str(error)
+        print(f"{plan.name}: {failed}", file=sys.stderr)
     took = time.monotonic() - begun
     said = chain.call("/recorder/stop")
     chain.wait(lambda: chain.values("recorder").get("recording") == "false", "the end of the bag", STARTED_S)
     bag = max((directory / "recordings").iterdir(), key=lambda path: path.stat().st_mtime_ns)
     held_in_bag = count_samples(bag)
     verdict = chain.status("identifier: identification")
-    line = {"run": plan.name, "took_s": round(took, 1), "stopped": dict(sampler.reasons), "identifier": verdict}
+    line = {"run": plan.name, "took_s": round(took, 1), "stopped": dict(sampler.reasons), "failed": failed}
+    line["identifier"] = verdict
     journal.add("run", {**line, "recorder": said, **held_in_bag})
     if not keep:
         shutil.rmtree(bag)
+    return not failed
 
 
 def _idle(chain: Chain, sampler: Sampler) -> None:
@@ -207,7 +219,7 @@ def table(lines: list[Line]) -> str:
     ):
         row(name, runs, lambda part, k=key: f"{sum(line[k] for line in part)}")
     row("gaps in the bags; longest, ms", runs, _gaps)
-    row("runs completed; begun again", runs, lambda part: f"{len(part)}; {sum(len(line['stopped']) for line in part)}")
+    row("runs completed; motions broken off", runs, _completed)
     row("load average, median", samples, lambda part: f"{np.median([line['load'] for line in part]):.1f}")
     return "\n".join([*rows, "", *verdicts(lines)])
 
@@ -221,38 +233,49 @@ def _holds(node: str, part: list[Line]) -> str:
     return "{:.0f} MiB, {:.0f} threads, {:.0f} files, {:.0%} of a core".format(*figures)
 
 
+def _completed(part: list[Line]) -> str:
+    done = sum(not line["failed"] for line in part)
+    return f"{done} of {len(part)}; {sum(len(line['stopped']) for line in part)}"
+
+
 def _gaps(part: list[Line]) -> str:
     return f"{sum(line['gaps'] for line in part)}; {max(line['largest_gap_ms'] for line in part):.0f}"
 
 
 def verdicts(lines: list[Line]) -> list[str]:
     """What must not be, a line each, or that it was not."""
-    found = []
     runs = [line for line in lines if line["kind"] == "run"]
-    lost = sum(line["published"] - line["in_bag"] for line in runs)
-    if lost:
-        found.append(f"NOT GOOD: {lost} samples were published and are in no bag")
-    samples = [line for line in lines if line["kind"] == "sample"]
-    gone = {
-        key: max((line["nodes"]["recorder"].get(key, 0) for line in samples), default=0) for key in ("lost", "dropped")
-    }
-    if any(gone.values()):
-        found.append(f"NOT GOOD: the recorder counts {gone['lost']} messages lost, {gone['dropped']} dropped")
+    ended = [line["failed"] or line["identifier"] for line in runs]
+    found = [*_lost(lines), *_grown(lines), *(text for text in ended if not text.startswith("identified"))]
+    found += [f"chain {line['chain']}: {line['why']}" for line in lines if line["kind"] == "broken"]
+    found += [f"exit codes {line['codes']}" for line in lines if line["kind"] == "end" and any(line["codes"].values())]
+    if found:
+        return [f"NOT GOOD: {text}" for text in found]
+    minutes, chains = max(line["at_s"] for line in lines) / 60.0, len({line["chain"] for line in lines})
+    grown = "no process grew" if minutes * 20.0 > FILLED_S else "too short to say whether a process grows"
+    return [
+        f"{len(runs)} runs in {minutes:.1f} minutes, {chains} chain(s): no sample lost, {grown}, every run identified."
+    ]
+
+
+def _lost(lines: list[Line]) -> Iterator[str]:
+    for line in lines:
+        if line["kind"] == "run" and abs(line["published"] - line["in_bag"]) > EDGE:
+            yield f"{line['published']} samples were published, {line['in_bag']} are in the bag of a run"
+    for key in ("lost", "dropped"):
+        most = max((line["nodes"]["recorder"].get(key, 0) for line in lines if line["kind"] == "sample"), default=0)
+        if most:
+            yield f"the recorder counts {most} messages {key}"
+
+
+def _grown(lines: list[Line]) -> Iterator[str]:
+    if max(line["at_s"] for line in lines) / 3.0 < FILLED_S:
+        return
     _, before, after = thirds(lines, "sample")
     for node in NODES if before and after else ():
-        grown = float(np.median([line["nodes"][node]["MiB"] for line in after]))
-        grown -= float(np.median([line["nodes"][node]["MiB"] for line in before]))
-        if grown > GROWTH_MIB:
-            found.append(f"NOT GOOD: {node} holds {grown:.0f} MiB more in the last third than in the middle one")
-    bad = [line["identifier"] for line in runs if not line["identifier"].startswith("identified")]
-    found += [f"NOT GOOD: {text}" for text in bad]
-    found += [f"NOT GOOD: chain {line['chain']}: {line['why']}" for line in lines if line["kind"] == "broken"]
-    for line in lines:
-        if line["kind"] == "end" and any(line["codes"].values()):
-            found.append(f"NOT GOOD: exit codes {line['codes']}")
-    end = max(line["at_s"] for line in lines) / 60.0
-    about = f"{len(runs)} runs in {end:.1f} minutes, {len({line['chain'] for line in lines})} chain(s)."
-    return found or [f"{about} No sample lost, no process grew, every run came to its end."]
+        medians = [np.median([line["nodes"][node]["MiB"] for line in part]) for part in (before, after)]
+        if np.diff(medians) > GROWTH_MIB:
+            yield f"{node} holds {medians[0]:.0f} MiB in the middle third, {medians[1]:.0f} in the last"
 
 
 def main() -> int:
@@ -263,6 +286,9 @@ def main() -> int:
     parser.add_argument("--keep", action="store_true", help="keep the bags (about 1 MB a second)")
     parser.add_argument("--table", action="store_true", help="only print the table of what has been run")
     options = parser.parse_args()
+    # However it is ended, the nodes end first (a shell's background job begins with SIGINT ignored).
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     options.out.mkdir(parents=True, exist_ok=True)
     lines = soak(options.out, 0.0 if options.table else options.minutes, options.fast, options.keep)
     if not any(line["kind"] == "sample" for line in lines):
