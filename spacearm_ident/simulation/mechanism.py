@@ -79,7 +79,7 @@ class Mechanism(Protocol):
         """(n,) N·m the gears pass on to the links, that is without rotors and joint friction."""
 
     def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
-        """Pose of the base (m, quaternion x y z w), then its twist in its own axes (m/s, rad/s): 13; None: fixed."""
+        """Where the base is, then its twist in its own axes: (13,) m, quaternion x y z w, m/s, rad/s; None: fixed."""
 
 
 class RigidMechanism:
