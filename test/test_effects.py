@@ -501,23 +501,23 @@ def test_moved_slowly_an_elastic_joint_sags_by_load_over_stiffness():
         load, slope = HANGING_NM * np.sin(q - sag), HANGING_NM * np.cos(q - sag)
         sag -= (stiffness * sag - load) / (stiffness + slope)
     arm = arm_of(PENDULUM)
-    made = torque(one("joint_elasticity", arm, joint="hip"), slow, [1.0], [stiffness], background_of(arm, slow))[:, 0]
+    effect = one("joint_elasticity", arm, joint="hip")
+    made = torque(effect, slow, [1.0], [stiffness, 0.05], background_of(arm, slow))[:, 0]
     want = HANGING_NM * (np.sin(q - sag) - np.sin(q))
     calm = slice(2500, None)
     np.testing.assert_allclose(made[calm], want[calm], atol=0.02 * np.abs(want).max())
 
 
-@pytest.mark.parametrize("ratio", [0.5, 3.0])
-def test_below_its_resonance_a_link_is_heavier_and_above_it_is_gone(ratio):
+@pytest.mark.parametrize(("ratio", "damping"), [(0.5, 0.05), (3.0, 0.05), (1.3, 0.15)])
+def test_below_its_resonance_a_link_is_heavier_and_above_it_is_gone(ratio, damping):
     """All in all the motor feels M qdd times the classical transmissibility of a damped spring."""
     arm = arm_of(PENDULUM, (0.0, 0.0, 0.0))
-    natural, damping = 12.0, 0.05
+    natural = 12.0
     omega = ratio * natural
     motion = swing(0.02, omega, 40.0, arm)
     stiffness = PENDULUM_INERTIA * natural**2
-    made = torque(one("joint_elasticity", arm, joint="hip"), motion, [1.0], [stiffness], background_of(arm, motion))[
-        :, 0
-    ]
+    effect = one("joint_elasticity", arm, joint="hip")
+    made = torque(effect, motion, [1.0], [stiffness, damping], background_of(arm, motion))[:, 0]
     rigid = PENDULUM_INERTIA * motion.acceleration[:, 0]
     time = np.arange(len(rigid)) / RATE
     late = time > 25.0
@@ -545,7 +545,7 @@ def test_play_is_the_same_alone_and_among_the_grid():
         np.testing.assert_allclose(among, alone, atol=1e-3 * np.abs(alone).max())
 
 
-@pytest.mark.parametrize("kind", ["link_flexibility", "base_flexibility"])
+@pytest.mark.parametrize("kind", ["link_flexibility", "halfway", "base_flexibility"])
 def test_a_hinge_that_bends_is_the_arm_with_that_joint(kind):
     """Statically: the load about a real extra joint over its stiffness, and what all joints feel of it bent."""
     stiffness, axis = 4000.0, (1.0, 0.0, 0.0)
@@ -556,6 +556,11 @@ def test_a_hinge_that_bends_is_the_arm_with_that_joint(kind):
         hinge = replace(shoulder, name="hinge", parent="shoulder", axis=axis, xyz=(0, 0, 0))
         links = (THREE_LINKS[0], hollow, hinge, replace(THREE_LINKS[2], parent="hinge"))
         number, effect = 2, one(kind, ARM, joint="shoulder", axis=list(axis))
+    elif kind == "halfway":
+        half = tuple(0.5 * x for x in THREE_LINKS[2].xyz)
+        hinge = Link("hinge", parent="shoulder", axis=axis, xyz=half, mass=0.0, inertia=(0.0,) * 6)
+        links = (*THREE_LINKS[:2], hinge, replace(THREE_LINKS[2], parent="hinge", xyz=half))
+        number, effect = 2, one("link_flexibility", ARM, joint="shoulder", axis=list(axis), along=0.5)
     else:
         hinge = Link("hinge", axis=axis, mass=0.0, inertia=(0.0,) * 6)
         links = (hinge, replace(THREE_LINKS[0], parent="hinge"), *THREE_LINKS[1:])
@@ -569,10 +574,22 @@ def test_a_hinge_that_bends_is_the_arm_with_that_joint(kind):
     bend = 0.0
     for _ in range(50):
         bend = held(-bend)[number] / stiffness
-    assert abs(bend) > 1e-4
+    assert abs(bend) > 5e-5
     want = np.delete(held(-bend) - held(0.0), number)
-    made = torque(effect, still, [1.0], [stiffness], background_of(ARM, still))
+    made = torque(effect, still, [1.0], [stiffness, 0.05], background_of(ARM, still))
     np.testing.assert_allclose(made[-1], want, atol=0.02 * np.abs(want).max())
+
+
+def test_a_link_may_bend_halfway_square_to_its_length_where_another_follows():
+    kind = EFFECTS["link_flexibility"]
+    for place in kind.variants(ARM):
+        assert place["along"] == 0.5
+        following = {"waist": (0, 0, 0.3), "shoulder": (0, 0, 0.5)}[place["joint"]]
+        assert np.dot(place["axis"], following) == pytest.approx(0.0)
+        assert np.linalg.norm(place["axis"]) == pytest.approx(1.0)
+    assert [place["joint"] for place in kind.variants(ARM)] == ["waist", "waist", "shoulder", "shoulder"]
+    with pytest.raises(ValueError, match="along is a share"):
+        kind.at(ARM, {"joint": "shoulder", "axis": [1, 0, 0], "along": 1.5})
 
 
 @pytest.mark.parametrize("cycles", [1, 2])

@@ -138,7 +138,7 @@ def test_friction_falls_with_temperature_as_the_term_says():
 @pytest.mark.parametrize(
     ("kind", "place", "values", "share"),
     [
-        ("joint_elasticity", THIRD, {"share": 1.0, "stiffness": 8e3}, 0.15),
+        ("joint_elasticity", THIRD, {"share": 1.0, "stiffness": 8e3, "damping_ratio": 0.05}, 0.15),
         ("backlash", THIRD, {"share": 1.0, "gap": 0.01, "stiffness": 3e4}, 0.25),
         ("encoder_eccentricity", {**THIRD, "cycles": 1}, {"sin": 0.01, "cos": -0.005}, 0.1),
         ("encoder_eccentricity", {**THIRD, "cycles": 2}, {"sin": 0.003, "cos": 0.008}, 0.1),
@@ -171,10 +171,15 @@ def test_what_moves_beside_its_encoder_does_so_by_as_much_as_the_term_says(kind,
         (
             "link_flexibility",
             {**SECOND, "axis": [1, 0, 0]},
-            {"share": 1, "stiffness": 4e3},
+            {"share": 1, "stiffness": 4e3, "damping_ratio": 0.05},
             "link_flexibility at joint_2",
         ),
-        ("base_flexibility", {"axis": [1, 0, 0]}, {"share": 1, "stiffness": 4e3}, "base_flexibility"),
+        (
+            "base_flexibility",
+            {"axis": [1, 0, 0]},
+            {"share": 1, "stiffness": 4e3, "damping_ratio": 0.05},
+            "base_flexibility",
+        ),
         ("floating_base", {}, {"share": 1.0, "inertia": 24.0, "mass": 150.0}, "floating_base.*gravity"),
         ("presliding_hysteresis", SECOND, {"f": 1.0, "d_s": 0.01}, "presliding_hysteresis at joint_2"),
         ("harness_spring", SECOND, {"stiffness": 0.0, "preload": 1.0}, "harness_spring at joint_2"),

@@ -185,7 +185,7 @@ def candidates_of(evidence):
     effects = [
         (EFFECTS["torque_ripple"], {"joint": "elbow"}, [20.0]),
         (EFFECTS["friction_drift"], {"joint": "shoulder", "of": ["f_c", "k_v1"]}, []),
-        (EFFECTS["joint_elasticity"], {"joint": "elbow"}, [3000.0]),
+        (EFFECTS["joint_elasticity"], {"joint": "elbow"}, [3000.0, 0.05]),
         (EFFECTS["payload"], {"joint": "elbow"}, []),
     ]
     return [evidence.candidate(kind.at(ARM, place), constants) for kind, place, constants in effects]
@@ -298,7 +298,7 @@ def test_freedom_costs():
     searched = penalty(EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"}), 1000)
     assert searched > 3 * np.log(1000)
     held = penalty(EFFECTS["base_flexibility"].at(ARM, {"axis": [1, 0, 0]}), 1000)
-    assert held == pytest.approx(np.log(1000) + 2 * np.log(20))
+    assert held == pytest.approx(2 * np.log(1000) + 2 * np.log(20))
 
 
 def test_rivals_cover_every_joint_and_are_finite(prepared):

@@ -318,12 +318,13 @@ class Competition:
         return together.gain - beside.gain
 
     def _refined(self, candidate: Candidate, beside: Refit) -> Candidate:
-        """Constants between the points of their grids, one after the other."""
+        """Constants between the points of their grids, one after the other; twice where one has a reach."""
         effect, constants = candidate.effect, list(candidate.constants)
-        for k, constant in enumerate(effect.constants):
+        rounds = 1 + any(constant.reach is not None for constant in effect.constants)
+        for k, constant in [*enumerate(effect.constants)] * rounds:
             grid = np.array(constant.grid)
             near = int(np.argmin(np.abs(grid - constants[k])))
-            low, high = grid[max(near - 1, 0)], grid[min(near + 1, len(grid) - 1)]
+            low, high = constant.reach or (grid[max(near - 1, 0)], grid[min(near + 1, len(grid) - 1)])
 
             def loss(value: float, k: int = k) -> float:
                 trial = self.evidence.candidate(effect, [*constants[:k], value, *constants[k + 1 :]])

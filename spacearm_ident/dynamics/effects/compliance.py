@@ -26,6 +26,8 @@ from .effect import Effect, Options, each, known_axis, known_joint, nothing
 from .linearised import COARSE_HZ, Sensitivity, by_position, by_virtual_joint, next_joint
 
 DAMPING_RATIO = 0.05
+LEAST_DAMPING, MOST_DAMPING = 0.003, 0.15
+"""Of critical: of bare steel, and of gears full of grease."""
 CONTACT_HZ = 40.0
 """Gear teeth in contact are no stiffer than makes the link swing at this frequency: above what is looked at."""
 CONTACT_DAMPING = 0.35
@@ -55,7 +57,7 @@ class _Compliance(Effect):
         self, sensitivity: Sensitivity, constants: Values, background: Background
     ) -> tuple[FloatArray, FloatArray]:
         """(N,) d and d'' of a link on a spring; others say what is different."""
-        return spring(sensitivity, constants[0])
+        return spring(sensitivity, *constants)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the rows of all joints differ by."""
@@ -67,14 +69,21 @@ class _Compliance(Effect):
         return each({row: torque[:, [row]] for row in range(torque.shape[1])})
 
 
-def spring(sensitivity: Sensitivity, stiffness: float) -> tuple[FloatArray, FloatArray]:
+def springs(name: str) -> tuple[Constant, Constant]:
+    """Stiffness, and the damping ratio, which says how long a swing lasts and is refined once the stiffness is near."""
+    reach = (LEAST_DAMPING, MOST_DAMPING)
+    stiffness = Constant("stiffness", name, "N m/rad", STIFFNESS_GRID)
+    return stiffness, Constant("damping_ratio", name, "1", (DAMPING_RATIO,), reach=reach)
+
+
+def spring(sensitivity: Sensitivity, stiffness: float, damping_ratio: float) -> tuple[FloatArray, FloatArray]:
     """D (N,) rad and d'' of a link on a spring, by the average-acceleration method of Newmark 1959 (always stable)."""
     step = max(1, int(sensitivity.rate_hz / COARSE_HZ))
     inertia = np.maximum(sensitivity.own_inertia[::step], 1e-6)
     gravity, load = sensitivity.own_gravity[::step], sensitivity.load[::step]
     h = step / sensitivity.rate_hz
     rate = stiffness + gravity
-    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * inertia)
+    damping = 2 * damping_ratio * np.sqrt(stiffness * inertia)
     divisor = inertia + 0.5 * h * damping + 0.25 * h**2 * rate
     d, v, a = load[0] / rate[0], 0.0, 0.0
     give, acceleration = np.empty_like(load), np.empty_like(load)
@@ -132,7 +141,7 @@ class JointElasticity(_Compliance):
         """At one joint."""
         joint = known_joint(arm, place)
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
-        return cls((share,), (Constant("stiffness", joint, "N m/rad", STIFFNESS_GRID),), place=place)
+        return cls((share,), springs(joint), place=place)
 
     def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
         """About the joint's own axis."""
@@ -216,7 +225,7 @@ class LinkFlexibility(_Compliance):
             raise ValueError("along is a share of the way to the next joint, 0 to 1")
         joint = known_joint(arm, place)
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
-        return cls((share,), (Constant("stiffness", joint, "N m/rad", STIFFNESS_GRID),), place=place)
+        return cls((share,), springs(joint), place=place)
 
     def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
         """About a hinge in the link."""
@@ -246,7 +255,7 @@ class BaseFlexibility(_Compliance):
         """About `axis` in the base frame."""
         known_axis(place)
         share = Parameter("share", "base", "1", prior=1.0, scale=0.0)
-        return cls((share,), (Constant("stiffness", "base", "N m/rad", STIFFNESS_GRID),), place=place)
+        return cls((share,), springs("base"), place=place)
 
     @property
     def joints(self) -> tuple[str, ...]:
