@@ -3,8 +3,8 @@
 *Strict*: the first finding's name is the concealed effect's. *Twin-aware*: or the first finding lists it among its
 alternatives as one it cannot rule out (`"twin": true`, or a score of at least `TWIN_SCORE` of the finding's
 confidence). A run that crashed or found its data unfit counts as nothing found. The finding's value is compared with
-the truth by the name in the answer's `comparable` where the finding has a parameter of that name, else its first; by
-size, without the sign.
+the truth as `COMPARED` says, else by the name in the answer's `comparable` where the finding has a parameter of that
+name, else by its first; by size, without the sign; and only where the concealed law is the usual one.
 """
 
 from __future__ import annotations
@@ -24,6 +24,25 @@ FROM_ONE = ("efficiency", "scale")
 """Parameters that are 1 on a healthy arm: their distance from 1 is compared."""
 NOTHING = "nothing"
 Entry = dict[str, Any]
+
+
+def _of_joint(effect: Entry, arm: Entry, name: str) -> float:
+    return float(arm[name][int(str(effect["joints"][0]).rsplit("_", 1)[1]) - 1])
+
+
+COMPARED: dict[str, tuple[str, Callable[[Entry, Entry], float]] | None] = {
+    # What is drawn is where full friction is reached: three times the length of its exponential.
+    "presliding_hysteresis": ("d_s", lambda effect, arm: effect["parameters"]["distance"] / 3.0),
+    "temperature_friction": (
+        "alpha_v",
+        lambda effect, arm: effect["parameters"]["viscous_slope"] * _of_joint(effect, arm, "k_v1"),
+    ),
+    "wrist_coupling": ("f", lambda effect, arm: effect["parameters"]["coulomb"]),
+    "floating_base": ("mass", lambda effect, arm: effect["parameters"]["base_ratio"] * sum(arm["mass_kg"])),
+    # A knee in the answer, a cubic in the catalogue.
+    "motor_saturation": None,
+}
+"""Effect -> (finding's parameter, what it should be, of the concealed effect and the arm); None: not comparable."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +102,16 @@ class Scored:
         parameters = self.findings[0].get("parameters") if self.findings else None
         if self.first not in effects or not parameters:
             return None
-        effect = effects[self.first]
-        key = effect["comparable"] if effect["comparable"] in parameters else next(iter(parameters))
-        true = effect["parameters"].get(key, effect["parameters"][effect["comparable"]])
+        effect, compared = effects[self.first], COMPARED.get(self.first, ())
+        if compared is None or effect["law"] != "usual":
+            return None
+        if compared:
+            key, true = compared[0], compared[1](effect, self.answer["arm"])
+        else:
+            key = effect["comparable"] if effect["comparable"] in parameters else next(iter(parameters))
+            true = effect["parameters"].get(key, effect["parameters"][effect["comparable"]])
+        if key not in parameters:
+            return None
         value = parameters[key]["value"] if isinstance(parameters[key], dict) else parameters[key]
         healthy = 1.0 if effect["comparable"] in FROM_ONE else 0.0
         size, true_size = abs(float(value) - healthy), abs(float(true) - healthy)
