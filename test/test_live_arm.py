@@ -7,7 +7,7 @@ import yaml
 from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import load_arm
 from spacearm_ident.simulation.closed_loop import SensorNoise
-from spacearm_ident.simulation.live_arm import LiveArm
+from spacearm_ident.simulation.live_arm import LOOP_HZ, LiveArm
 from spacearm_ident.simulation.parameters import PlantParameters
 
 DT, PARTS = 1e-3, 4
@@ -37,7 +37,7 @@ def test_the_torque_reported_is_the_mean_around_its_moment(arm):
         reported.append(arm.torque)
         acceleration.append(0.05 * (2 * np.pi / 0.8) ** 2 * np.cos(2 * np.pi * t / 0.8))
     applied = np.array(applied).reshape(-1, PARTS, 6)
-    mean = 0.5 * (applied[:-1, 2:].mean(axis=1) + applied[1:, :2].mean(axis=1))
+    mean = 0.5 * (applied[:-1, PARTS // 2 :].mean(axis=1) + applied[1:, : PARTS // 2].mean(axis=1))
     moving = slice(100, 700)
     error = (np.array(reported)[:-1] - mean)[moving]
     a = np.array(acceleration)[:-1][moving]

@@ -93,7 +93,7 @@ def test_energy_is_kept_without_friction_and_the_error_is_of_second_order():
     drift = []
     for step in (1e-3, 5e-4):
         plant = Plant(parameters, position=posture, velocity=[0.8, -0.5, 0.9, 1.2, -1.0, 1.5])
-        plant._longest_step_s = step
+        plant.longest_step_s = step
         before = energy(plant)
         stepped(plant, np.zeros(6), 1.0)
         drift.append(abs(energy(plant) - before))

@@ -41,6 +41,7 @@ class Plant:
         thermal: Its thermal state.
         law: Friction and drive train of the joints.
         time: s on the recording's clock; the internal step begins here.
+        longest_step_s: Longer steps are divided.
     """
 
     def __init__(
@@ -88,7 +89,7 @@ class Plant:
         self.law: JointLaw = StribeckLaw(parameters) if law is None else law
         self._observer = observer
         self.thermal = Thermal(ThermalParameters() if thermal is None else thermal, n)
-        self._longest_step_s = longest_step_s
+        self.longest_step_s = longest_step_s
 
     @property
     def position(self) -> FloatArray:
@@ -128,7 +129,7 @@ class Plant:
 
     def step(self, torque: FloatArray, dt: float) -> None:
         """Let `dt` seconds pass with the motors' output-side torque (n,) N·m held."""
-        parts = max(1, math.ceil(dt / self._longest_step_s - 1e-9))
+        parts = max(1, math.ceil(dt / self.longest_step_s - 1e-9))
         h = dt / parts
         for _ in range(parts):
             self._step(torque, h)
