@@ -10,7 +10,8 @@ from spacearm_ident.simulation.closed_loop import SensorNoise
 from spacearm_ident.simulation.live_arm import LOOP_HZ, LiveArm
 from spacearm_ident.simulation.parameters import PlantParameters
 
-DT, PARTS = 1e-3, 4
+DT = 1e-3
+PARTS = round(DT * LOOP_HZ)
 
 
 @pytest.fixture
