@@ -32,7 +32,7 @@ from .watch_state import View, WatchState
 
 SPIN_S = 0.05
 ALL_NODES_S = 1.2
-"""After the first node has spoken: the others speak every second."""
+"""After the last new node has spoken: each speaks every second."""
 
 
 class Listener:
@@ -143,7 +143,10 @@ def look_once(wait_s: float, most_parameters: int, namespace: str = "") -> View:
                     "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as theirs are"
                 )
             listener.spin(SPIN_S)
-        listener.spin(ALL_NODES_S)
+        heard = 0
+        while listener.state.nodes_heard > heard and time.monotonic() < end + ALL_NODES_S:
+            heard = listener.state.nodes_heard
+            listener.spin(ALL_NODES_S)
         return listener.view(most_parameters)
 
 
