@@ -143,9 +143,9 @@ def look_once(wait_s: float, most_parameters: int, namespace: str = "") -> View:
                     "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as theirs are"
                 )
             listener.spin(SPIN_S)
-        heard = 0
-        while listener.state.nodes_heard > heard and time.monotonic() < end + ALL_NODES_S:
-            heard = listener.state.nodes_heard
+        known = 0
+        while listener.state.nodes_heard > known and time.monotonic() < end + ALL_NODES_S:
+            known = listener.state.nodes_heard
             listener.spin(ALL_NODES_S)
         return listener.view(most_parameters)
 
