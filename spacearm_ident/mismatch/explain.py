@@ -40,6 +40,9 @@ SHOWS = 0.5
 is a crumb of the first, whose law is not quite the catalogue's."""
 FIRST_SHOWS = 0.1
 """The first may be one of several at its joints; less than this share, and it is none."""
+LEAST = 0.1
+"""A finding that lowers the mean square on unseen data by less than this share of the noise's, at all its joints, is a
+crumb of the base model: of how friction runs through a reversal, say."""
 HARM = 1.02
 """A finding with which the mean square on unseen data is this many times larger is a false one."""
 CLOSE = 0.7
@@ -107,15 +110,15 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     joints = evidence.base.model.arm.joint_names
     residuals = Residuals(evidence, unseen.scene, prepared.plain)
     alone, floor = _healthy(evidence, prepared)
+    noise = dict(zip(joints, floor))
     while True:
         cards = Cards(evidence, residuals, outcome, floor)
         made = [cards.finding(k) for k in range(len(outcome.accepted))]
-        idle = [k for k, finding in enumerate(made) if _harms(finding) or not _shows(finding, first=k == 0)]
+        idle = [k for k, found in enumerate(made) if _harms(found) or not _shows(found, noise, first=k == 0)]
         if not idle:
             break
         # What shows beside another may show no more without it.
         outcome = competition.without(outcome, idle)
-    noise = dict(zip(joints, floor))
     findings = tuple(doubted(finding, noise) for finding in _by_cause(made, joints))
     accepted = outcome.accepted
     before = residuals.of(alone, [], np.zeros(0))
@@ -160,15 +163,18 @@ def _harms(finding: Finding) -> bool:
     return finding.effect != ExternalContact.kind and after > HARM * before
 
 
-def _shows(finding: Finding, first: bool) -> bool:
+def _shows(finding: Finding, floor: Mapping[str, float], first: bool) -> bool:
     """Whether a finding explains enough of what the fit has not seen.
 
     An event in time need not show there, nor a first one that is asleep there.
     """
     if finding.effect == ExternalContact.kind:
         return True
-    asleep = first and finding.unseen_gain < SEEN_AGAIN * finding.gain
-    return asleep or finding.explained >= (FIRST_SHOWS if first else SHOWS)
+    if first and finding.unseen_gain < SEEN_AGAIN * finding.gain:
+        return True
+    before, after = finding.before_Nm, finding.after_Nm
+    matters = any(before[joint] ** 2 - after[joint] ** 2 > LEAST * floor[joint] ** 2 for joint in before)
+    return matters and finding.explained >= (FIRST_SHOWS if first else SHOWS)
 
 
 def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
