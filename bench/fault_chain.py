@@ -148,11 +148,16 @@ class BreakableChain(Chain):
 
     def bag(self) -> Path:
         """The newest bag."""
-        return max((self.folder / "recordings").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+        return newest_bag(self.folder)
 
     def held(self) -> dict[str, tuple[int, int, int]]:
         """Of each node: file descriptors, threads, MiB of memory."""
         return {name: held(pid) for name, pid in self.processes.items() if self.alive(name)}
+
+
+def newest_bag(folder: Path) -> Path:
+    """The bag recorded last of a chain whose results go to `folder`."""
+    return max((folder / "recordings").iterdir(), key=lambda path: path.stat().st_mtime_ns)
 
 
 def held(pid: int) -> tuple[int, int, int]:

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from bench_live import count_samples
 from bench_publish import cpu_s
-from fault_chain import held
+from fault_chain import held, newest_bag
 
 from spacearm_ident.cli.demo import FAST_PLANS, PLANS, begin, enable, node_parameters, perform, write_trajectory
 from spacearm_ident.errors import UserError
@@ -158,7 +158,7 @@ def _one_run(
     took = time.monotonic() - begun
     said = chain.call("/recorder/stop")
     chain.wait(lambda: chain.values("recorder").get("recording") == "false", "the end of the bag", STARTED_S)
-    bag = max((directory / "recordings").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    bag = newest_bag(directory)
     held_in_bag = count_samples(bag)
     verdict = chain.status("identifier: identification")
     line = {"run": plan.name, "took_s": round(took, 1), "stopped": dict(sampler.reasons), "failed": failed}

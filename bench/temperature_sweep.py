@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from fault_chain import BreakableChain
+from fault_chain import BreakableChain, newest_bag
 
 from spacearm_ident.cli.demo import ARM, ATTEMPTS, Plan, go_through, node_parameters
 from spacearm_ident.cli.main import main as spacearm
@@ -79,7 +79,7 @@ def record(folder: Path, file: Path, celsius: float) -> Path:
         samples = chain.values("recorder: topics")["/joint_states"]
         print(f"{plan.name}: {chain.call('/recorder/stop')}; /joint_states: {samples}", flush=True)
         chain.call("/driver/enable", False)
-    return max((folder / "recordings").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    return newest_bag(folder)
 
 
 def travel(chain: BreakableChain, plan: Plan, file: Path) -> None:

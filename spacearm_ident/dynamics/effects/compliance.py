@@ -50,8 +50,8 @@ class _Compliance(Effect):
     """Something gives way by d(t)."""
 
     def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
-        """About the axis that gives way."""
-        raise NotImplementedError
+        """About the axis that gives way: the joint's own; others say which."""
+        return by_position(motion, background, motion.joints.index(self.place["joint"]))
 
     def give(
         self, sensitivity: Sensitivity, constants: Values, background: Background
@@ -143,10 +143,6 @@ class JointElasticity(_Compliance):
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
         return cls((share,), springs(joint), place=place)
 
-    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
-        """About the joint's own axis."""
-        return by_position(motion, background, motion.joints.index(self.place["joint"]))
-
 
 @dataclass(frozen=True)
 class Backlash(_Compliance):
@@ -166,10 +162,6 @@ class Backlash(_Compliance):
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
         gap_ = Constant("gap", joint, "rad", GAP_GRID)
         return cls((share,), (gap_, Constant("stiffness", joint, "N m/rad", CONTACT_GRID)), place=place)
-
-    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
-        """About the joint's own axis."""
-        return by_position(motion, background, motion.joints.index(self.place["joint"]))
 
     def give(
         self, sensitivity: Sensitivity, constants: Values, background: Background
