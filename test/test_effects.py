@@ -22,6 +22,7 @@ RATE = 250.0
 PENDULUM = (Link("hip", mass=2.0, com=(0.0, 0.0, -0.5), inertia=(0.03, 0, 0, 0.03, 0, 0.01)),)
 HANGING_NM, PENDULUM_INERTIA = 2.0 * 9.81 * 0.5, 0.03 + 2.0 * 0.5**2
 BASE = {"rigid_body": {}, "rotor_inertia": {}, "viscous_friction": {}}
+ODD = {**BASE, "viscous_friction": {"quadratic": "odd"}}
 
 
 def arm_of(links=THREE_LINKS, gravity=(0.0, 0.0, -9.81)) -> Arm:
@@ -40,17 +41,17 @@ def wave(joints, seconds=4.0, seed=0, speed=1.5, **more) -> Motion:
     return motion_of(joints, *multisine(time, len(joints), seed, 0.25, 4, speed), **more)
 
 
-def healthy(arm: Arm, **values) -> IdentifiedModel:
+def healthy(arm: Arm, structure=BASE, **values) -> IdentifiedModel:
     """Rigid links as in the URDF; others by symbol, the same at every joint."""
-    model = TorqueModel(arm, BASE)
+    model = TorqueModel(arm, structure)
     count = 10 * len(arm.joints)
     rigid = np.concatenate([joint.inertial for joint in arm.joints])
     others = [values.get(parameter.symbol, 0.0) for parameter in model.parameters[count:]]
     return IdentifiedModel(model, np.concatenate([rigid, others]), np.zeros(0))
 
 
-def background_of(arm: Arm, motion: Motion, **values) -> Background:
-    known = healthy(arm, **values)
+def background_of(arm: Arm, motion: Motion, structure=BASE, **values) -> Background:
+    known = healthy(arm, structure, **values)
     return known.model.background(motion, known.parameters, known.constants)
 
 
@@ -280,6 +281,9 @@ def test_vacuum_takes_the_higher_powers_of_speed_away():
     np.testing.assert_allclose(
         torque(one("vacuum_friction", ARM, joint="shoulder"), W, [0.75], (), background), only(1, want[:, 1])
     )
+    resisting = background_of(ARM, W, ODD, k_v1=3.0, k_v2=0.3, k_v3=-0.1)
+    want = -0.75 * (0.3 * W.velocity * np.abs(W.velocity) - 0.1 * W.velocity**3)
+    np.testing.assert_allclose(torque(everywhere, W, [0.75], (), resisting), want)
 
 
 # --- functions of the model's torque --------------------------------------------------------------------------------

@@ -161,8 +161,8 @@ def enable(chain: Chain) -> None:
         # Starting five nodes at once may hold up the driver for longer than the drives forgive.
         chain.call("/driver/recover")
         chain.call("/driver/enable", True)
-        begin = time.monotonic()
-        chain.wait(lambda: enabled() or time.monotonic() - begin > ENABLING_S, "enabled drives", STARTED_S)  # noqa: B023
+        give_up = time.monotonic() + ENABLING_S
+        chain.wait(lambda by=give_up: enabled() or time.monotonic() > by, "enabled drives", STARTED_S)
         if enabled():
             return
     raise UserError(f"the drives do not stay enabled: {chain.status('canopen_driver')}")

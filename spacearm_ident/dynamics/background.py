@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from .arm import Arm, FloatArray
 
 
@@ -30,12 +32,13 @@ class Background:
     values: Mapping[str, float]
     _load: Callable[[], FloatArray]
     _torque: Callable[[], FloatArray]
+    _high_orders: Callable[[], FloatArray]
     kept: dict[object, Any] = field(default_factory=dict)
 
     @classmethod
     def known(cls, load: FloatArray) -> Background:
         """One of which only the load (N, n) is known, N·m."""
-        return cls(None, None, {}, lambda: load, lambda: load)
+        return cls(None, None, {}, lambda: load, lambda: load, lambda: np.zeros_like(load))
 
     @cached_property
     def load(self) -> FloatArray:
@@ -46,6 +49,11 @@ class Background:
     def torque(self) -> FloatArray:
         """(N, n) torque of the whole model without its effects, N·m."""
         return self._torque()
+
+    @cached_property
+    def high_orders(self) -> FloatArray:
+        """(N, n) torque of the friction terms of second and third order, whichever form they have, N·m."""
+        return self._high_orders()
 
     def keep(self, what: object, compute: Callable[[], Any]) -> Any:
         """The result of a computation on this motion, done once."""

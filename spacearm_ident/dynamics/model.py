@@ -182,6 +182,7 @@ class TorqueModel:
         count = 10 * len(self.arm.joints)
         first = next((first for term, first, _ in self.numbered() if isinstance(term, RigidBody)), None)
         inertials = None if first is None else parameters[first : first + count].reshape(-1, 10)
+        high = np.array([parameter.dimension[1] >= 2 for parameter in self.parameters])
         healthy = tuple(kind for kind in self.structure if kind not in EFFECTS)
         return Background(
             self.arm,
@@ -189,6 +190,7 @@ class TorqueModel:
             {item.name: float(value) for item, value in zip(self.parameters, parameters)},
             lambda: self._load(motion, inertials),
             lambda: self.torque(motion, parameters, constants, healthy),
+            lambda: self.torque(motion, parameters * high, constants, (ViscousFriction.kind,)),
         )
 
     def _load(self, motion: Motion, inertials: FloatArray | None) -> FloatArray:

@@ -321,9 +321,4 @@ class VacuumFriction(_Friction):
         rows = [motion.joints.index(joint) for joint in self.joints]
         if background is None:
             return nothing(motion, rows, 1)
-        columns = {}
-        for row in rows:
-            joint, velocity = motion.joints[row], motion.velocity[:, row]
-            k2, k3 = (background.values.get(f"{symbol}[{joint}]", 0.0) for symbol in ("k_v2", "k_v3"))
-            columns[row] = -(k2 * velocity**2 + k3 * velocity**3)[:, None]
-        return each(columns)
+        return each({row: -background.high_orders[:, [row]] for row in rows})
