@@ -19,7 +19,8 @@ demo: venv
 	$(BIN)/spacearm demo --out demo_result
 
 test: venv lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not live" -n auto --dist worksteal
+	$(BIN)/python -m pytest -m live
 
 lint: venv
 	$(BIN)/ruff check

@@ -13,6 +13,14 @@ settings.register_profile("search", max_examples=300)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """What starts processes on a graph keeps time."""
+    for item in items:
+        if "graph" in item.fixturenames:
+            item.add_marker(pytest.mark.live)
+
+
 @pytest.fixture
 def graph(tmp_path):
     """Processes to start on a graph, and a node that sees what they say there."""

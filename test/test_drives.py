@@ -26,6 +26,7 @@ from spacearm_ident.simulation.drives_network import DriveNetwork
 
 EDS = str(eds_path())
 TURN = SCALE.counts_per_turn * SCALE.gear_ratio
+pytestmark = pytest.mark.live
 
 
 @pytest.fixture

@@ -34,6 +34,7 @@ ARM = ArmBus(
     heartbeat_timeout=0.15,
 )
 FREEZE, EMERGENCY, CORRUPT = 1, 2, 3
+pytestmark = pytest.mark.live
 
 
 @pytest.fixture(autouse=True)

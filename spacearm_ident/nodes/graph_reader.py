@@ -24,10 +24,11 @@ from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 from ..recording.background import Topic
 from ..recording.definitions import definition_text
 from ..recording.messages import MessageType
+from .runtime import STREAM
 
 _TAKE_S: Final = 0.02
 _LOOK_S: Final = 0.25
-_DEPTH: Final = 1000
+_DEPTH: Final = STREAM.depth
 
 Sink = Callable[[Topic, int, bytes, int], bool]
 """Given topic, time of receipt, payload, time of sending (ns since 1970); False where it was dropped."""

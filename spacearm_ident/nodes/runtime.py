@@ -42,11 +42,11 @@ from .params_file import holding_in_namespace
 
 STREAM: Final = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
-    depth=1000,
+    depth=5000,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Streams at 1 kHz, both ends: a second of messages rides out a stalled subscriber without loss."""
+"""Streams at 1 kHz, both ends: five seconds of messages ride out a stalled subscriber without loss."""
 
 LATCHED: Final = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
