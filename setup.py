@@ -39,7 +39,16 @@ setup(
         "bench": ["scikit-learn"],
         # `spacearm batch --scheduler`, on the workers of a cluster.
         "dask": ["distributed"],
-        "test": ["pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis", "rosbags", "mcap-ros2-support", "ruff", "mypy"],
+        "test": [
+            "pytest",
+            "pytest-rerunfailures",
+            "pytest-xdist",
+            "hypothesis",
+            "rosbags",
+            "mcap-ros2-support",
+            "ruff",
+            "mypy",
+        ],
     },
     zip_safe=False,
     maintainer="spacearm_ident maintainers",

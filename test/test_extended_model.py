@@ -70,6 +70,7 @@ def in_one_direction(truth: Truth) -> np.ndarray:
         ("position_friction", {**SECOND, "cycles": 2}, {"sin_2": 1.0, "cos_2": 0.7}, 0.01),
         ("friction_drift", {**SECOND, "of": BOTH}, {"df_c": 3.0, "dk_v1": 2.0}, 0.01),
         ("friction_drift", {**SECOND, "of": ["k_v1"]}, {"dk_v1": -2.0}, 0.01),
+        ("friction_drift", {**SECOND, "of": ["creep"]}, {"creep": 0.3}, 0.01),
         ("load_friction", SECOND, {"mu": 0.08}, 0.01),
         ("gear_efficiency", SECOND, {"share": 1.0, "eta": 0.9}, 0.01),
         ("presliding_hysteresis", SECOND, {"f": PAPER.value("f_c", "joint_2"), "d_s": 0.01}, 0.01),

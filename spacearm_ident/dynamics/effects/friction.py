@@ -27,38 +27,43 @@ class _Friction(Effect):
 
 @dataclass(frozen=True)
 class FrictionDrift(_Friction):
-    """The level of Coulomb or viscous friction is another than it was."""
+    """The level of Coulomb or viscous friction is another than it was, or creeps while the arm moves."""
 
     kind: ClassVar[str] = "friction_drift"
     words: ClassVar[str] = "friction level changed"
-    equation: ClassVar[str] = "df_c sgn(qd) + dk_v1 qd"
+    equation: ClassVar[str] = "(df_c + creep t) sgn(qd) + dk_v1 qd, t since the recording began"
     source: ClassVar[str] = "paper eq. 2; wear and lubrication"
     confused_with: ClassVar[tuple[str, ...]] = ("temperature_friction", "torque_constant", "load_friction")
     experiment: ClassVar[str] = "the same motion again after a rest, with the joint temperatures recorded"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Coulomb level, viscosity, or both."""
+        """Coulomb level, viscosity, or both; a level that creeps."""
         for joint in arm.joint_names:
-            for of in (["f_c"], ["k_v1"], ["f_c", "k_v1"]):
+            for of in (["f_c"], ["k_v1"], ["f_c", "k_v1"], ["creep"]):
                 yield {"joint": joint, "of": of}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """At one joint: `of` names the levels that changed."""
+        """At one joint: `of` names the levels that changed, or that the Coulomb level creeps."""
         joint = known_joint(arm, place)
-        units = {"f_c": "N m", "k_v1": "N m s/rad"}
-        parameters = tuple(
-            Parameter(f"d{symbol}", joint, units[symbol], dimension=(0, int(symbol == "k_v1"), 0))
-            for symbol in place.get("of", ["f_c"])
-        )
-        return cls(parameters, place=place)
+        known = {
+            "f_c": Parameter("df_c", joint, "N m"),
+            "k_v1": Parameter("dk_v1", joint, "N m s/rad", dimension=(0, 1, 0)),
+            "creep": Parameter("creep", joint, "N m/s", scale=1.0),
+        }
+        return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), place=place)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """Direction and velocity."""
+        """Direction, velocity, and direction times time."""
         row = self.row(motion)
-        signals = {"f_c": direction(motion, row), "k_v1": motion.velocity[:, row]}
+        sign, time = direction(motion, row), motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
+        signals = {"f_c": sign, "k_v1": motion.velocity[:, row], "creep": sign * time}
         return own(row, *(signals[of] for of in self.place.get("of", ["f_c"])))
+
+    def where(self, values: FloatArray) -> str:
+        """Whether it creeps."""
+        return "friction creeps in time" if "creep" in self.place.get("of", ()) else self.words
 
 
 @dataclass(frozen=True)

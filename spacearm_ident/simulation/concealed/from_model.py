@@ -41,6 +41,8 @@ LARGEST_CORNER_HZ = 450.0
 LEFT_OUT_INERTIA = 0.1
 """Share of a joint's inertia that a wrist's gear stage may have without its being simulated."""
 LEAST_RADIUS = 0.01
+CREEP_S = 60.0
+"""How long a level creeps; the simulated arm's stops then."""
 
 
 def simulated_arm(identified: IdentifiedModel, urdf: str) -> tuple[PlantParameters, list[Effect]]:
@@ -235,6 +237,14 @@ def _lag(found: _Found) -> Values:
     return {"corner": min(corner, LARGEST_CORNER_HZ)}
 
 
+def _friction_drift(found: _Found) -> Values:
+    if not found["creep"]:
+        return {"coulomb": found["df_c"], "viscous": found["dk_v1"]}
+    if len(found.values) > 1:
+        raise found.refused("a level that creeps and has changed as well is two places of it")
+    return {"coulomb": CREEP_S * found["creep"], "over": CREEP_S, "law": "creeping"}
+
+
 def _elasticity(found: _Found) -> Values:
     stiffness = found["stiffness"] / found.share
     link = found.inertia(found.joints[0]) - found.of_joint("rotor_inertia")
@@ -249,7 +259,7 @@ def _harness(found: _Found) -> Values:
 
 _CONVERTERS: dict[str, Callable[[_Found], Values]] = {
     "payload": _payload,
-    "friction_drift": lambda found: {"coulomb": found["df_c"], "viscous": found["dk_v1"]},
+    "friction_drift": _friction_drift,
     "temperature_friction": _temperature_friction,
     "load_friction": lambda found: {"mu": found["mu"]},
     "gear_efficiency": lambda found: {"efficiency": 1.0 - found.share * (1.0 - found["eta"])},
