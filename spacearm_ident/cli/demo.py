@@ -157,15 +157,16 @@ def enable(chain: Chain) -> None:
     def enabled() -> bool:
         return chain.values("canopen_driver").get("operation_enabled") == "true"
 
-    for _ in range(int(STARTED_S / ENABLING_S)):
+    def attempt() -> bool:
         # Starting five nodes at once may hold up the driver for longer than the drives forgive.
         chain.call("/driver/recover")
         chain.call("/driver/enable", True)
         give_up = time.monotonic() + ENABLING_S
-        chain.wait(lambda by=give_up: enabled() or time.monotonic() > by, "enabled drives", STARTED_S)
-        if enabled():
-            return
-    raise UserError(f"the drives do not stay enabled: {chain.status('canopen_driver')}")
+        chain.wait(lambda: enabled() or time.monotonic() > give_up, "enabled drives", STARTED_S)
+        return enabled()
+
+    if not any(attempt() for _ in range(int(STARTED_S / ENABLING_S))):
+        raise UserError(f"the drives do not stay enabled: {chain.status('canopen_driver')}")
 
 
 def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None:

@@ -11,7 +11,7 @@ recorded motion).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar
@@ -53,19 +53,15 @@ class _Compliance(Effect):
         """About the axis that gives way: the joint's own; others say which."""
         return by_position(motion, background, motion.joints.index(self.place["joint"]))
 
-    def give(
-        self, sensitivity: Sensitivity, constants: Values, background: Background
-    ) -> tuple[FloatArray, FloatArray]:
+    def give(self, motion: Motion, constants: Values, background: Background) -> tuple[FloatArray, FloatArray]:
         """(N,) d and d'' of a link on a spring; others say what is different."""
-        return spring(sensitivity, *constants)
+        return spring(self.sensitivity(motion, background), *constants)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the rows of all joints differ by."""
         if background is None or background.arm is None:
             return nothing(motion, range(len(motion.joints)), 1)
-        sensitivity = self.sensitivity(motion, background)
-        give, acceleration = self.give(sensitivity, constants, background)
-        torque = -sensitivity.torque(give, acceleration)
+        torque = -self.sensitivity(motion, background).torque(*self.give(motion, constants, background))
         return each({row: torque[:, [row]] for row in range(torque.shape[1])})
 
 
@@ -96,16 +92,18 @@ def spring(sensitivity: Sensitivity, stiffness: float, damping_ratio: float) -> 
     return _finer(give, acceleration, step, len(sensitivity.load))
 
 
-def gap(sensitivity: Sensitivity, width: FloatArray, stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """D (N, p) rad and d'' of a link between two stops, for p pairs of width, rad, and contact stiffness, N·m/rad."""
-    inertia = np.maximum(sensitivity.own_inertia, 1e-6)
-    h, half = 1 / (STEPS * sensitivity.rate_hz), 0.5 * width
-    d = np.copysign(half, sensitivity.load[0])
-    d = d + sensitivity.load[0] / np.minimum(stiffness, (2 * np.pi * CONTACT_HZ) ** 2 * inertia[0])
+def gap(links: Sequence[Sensitivity], width: FloatArray, stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """D (N, n, p) rad and d'' of n links between two stops: p pairs of width, rad, and contact stiffness, N·m/rad."""
+    inertia = np.maximum(np.stack([link.own_inertia for link in links], axis=1), 1e-6)[:, :, None]
+    load = np.stack([link.load for link in links], axis=1)[:, :, None]
+    h, half = 1 / (STEPS * links[0].rate_hz), np.broadcast_to(0.5 * width, (len(links), len(width)))
+    most = (2 * np.pi * CONTACT_HZ) ** 2 * inertia
+    d = np.copysign(half, load[0])
+    d = d + load[0] / np.minimum(stiffness, most[0])
     v = np.zeros_like(d)
-    give, acceleration = np.empty((2, len(inertia), len(d)))
-    for k, (force, mass) in enumerate(zip(sensitivity.load.tolist(), inertia.tolist())):
-        stiff = np.minimum(stiffness, (2 * np.pi * CONTACT_HZ) ** 2 * mass)
+    give, acceleration = np.empty((2, len(inertia), *d.shape))
+    for k, (force, mass) in enumerate(zip(load, inertia)):
+        stiff = np.minimum(stiffness, most[k])
         damp = 2 * CONTACT_DAMPING * np.sqrt(stiff * mass)
         for _ in range(STEPS):
             beyond = d - np.minimum(np.maximum(d, -half), half)
@@ -163,20 +161,21 @@ class Backlash(_Compliance):
         gap_ = Constant("gap", joint, "rad", GAP_GRID)
         return cls((share,), (gap_, Constant("stiffness", joint, "N m/rad", CONTACT_GRID)), place=place)
 
-    def give(
-        self, sensitivity: Sensitivity, constants: Values, background: Background
-    ) -> tuple[FloatArray, FloatArray]:
-        """Of a gap; those of the whole grid are computed at once."""
+    def give(self, motion: Motion, constants: Values, background: Background) -> tuple[FloatArray, FloatArray]:
+        """Of a gap; those of the whole grid, at all joints, are computed at once."""
         points = list(product(*(constant.grid for constant in self.constants)))
         if tuple(constants) not in points:
-            give, acceleration = gap(sensitivity, *np.array([constants]).T)
-            return give[:, 0], acceleration[:, 0]
-        gives, accelerations = background.keep(
-            ("gap", self.place["joint"]),
-            lambda: [x.astype(np.float32) for x in gap(sensitivity, *np.array(points).T)],
-        )
-        which = points.index(tuple(constants))
-        return gives[:, which].astype(float), accelerations[:, which].astype(float)
+            give, acceleration = gap([self.sensitivity(motion, background)], *np.array([constants]).T)
+            return give[:, 0, 0], acceleration[:, 0, 0]
+        joints = range(len(motion.joints))
+
+        def compute() -> list[FloatArray]:
+            links = [by_position(motion, background, joint) for joint in joints]
+            return [x.astype(np.float32) for x in gap(links, *np.array(points).T)]
+
+        at = np.s_[:, motion.joints.index(self.place["joint"]), points.index(tuple(constants))]
+        give, acceleration = (x[at].astype(float) for x in background.keep("gap", compute))
+        return give, acceleration
 
 
 def _square_to(length: FloatArray, axis: FloatArray) -> list[tuple[float, ...]]:
