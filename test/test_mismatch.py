@@ -249,6 +249,18 @@ def test_a_gain_is_the_drop_of_the_sum_of_squares_of_everything_fitted_together(
     assert np.all((found.visibility >= 0) & (found.visibility <= 1 + 1e-9))
 
 
+def test_in_thin_air_the_field_has_no_friction_of_high_order(prepared):
+    """The same least squares with those columns set to zero in the field's rows."""
+    evidence = prepared.evidence
+    brute, high = Brute(evidence), np.flatnonzero(evidence.base.model.of_high_order)
+    brute.columns[: brute.rows, high] = 0.0
+    want, _, base, _ = brute.solve([])
+    found, squares = evidence.in_thin_air()
+    assert squares == pytest.approx(want, rel=1e-4)
+    np.testing.assert_allclose(found, base[: len(found)], rtol=1e-4, atol=1e-4 * np.abs(base).max())
+    assert np.abs(found[high]).min() > 0
+
+
 @pytest.mark.parametrize("chosen", [(), (0,), (0, 1, 2, 3)])
 def test_unseen_residuals_are_those_of_the_fitted_model_on_other_rows(prepared, chosen):
     evidence, unseen = prepared.evidence, prepared.unseen
@@ -406,6 +418,27 @@ def test_more_friction_is_friction_drift():
     assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
     change = answer.findings[0].parameters["df_c"]
     assert change.value == pytest.approx(0.9, abs=0.1) and change.low > 0.5
+
+
+def test_what_vanishes_in_vacuum_is_one_finding_and_the_extended_model_lacks_it(tmp_path):
+    """With qd |qd|, of which a reference alone says little beside qd and qd^3."""
+
+    def runs(scale, *seeds):
+        laws = [replace(law, k_v2=2.0 * scale, k_v3=-0.7 * scale, odd=True) for law in LAWS]
+        planted = [two_link_run(laws, seconds=16.0, rate_hz=250.0, seed=seed, speed=1.0) for seed in seeds]
+        return [one.recording(noise=NOISE, seed=seed + 100) for one, seed in zip(planted, seeds)]
+
+    field, unseen = runs(0.0, 2, 3)
+    answer = explain(ARM, runs(1.0, 1), [field], [unseen], SLOW_ONES)
+    (finding,) = answer.findings
+    assert finding.effect == "vacuum_friction" and set(finding.joints) == set(ARM.joint_names)
+    assert finding.parameters["share"].value == pytest.approx(1.0, abs=0.1)
+    assert finding.explained > 0.9
+    save_model(answer.model, tmp_path / EXTENDED_MODEL)
+    (motion,), _ = prepare([unseen], ARM.joint_names, answer.cutoff_hz, average=False)
+    left = motion.torque_rows - motion.reduce(load_model(tmp_path / EXTENDED_MODEL).torque(motion))
+    for joint, sound in enumerate(one_way(motion).T):
+        assert np.sqrt(np.mean(left[sound, joint] ** 2)) < NOISE[joint]
 
 
 def test_torque_that_is_late_is_late_by_so_much():

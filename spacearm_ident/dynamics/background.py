@@ -50,10 +50,14 @@ class Background:
         """(N, n) torque of the whole model without its effects, N·m."""
         return self._torque()
 
-    @cached_property
+    @property
     def high_orders(self) -> FloatArray:
         """(N, n) torque of the friction terms of second and third order, whichever form they have, N·m."""
-        return self._high_orders()
+        return np.asarray(self.keep("high_orders", self._high_orders))
+
+    def with_high_orders(self, torque: FloatArray) -> None:
+        """Take them (N, n) to be others, from a fit that knows them better."""
+        self.kept["high_orders"] = torque
 
     def keep(self, what: object, compute: Callable[[], Any]) -> Any:
         """The result of a computation on this motion, done once."""

@@ -177,6 +177,11 @@ class ViscousFriction(Term):
         )
         return (cls(parameters, options=dict(options)),)
 
+    @classmethod
+    def high_order(cls, parameter: Parameter) -> bool:
+        """Whether a parameter is k_v2, in either form, or k_v3."""
+        return parameter.symbol in ("k_v2", cls.ODD, "k_v3")
+
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Powers of each joint's own velocity."""
         rows: dict[int, tuple[list[int], list[FloatArray]]] = {}

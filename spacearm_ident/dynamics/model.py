@@ -182,7 +182,6 @@ class TorqueModel:
         count = 10 * len(self.arm.joints)
         first = next((first for term, first, _ in self.numbered() if isinstance(term, RigidBody)), None)
         inertials = None if first is None else parameters[first : first + count].reshape(-1, 10)
-        high = np.array([parameter.dimension[1] >= 2 for parameter in self.parameters])
         healthy = tuple(kind for kind in self.structure if kind not in EFFECTS)
         return Background(
             self.arm,
@@ -190,8 +189,18 @@ class TorqueModel:
             {item.name: float(value) for item, value in zip(self.parameters, parameters)},
             lambda: self._load(motion, inertials),
             lambda: self.torque(motion, parameters, constants, healthy),
-            lambda: self.torque(motion, parameters * high, constants, (ViscousFriction.kind,)),
+            lambda: self.high_orders(motion, parameters),
         )
+
+    def high_orders(self, motion: Motion, parameters: FloatArray) -> FloatArray:
+        """(N, n) torque of the friction terms of second and third order, N·m."""
+        kept = np.where(self.of_high_order, parameters, 0.0)
+        return self.torque(motion, kept, np.zeros(len(self.constants)), (ViscousFriction.kind,))
+
+    @cached_property
+    def of_high_order(self) -> np.ndarray:
+        """(p,) which parameters are friction of second or third order in speed."""
+        return np.array([ViscousFriction.high_order(parameter) for parameter in self.parameters])
 
     def _load(self, motion: Motion, inertials: FloatArray | None) -> FloatArray:
         """(N, n) torque of the rigid bodies along a motion, N·m."""

@@ -114,6 +114,10 @@ class Competition:
         self.gate = gate
         self._healthy: Evidence | None = None
         self.accepted: list[Candidate] = []
+        if evidence.reference is not None:
+            thin, _ = evidence.in_thin_air()
+            for scene in [evidence.field, *([unseen.scene] if unseen else [])]:
+                scene.believe_high_orders(thin)
         self._pool = list(self._candidates(excluded))
         self._grids: dict[int, list[Candidate]] = {}
         self.common: list[Scored] = []

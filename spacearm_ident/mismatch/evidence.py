@@ -128,7 +128,28 @@ class Evidence:
         basis = solve_triangular(self._triangle, stacked[:, self._used].T, trans="T").T
         self._basis = basis[: self.rows]
         self._inside = basis.T @ torque
+        self._squares = float(torque @ torque)
         self.residual = torque[: self.rows] - self._basis @ self._inside
+
+    def in_thin_air(self) -> tuple[FloatArray, float]:
+        """Base parameters (p,), were there no friction of second and third order in the field, and the squares left.
+
+        A reference alone hardly tells k_v1 from k_v3. With the high orders H taken out of the field's rows, B - H in
+        place of B = Q R, both recordings do: the normal equations in the coordinates R x.
+        """
+        count = len(self.base.model.parameters)
+        own = self._used[self._used < count]
+        gone = np.flatnonzero(self.base.model.of_high_order[own])
+        whole = np.zeros(count)
+        high = self._basis @ self._triangle[:, gone]
+        back = solve_triangular(self._triangle, np.eye(len(self._used)))[gone]
+        across = self._basis.T @ high @ back
+        gram = np.eye(len(self._used)) - across - across.T + back.T @ (high.T @ high) @ back
+        torque = self.residual + self._basis @ self._inside
+        slope = self._inside - back.T @ (high.T @ torque)
+        inside = np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ slope
+        whole[own] = solve_triangular(self._triangle, inside)[: len(own)]
+        return whole, self._squares - float(slope @ inside)
 
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect in the field; its columns may be known from elsewhere."""
@@ -204,12 +225,27 @@ class Evidence:
 
     def base_parameters(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """Parameters of the base (nuisance and common effects last) when these effects stand beside it."""
-        inside = self._inside.copy()
-        if candidates:
-            inside -= np.concatenate([c.inside for c in candidates], axis=1) @ values
         whole = np.zeros(self._width)
-        whole[self._used] = solve_triangular(self._triangle, inside)
+        whole[self._used] = solve_triangular(self._triangle, self._beside(candidates, values))
         return whole
+
+    def base_parameters_with(
+        self, known: FloatArray, candidates: Sequence[Candidate], values: FloatArray
+    ) -> FloatArray:
+        """The same where some of the base model's own are known: (p,), NaN for the others."""
+        whole = np.zeros(self._width)
+        whole[: len(known)] = np.nan_to_num(known)
+        free = np.concatenate([np.isnan(known), np.ones(self._width - len(known), dtype=bool)])[self._used]
+        target = self._beside(candidates, values) - self._triangle[:, ~free] @ whole[self._used[~free]]
+        whole[self._used[free]] = np.linalg.lstsq(self._triangle[:, free], target, rcond=None)[0]
+        return whole
+
+    def _beside(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
+        """(b,) what these effects leave to the base, in its orthonormal basis."""
+        inside = self._inside
+        if candidates:
+            inside = inside - np.concatenate([c.inside for c in candidates], axis=1) @ values
+        return np.asarray(inside)
 
 
 def _inner(one: Candidate, other: Candidate) -> FloatArray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.effects.effect import Effect
+from ..dynamics.effects.friction import VacuumFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..identification.consistency import make_consistent
 from ..identification.prior import make_prior
@@ -24,8 +25,12 @@ def extended_model(evidence: Evidence, accepted: Sequence[Candidate], values: Fl
         values: (k,) their parameters.
     """
     base = evidence.base
-    whole = evidence.base_parameters(accepted, values)
     count = len(base.model.parameters)
+    whole = evidence.base_parameters(accepted, values)
+    if any(candidate.effect.kind == VacuumFriction.kind for candidate in accepted):
+        # It takes away what the model itself has: the model must have what was taken away.
+        removed = np.where(base.model.of_high_order, evidence.in_thin_air()[0], np.nan)
+        whole = evidence.base_parameters_with(removed, accepted, values)
     scale = make_prior(base.model, evidence.field.motions).scale
     parameters = np.where(scale > 0, whole[:count], base.parameters)
     parameters = make_consistent(base.model, evidence.base_triangle, parameters, scale)

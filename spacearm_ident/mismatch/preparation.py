@@ -13,8 +13,10 @@ import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.base_link import placed
-from ..dynamics.model import IdentifiedModel
+from ..dynamics.friction import ViscousFriction
+from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..identification.identify import Settings, identify
+from ..identification.structure import GATE
 from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
@@ -95,10 +97,31 @@ def prepare_evidence(
     if known is not None:
         # A model pins itself down as a recording of the healthy arm on the same motion would.
         referred = [replace(motion, torque=known.torque(motion)) for motion in examined]
-    scene = Scene(base, examined, whiteners)
-    evidence = Evidence(base, scene, Scene(base, referred, whiteners) if referred else None)
+
+    def gathered(base: IdentifiedModel) -> Evidence:
+        return Evidence(base, Scene(base, examined, whiteners), Scene(base, referred, whiteners) if referred else None)
+
+    evidence = gathered(base)
+    other = _in_other_form(base) if healthy else None
+    if other is not None:
+        # The healthy arm alone need not tell which; an arm in vacuum that lacks the term does.
+        in_other_form = gathered(other)
+        if in_other_form.in_thin_air()[1] < evidence.in_thin_air()[1] - GATE:
+            base, evidence = other, in_other_form
     unseen = Unseen(evidence, Scene(base, judged, whiteners)) if judged else None
     return Prepared(base, evidence, unseen, plain, _floor(whiteners), cutoff, known is not None)
+
+
+def _in_other_form(base: IdentifiedModel) -> IdentifiedModel | None:
+    """The base with its quadratic friction even in place of odd, or odd in place of even; None if it has none."""
+    options = base.model.structure.get(ViscousFriction.kind, {"vacuum": True})
+    if options.get("vacuum"):
+        return None
+    other = "even" if options.get("quadratic") == "odd" else "odd"
+    structure = {**base.model.structure, ViscousFriction.kind: {**options, "quadratic": other}}
+    quadratic = np.array([parameter.symbol == "k_v2" for parameter in base.model.parameters])
+    parameters = np.where(quadratic, 0.0, base.parameters)
+    return replace(base, model=TorqueModel(base.model.arm, structure), parameters=parameters)
 
 
 def _whiteners(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[Whitener], list[Whitener]]:

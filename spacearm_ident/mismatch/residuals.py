@@ -25,7 +25,7 @@ class Residuals:
 
     def __init__(self, evidence: Evidence, scene: Scene, plain: Sequence[Whitener]) -> None:
         count = len(evidence.base.model.arm.joints)
-        self.scene = Scene(evidence.base, scene.motions, [Whitener(np.zeros(0), 1.0)] * count)
+        self.scene = Scene(evidence.base, scene.motions, [Whitener(np.zeros(0), 1.0)] * count, scene.backgrounds)
         weights = [whitener.weight(*self._rows(j)) for j, whitener in enumerate(plain)]
         self._information = np.concatenate(weights) ** 2
         self._columns = base_columns(evidence.base, self.scene, evidence.common)

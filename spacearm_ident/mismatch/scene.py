@@ -168,13 +168,20 @@ class Scene:
         sound: By motion, (M, n) rows that count.
     """
 
-    def __init__(self, base: IdentifiedModel, motions: Sequence[Motion], whiteners: Sequence[Whitener]) -> None:
+    def __init__(
+        self,
+        base: IdentifiedModel,
+        motions: Sequence[Motion],
+        whiteners: Sequence[Whitener],
+        backgrounds: Sequence[Background] | None = None,
+    ) -> None:
+        """Stack motions; their backgrounds may be known from another scene of the same ones."""
         self.motions = list(motions)
         self.whiteners = list(whiteners)
-        model = base.model
-        self.backgrounds: list[Background] = [
-            model.background(quiet(motion), base.parameters, base.constants) for motion in self.motions
-        ]
+        self.model = model = base.model
+        self.backgrounds: list[Background] = list(
+            backgrounds or (model.background(quiet(motion), base.parameters, base.constants) for motion in self.motions)
+        )
         self.sound = [one_way(motion) for motion in self.motions]
         self._before = [[stretch(sound[:, j]) for sound in self.sound] for j in range(len(whiteners))]
         joint, owner, place = [], [], []
@@ -223,6 +230,11 @@ class Scene:
             for m, motion in enumerate(self.motions):
                 stacked[self.slot(j, m)] = self.whiten(j, m, motion.torque_rows[:, [j]])[:, 0]
         return stacked
+
+    def believe_high_orders(self, parameters: FloatArray) -> None:
+        """Friction terms of second and third order as these base parameters (p,) have them, for what removes them."""
+        for motion, background in zip(self.motions, self.backgrounds):
+            background.with_high_orders(self.model.high_orders(motion, parameters))
 
     def stack(self, columns: Sequence[Columns], count: int) -> FloatArray:
         """(R, count) stacked rows of full-rate columns, given motion by motion."""
