@@ -58,9 +58,11 @@ def orbit(prior: GroundPrior, truth: np.ndarray, seed: int, seconds: float, rate
     )
 
 
-@pytest.mark.parametrize(("seconds", "rate", "ar"), [(5.0, 200.0, 0.0), (5.0, 100.0, 0.0), (5.0, 200.0, 0.9)])
+@pytest.mark.parametrize(
+    ("seconds", "rate", "ar"), [(5.0, 200.0, 0.0), (5.0, 100.0, 0.0), (5.0, 200.0, 0.9), (5.0, 200.0, 0.967)]
+)
 def test_intervals_cover_what_they_say(seconds, rate, ar):
-    """150 arms drawn from the prior; 5 s, or 500 samples; white noise and slow."""
+    """150 arms drawn from the prior; 5 s, or 500 samples; noise white, and with time constants of 50 and 150 ms."""
     prior = ground()
     wider = prior.widened(CHANGES)
     centre = np.concatenate([prior.model.parameters, prior.model.constants])
@@ -76,7 +78,8 @@ def test_intervals_cover_what_they_say(seconds, rate, ar):
     assert 0.93 <= np.mean(inside) <= 0.97
     # What the data decided: some 1500 intervals, twelve or so of them of one run.
     assert len(decided) > 900
-    assert 0.93 <= np.mean(decided) <= 0.975
+    # Of slow noise a little more: rows count for what the spectrum is at zero, and the motion is above that.
+    assert 0.93 <= np.mean(decided) <= (0.985 if ar > 0.95 else 0.975)
 
 
 def test_data_that_say_much_say_all():

@@ -8,11 +8,9 @@ the linear model
 
     r = (A L) v + noise,        r = tau - A x_ground,
 
-with constants linearised in their logarithms about the ground. A row counts 1/(sigma^2 kappa) as in `weights.py`;
-sigma is corrected for what the data determined (the trace of the hat matrix over effective rows), which matters when
-there are few. Intervals use Student's t as far as the data decided a value, with a quarter of a degree of freedom an
-effective row: kappa comes from the same few rows as sigma, and that share is what keeps 95 % intervals at 93 to 97 %
-on seeded repeats, white and slow noise alike (`test_from_prior.py`).
+with constants linearised in their logarithms about the ground. How loud and how slow the noise is, its own residual
+says (`posterior.py`); intervals use Student's t as far as the data decided a value. 95 % intervals hold 93 to 97 % on
+seeded repeats, white and slow noise alike (`test_from_prior.py`).
 
 Gravity may be unknown as well: its change is one more linear unknown beside v, about a gravity and masses that are
 moved to the posterior's until they stay. Here the prior knows the masses, so its size is told from them.
@@ -29,7 +27,7 @@ from scipy.stats import t as student
 from ..dynamics.arm import FloatArray
 from ..dynamics.base_link import placed
 from ..dynamics.model import IdentifiedModel, TorqueModel
-from ..errors import UnfitDataError, UserError
+from ..errors import UserError
 from ..recording.bandwidth import Bandwidth
 from ..recording.motion import Motion
 from ..recording.recording import Recording
@@ -37,22 +35,16 @@ from ..recording.signals import prepare
 from .environment import GRAVITY_SCALE, HIGH_ORDERS, GravityEstimate
 from .gravity import DIRECTION, gravity_columns, gravity_result, is_zero, tangents, weight_columns
 from .identified import Identified
+from .posterior import posterior
 from .regression import Regression
 from .separable import Solution
 from .solution_columns import all_columns
-from .weights import residual_noise
 
 CHANGES: Mapping[str, float] = {"f_c": 0.3, "f_b": 0.3, "k_v1": 0.3, "k_v2": 1.0, "k_v3": 1.0}
 """Standard deviation of a change since the ground, as a share of the value; f_b follows f_c, its excess may change.
 k_v2 and k_v3 may be gone: in vacuum they are."""
-ITERATIONS = 8
-START_NOISE = 0.01
-"""Noise that weights begin with, as a share of a joint's torque."""
-HUBER = 3.0
 ROUNDS, STAYS = 6, 1e-3
 """m/s^2: gravity that moves by less has been found."""
-LEAST_FREEDOM = 3.0
-FREEDOM_A_ROW = 1.0 / 4.0
 SMALLEST_EIGENVALUE = 1e-12
 
 
@@ -236,7 +228,8 @@ def _update(motions: list[Motion], bandwidth: Bandwidth, wider: GroundPrior, fie
         for joint, weight in enumerate(weight_columns(gravity_columns(regression), model, field.parameters)):
             targets[joint] = targets[joint] - weight @ ways @ expected
             matrices[joint] = np.column_stack([matrices[joint], GRAVITY_SCALE * weight @ ways])
-    mean, spread, sigma, effective, freedom = _posterior(regression, matrices, targets)
+    result = posterior(regression, matrices, targets)
+    mean, spread = result.mean, result.covariance
     departure = factor @ mean[:rank]
     covariance = factor @ spread[:rank, :rank] @ factor.T * np.outer(unit, unit)
     before = np.diag(wider.covariance)
@@ -254,15 +247,15 @@ def _update(motions: list[Motion], bandwidth: Bandwidth, wider: GroundPrior, fie
         if field.choice == DIRECTION:
             vector = vector * np.linalg.norm(field.believed) / np.linalg.norm(vector)
         spread_of = GRAVITY_SCALE**2 * ways @ spread[rank:, rank:] @ ways.T
-        found = gravity_result(vector, field.believed, spread_of, field.choice, float(freedom.sum()))
+        found = gravity_result(vector, field.believed, spread_of, field.choice, float(result.freedom.sum()))
         values = replace(values, model=TorqueModel(model.arm.with_gravity(vector), model.structure))
     return Updated(
         values,
         covariance,
         np.where(before > 0, told, 0.0),
-        sigma,
-        effective,
-        freedom,
+        result.sigma,
+        result.effective_rows,
+        result.freedom,
         before=np.sqrt(before),
         residual_Nm=np.array([left, [_rms(t - m @ mean) for m, t in zip(matrices, targets)]]),
         rows=np.array([len(target) for target in targets]),
@@ -308,66 +301,3 @@ def _rows(
                 for joint, column in regression.derivatives(term, list(values), k, ground.parameters).items():
                     matrices[joint] = matrices[joint] + np.outer(column, factor[count + first + k])
     return matrices, targets
-
-
-def _posterior(
-    regression: Regression, matrices: list[FloatArray], targets: list[FloatArray]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Mean (r,), covariance (r, r), sigma, effective rows and degrees of freedom (n,), noise as its residual shows."""
-    joints, width = len(targets), matrices[0].shape[1]
-    # From the data's side: the ground's own residual is slow and large, weights made from it would believe no row, and
-    # a fit that believes none stays there.
-    mean = _believing(regression, matrices, targets)
-    spread: FloatArray = np.eye(width)
-    sigma, effective = np.zeros(joints), np.zeros(joints)
-    hats = np.zeros(joints)
-    for iteration in range(ITERATIONS + 1):
-        information, score = np.eye(width), np.zeros(width)
-        weights = []
-        for joint, (matrix, target) in enumerate(zip(matrices, targets)):
-            residual = target - matrix @ mean
-            sigma[joint], effective[joint] = _noise(regression, joint, residual, hats[joint] if iteration else 0.0)
-            kappa = len(target) / max(effective[joint], 1e-12)
-            huber = np.minimum(1.0, HUBER * sigma[joint] / np.maximum(np.abs(residual), 1e-300))
-            weight = huber / (sigma[joint] ** 2 * kappa) if len(target) > 1 else np.zeros(len(target))
-            weights.append(weight)
-            information += matrix.T @ (matrix * weight[:, None])
-            score += matrix.T @ (target * weight)
-        spread = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        mean = np.asarray(spread @ score, dtype=np.float64)
-        hats = np.array(
-            [float(np.sum((matrix @ spread) * matrix * weight[:, None])) for matrix, weight in zip(matrices, weights)]
-        )
-    if not effective.any():
-        raise UnfitDataError("no joint moves long enough to tell anything: record a few seconds of motion")
-    freedom = np.maximum(FREEDOM_A_ROW * (effective - hats), LEAST_FREEDOM)
-    return mean, spread, sigma, effective, freedom
-
-
-def _believing(regression: Regression, matrices: list[FloatArray], targets: list[FloatArray]) -> FloatArray:
-    """Mean (r,) under noise of `START_NOISE` of each joint's torque, white."""
-    information, score = np.eye(matrices[0].shape[1]), np.zeros(matrices[0].shape[1])
-    for rows, matrix, target in zip(regression.rows, matrices, targets):
-        if len(target) > 1:
-            weight = 1.0 / (START_NOISE**2 * float(np.mean(rows.torque**2)) + 1e-18)
-            information += weight * matrix.T @ matrix
-            score += weight * matrix.T @ target
-    return np.asarray(np.linalg.solve(information, score))
-
-
-def _noise(regression: Regression, joint: int, residual: FloatArray, hat: float) -> tuple[float, float]:
-    """Sigma of a row, corrected for what was fitted, and the number of effective rows of a joint."""
-    rows = regression.rows[joint]
-    squares = effective = 0.0
-    for number, motion in enumerate(regression.motions):
-        mine = rows.owner == number
-        if mine.sum() < 2:
-            continue
-        noise = residual_noise(residual[mine], rows.place[mine], motion.white_correlation)
-        squares += noise.rows * noise.sigma_Nm**2
-        effective += noise.rows / noise.correlation_rows
-    if effective == 0.0:
-        return 1.0, 0.0
-    freedom = max(effective - hat, LEAST_FREEDOM, 0.25 * effective)
-    floor = 1e-6 * float(np.sqrt(np.mean(rows.torque**2))) + 1e-9
-    return max(float(np.sqrt(squares / len(residual) * effective / freedom)), floor), effective
