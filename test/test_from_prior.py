@@ -102,6 +102,21 @@ def test_data_that_say_much_say_all():
         assert result.standard_errors[number] == pytest.approx(np.sqrt(prior.covariance[number, number]), rel=1e-6)
 
 
+def test_constants_are_found_where_the_ground_is_far_off():
+    """v_b a quarter off, and half of the Stribeck peak gone, whose height its column was linearised with."""
+    prior = ground()
+    names = list(prior.names)
+    number, peak = names.index("v_b[shoulder]"), names.index("f_b[shoulder]")
+    covariance = prior.covariance.copy()
+    covariance[number, number] = (0.2 * V_B) ** 2
+    truth = np.concatenate([prior.model.parameters, prior.model.constants])
+    truth[number], truth[peak] = 1.25 * V_B, 7.0
+    result = update([orbit(prior, truth, 1, 30.0, 200.0, 0.0)], replace(prior, covariance=covariance))
+    found = np.concatenate([result.model.parameters, result.model.constants])
+    misses = np.abs(found - truth)[[number, peak]] / result.standard_errors[[number, peak]]
+    assert result.told[number] > 0.8 and misses.max() < 3.0
+
+
 def test_changes_widen_friction_only_and_f_b_follows_f_c():
     prior = ground()
     extra = prior.widened({"f_c": 0.3, "f_b": 0.5}).covariance - prior.covariance
