@@ -27,8 +27,8 @@ def noise(seconds: float, time_constant: float, seed: int) -> Motion:
     return motion(lfilter([np.sqrt(1 - decay**2)], [1.0, -decay], white, axis=0)[500:])
 
 
-def seen(one: Motion, residual: np.ndarray, lost: float = 0.0) -> float:
-    return FirstOrder.after(one.white_correlation).kappa_of(residual, np.arange(len(residual)), lost)
+def seen(one: Motion, residual: np.ndarray, fitted: float = 0.0) -> float:
+    return FirstOrder.after(one.white_correlation).kappa_of(residual, np.arange(len(residual)), fitted)
 
 
 def through_the_window(time_constant: float) -> tuple[float, float]:
@@ -77,7 +77,7 @@ def test_five_seconds_tell_it_though_the_fit_took_what_is_slow(time_constant, sl
         white = 1.0 + 2.0 * one.white_correlation[1:].sum()
         rows = one.torque_rows[:, 0]
         residual = rows - basis @ (basis.T @ rows)
-        kappa = seen(one, residual, 8.0 * slower * white / len(rows))
+        kappa = seen(one, residual, 8.0 / len(rows))
         found.append(kappa / white)
         summed.append(residual_noise(residual, np.arange(len(rows)), one.white_correlation).correlation_rows / white)
     assert np.median(summed) < 1.1

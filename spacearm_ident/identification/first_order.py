@@ -5,7 +5,8 @@ the spectrum is what a fit takes from its residual first: of noise with a time c
 low-pass makes white noise, the residual of a 5 s fit shows nothing at zero (kappa by Sokal's sum: white noise's in half
 of the runs). It does show over the length of the low-pass, as in von Neumann's ratio. So noise is taken to be of first
 order, white before the low-pass at the least, and its decay is read off the correlation rho at half that length; every
-direction that was fitted has taken kappa/M of the variance from all short lags alike, which is given back.
+direction that was fitted has taken kappa/M of the variance from all short lags alike, which is given back as far as
+white noise has it (with the kappa that is sought, both run away where rows are few).
 """
 
 from __future__ import annotations
@@ -52,13 +53,13 @@ class FirstOrder:
         kappa = sides.sum() * (1.0 + DECAYS) / (1.0 - DECAYS) / covariance[:, 0]
         return cls(lag, rho[:, lag], kappa, 1.0 + 2.0 * ((rho[:, 1:] ** 2).sum(axis=1) + rest))
 
-    def kappa_of(self, residual: FloatArray, place: np.ndarray, lost: float) -> float:
+    def kappa_of(self, residual: FloatArray, place: np.ndarray, fitted: float) -> float:
         """Correlation time of a residual, rows.
 
         Args:
             residual: (M,) N·m, outliers bounded.
             place: (M,) row numbers in time, gaps left out.
-            lost: Share of the noise's variance that the fit took.
+            fitted: Directions that a fit took from it, a row.
         """
         signal, present = np.zeros((2, int(place[-1] - place[0]) + 1))
         signal[place - place[0]] = residual
@@ -68,7 +69,7 @@ class FirstOrder:
         if pairs == 0.0 or power == 0.0:
             return float(self.kappa[0])
         seen = float(signal[self.lag :] @ signal[: -self.lag]) / pairs / power
-        lost = min(lost, MOST_LOST)
+        lost = min(fitted * float(self.kappa[0]), MOST_LOST)
         return float(np.interp(seen * (1.0 - lost) + lost, self.correlation, self.kappa))
 
     def squared_share(self, kappa: float) -> float:

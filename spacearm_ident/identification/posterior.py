@@ -73,15 +73,14 @@ def posterior(regression: Regression, matrices: list[FloatArray], targets: list[
     loud = [START_NOISE**2 * float(np.sum(rows.torque**2)) / max(len(rows.torque), 1) for rows in regression.rows]
     weights = [np.full(len(target), 1.0 / (power + 1e-18)) for target, power in zip(targets, loud)]
     mean, spread = _solved(matrices, targets, weights)
-    lost = hats = effective = np.zeros(len(targets))
+    hats = np.zeros(len(targets))
     for _ in range(ITERATIONS + 1):
         residuals = [target - matrix @ mean for matrix, target in zip(matrices, targets)]
-        noise = [_noise(regression, laws, k, residual, hats[k], lost[k]) for k, residual in enumerate(residuals)]
+        noise = [_noise(regression, laws, k, residual, hats[k]) for k, residual in enumerate(residuals)]
         weights = [_weight(residual, one) for residual, one in zip(residuals, noise)]
         mean, spread = _solved(matrices, targets, weights)
         hats = np.array([np.sum((m @ spread) * m * weight[:, None]) for m, weight in zip(matrices, weights)])
-        effective = np.array([one.effective for one in noise])
-        lost = hats / np.maximum(effective, 1e-12)
+    effective = np.array([one.effective for one in noise])
     if not effective.any():
         raise UnfitDataError("no joint moves long enough to tell anything: record a few seconds of motion")
     freedom = (effective - hats / 2.0) / np.array([one.squared_share for one in noise])
@@ -108,10 +107,8 @@ def _weight(residual: FloatArray, noise: _JointNoise) -> FloatArray:
     return np.asarray(huber * share / noise.sigma**2)
 
 
-def _noise(
-    regression: Regression, laws: list[FirstOrder], joint: int, residual: FloatArray, hat: float, lost: float
-) -> _JointNoise:
-    """Of one joint over all motions; `lost` is the share of its variance that the fit took."""
+def _noise(regression: Regression, laws: list[FirstOrder], joint: int, residual: FloatArray, hat: float) -> _JointNoise:
+    """Of one joint over all motions; `hat` is the number of effective rows that the fit took."""
     rows = regression.rows[joint]
     squares = effective = shares = 0.0
     for number, (motion, law) in enumerate(zip(regression.motions, laws)):
@@ -120,7 +117,7 @@ def _noise(
             continue
         noise = residual_noise(residual[mine], rows.place[mine], motion.white_correlation)
         bounded = np.clip(residual[mine], -HUBER * noise.sigma_Nm, HUBER * noise.sigma_Nm)
-        kappa = max(noise.correlation_rows, law.kappa_of(bounded, rows.place[mine], lost))
+        kappa = max(noise.correlation_rows, law.kappa_of(bounded, rows.place[mine], hat / len(residual)))
         squares += noise.rows * noise.sigma_Nm**2
         effective += noise.rows / kappa
         shares += noise.rows / kappa * law.squared_share(kappa)
