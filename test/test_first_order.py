@@ -55,6 +55,13 @@ def test_the_law_is_that_of_continuous_time(time_constant):
     assert FirstOrder.after(one.white_correlation).squared_share(kappa) == pytest.approx(squared / time, rel=0.05)
 
 
+def test_without_a_low_pass_it_is_the_textbooks():
+    law = FirstOrder.after(np.ones(1))
+    assert law.lag == 1 and law.correlation == pytest.approx(DECAYS)
+    assert law.kappa == pytest.approx((1 + DECAYS) / (1 - DECAYS))
+    assert law.squared == pytest.approx((1 + DECAYS**2) / (1 - DECAYS**2))
+
+
 def test_white_noise_is_white_and_nothing_is_faster():
     one = noise(400.0, 0.0, 2)
     law = FirstOrder.after(one.white_correlation)
