@@ -58,9 +58,11 @@ def orbit(prior: GroundPrior, truth: np.ndarray, seed: int, seconds: float, rate
     )
 
 
-@pytest.mark.parametrize(("seconds", "rate", "ar"), [(5.0, 200.0, 0.0), (5.0, 100.0, 0.0), (5.0, 200.0, 0.9)])
+@pytest.mark.parametrize(
+    ("seconds", "rate", "ar"), [(5.0, 200.0, 0.0), (5.0, 100.0, 0.0), (5.0, 200.0, 0.9), (5.0, 200.0, 0.967)]
+)
 def test_intervals_cover_what_they_say(seconds, rate, ar):
-    """150 arms drawn from the prior; 5 s, or 500 samples; white noise and slow."""
+    """150 arms drawn from the prior; 5 s, or 500 samples; noise white, and with time constants of 50 and 150 ms."""
     prior = ground()
     wider = prior.widened(CHANGES)
     centre = np.concatenate([prior.model.parameters, prior.model.constants])
@@ -97,6 +99,21 @@ def test_data_that_say_much_say_all():
         assert result.told[number] == pytest.approx(0.0, abs=1e-6)
         assert result.model.parameters[number] == pytest.approx(centre[number], abs=1e-9)
         assert result.standard_errors[number] == pytest.approx(np.sqrt(prior.covariance[number, number]), rel=1e-6)
+
+
+def test_constants_are_found_where_the_ground_is_far_off():
+    """v_b a quarter off, and half of the Stribeck peak gone, whose height its column was linearised with."""
+    prior = ground()
+    names = list(prior.names)
+    number, peak = names.index("v_b[shoulder]"), names.index("f_b[shoulder]")
+    covariance = prior.covariance.copy()
+    covariance[number, number] = (0.2 * V_B) ** 2
+    truth = np.concatenate([prior.model.parameters, prior.model.constants])
+    truth[number], truth[peak] = 1.25 * V_B, 7.0
+    result = update([orbit(prior, truth, 1, 30.0, 200.0, 0.0)], replace(prior, covariance=covariance))
+    found = np.concatenate([result.model.parameters, result.model.constants])
+    misses = np.abs(found - truth)[[number, peak]] / result.standard_errors[[number, peak]]
+    assert result.told[number] > 0.8 and misses.max() < 3.0
 
 
 def test_changes_widen_friction_only_and_f_b_follows_f_c():
