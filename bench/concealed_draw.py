@@ -106,7 +106,7 @@ STRENGTHS = {
     "torque_constant": Strength("scale", 1e-3, 0.25, "scale"),
     "motor_saturation": Strength("torque", 1 / 3e3, 1 / 8.0, "inverse", joints=(0, 1, 2, 3, 4, 5)),
     "current_offset": Strength("offset", 0.02, 10.0, "signed", joints=(0, 3, 4, 5)),
-    "encoder_eccentricity": Strength("amplitude", 1e-4, 0.04, also=(_PHASE, ("cycles", 1.0, 8.0))),
+    "encoder_eccentricity": Strength("amplitude", 1e-4, 0.02, also=(_PHASE, ("cycles", 1.0, 8.0))),
     "time_delay": Strength("delay", 2e-4, 0.03, joints=()),
     "filter_lag": Strength("corner", 1 / 400, 1 / 2.0, "inverse"),
     "pump_disturbance": Strength("amplitude", 0.02, 8.0, also=(_PHASE, ("frequency", 0.8, 6.0))),

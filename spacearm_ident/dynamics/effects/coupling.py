@@ -16,6 +16,9 @@ from ..term import Columns, Parameter, Values
 from .effect import Effect, Options, each, nothing
 from .linearised import rigid_torque
 
+DRY = 0.3
+"""Gears rub dry by as much, at least, as their viscous friction is at this speed, rad/s."""
+
 
 @dataclass(frozen=True)
 class RotorCoupling(Effect):
@@ -107,6 +110,13 @@ class WristCoupling(Effect):
         units = {"J": "kg m^2", "k": "N m s/rad", "f": "N m"}
         parameters = tuple(Parameter(s, place["joint"], unit, scale=10.0) for s, unit in units.items())
         return cls(parameters, place=place)
+
+    def plausible(self, values: FloatArray, constants: Values) -> bool:
+        """Gears rub dry: what grows with speed alone, or drives what it should brake, is no gear (a gyroscope, say)."""
+        _, viscous, dry = values
+        if "ratio" in self.place and dry <= 0.0:
+            return False
+        return bool(abs(dry) >= DRY * abs(viscous) and (viscous * dry >= 0.0 or abs(viscous) < abs(dry)))
 
     @property
     def joints(self) -> tuple[str, ...]:
