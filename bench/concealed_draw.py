@@ -340,6 +340,8 @@ def _placed(trial: Trial, name: str) -> Entry:
     if name == "external_contact":
         parameters["direction"] = rng.standard_normal(3).tolist()
         parameters["point"] = [0.0, 0.0, 0.08]
+    if name == "presliding_hysteresis":
+        trial.arm.slip[first] = 0.0  # What the healthy arm has as well, and may have more of, is not concealed.
     if name == "payload":
         parameters["centre"] = rng.uniform(-0.06, 0.12, 3).tolist()
     law = kind.laws[0] if rng.random() < 0.7 else str(rng.choice(kind.laws))
