@@ -491,6 +491,8 @@ def test_a_period_a_drive_cannot_be_told():
         ({"axes": (Axis(127, SCALE),)}, "cannot be a drive"),
         ({"mode": 9}, "mode of operation 9"),
         ({"answer_time": 1.0}, "answer_time"),
+        ({"extrapolation": -0.1}, "extrapolation_s is -0.1"),
+        ({"extrapolation": math.nan}, "extrapolation_s is nan"),
     ],
 )
 def test_impossible_arms(change, message):
