@@ -315,10 +315,12 @@ class ArmDriver:
         elif self._monitor.at_rest:
             cycle.goal = Goal.DISABLED
 
-    def _next_target(self, late: float) -> FloatArray | None:
+    def _next_target(self, late: float) -> Callable[[int], FloatArray | None] | None:
+        stream, late_ns = self._stream, round(1e9 * late)
+        if stream is None:
+            return None
         # For when the slot began: a target for now would turn every lateness into a jerk.
-        stream = self._stream
-        return None if stream is None else self._playback.target(stream, time.time_ns() - round(1e9 * late))
+        return lambda sync_ns: self._playback.target(stream, sync_ns - late_ns)
 
     def _judge(self, cycle: Cycle, monitor: MotionMonitor, feedback: Feedback) -> None:
         events = cycle.events
