@@ -121,12 +121,12 @@ def test_drives_that_went_on_are_faded_onto_the_path_at_the_clock(at, stall):
     i = after[0]
     gone = targets[i - 1] + (targets[i - 1] - targets[i - 2]) * (ms[i] - ms[i - 1])
     np.testing.assert_allclose(targets[i], gone, atol=1e-12)
-    faded = ms > ms[i] + 1e3 * FADE
+    faded = ms > ms[i] + FADE * (stall + 1)
     np.testing.assert_allclose(targets[faded], [swinging(1e-3 * k - DELAY) for k in ms[faded]], atol=2e-6)
-    # The fading itself: a cubic from an error of a T²/2 and a T.
-    T = 1e-3 * (stall + 1)
+    # The fading itself: a cubic from an error of a T²/2 and a T; the velocity they went on with is half a cycle older.
     _, acceleration = rates_of(targets[i:])
-    assert np.all(np.abs(acceleration) <= 1.02 * ACCELERATION * (1 + 4 * T / FADE + 3 * (T / FADE) ** 2))
+    older = (stall + 2) / (stall + 1)
+    assert np.all(np.abs(acceleration) <= 1.02 * ACCELERATION * (1 + 4 * older / FADE + 3 / FADE**2))
 
 
 def test_what_is_faded_stays_within_the_position_limits():

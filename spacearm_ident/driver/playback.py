@@ -26,8 +26,9 @@ from spacearm_ident.driver.set_points import SetPointStream
 #: Cycles from one target to the next beyond which it is a stall. The arm hardly feels fewer: to set off from rest
 #: would be the harder jerk (seen on the simulated arm, its drives standing at once).
 STALL: Final = 6.5
-#: Seconds in which what drives that extrapolated are beside the path is faded out.
-FADE: Final = 0.5
+#: What drives that extrapolated are beside the path is faded out in so many times as long: longer, and the arm gets
+#: further off, shorter, and it accelerates more (4/FADE + 3/FADE² of what the path does).
+FADE: Final = 6.0
 #: Share by which the playing is faster than the clock while it lags; its square is within `TOLERANCE`.
 CATCH_UP: Final = 0.4 * TOLERANCE
 #: How fast the rate of playing may rise, 1/s, and how fast the catching up ends.
@@ -65,8 +66,8 @@ class Playback:
         # Time and target of the last two cycles.
         self._last: tuple[int, FloatArray] | None = None
         self._before: tuple[int, FloatArray] | None = None
-        # Beside the path: since when, by how many rad, rad/s.
-        self._beside: tuple[int, FloatArray, FloatArray] | None = None
+        # Beside the path: since when, for how long, by how many rad, rad/s.
+        self._beside: tuple[int, float, FloatArray, FloatArray] | None = None
 
     def target(self, stream: SetPointStream, now_ns: int) -> FloatArray | None:
         """What the drives shall follow now, (n,) rad; None where nothing has been played yet. Once a cycle."""
@@ -113,7 +114,7 @@ class Playback:
             )
         path = stream.target(now_ns - self.lag_ns)
         if path is not None and gone_ns:
-            self._beside = now_ns, there - path, velocity - self.rate * stream.course()[0]
+            self._beside = now_ns, FADE * 1e-9 * gone_ns, there - path, velocity - self.rate * stream.course()[0]
 
     def _make_up(self, stream: SetPointStream, now_ns: int, step_ns: int) -> None:
         """Let the playing go on by a cycle, and a little more."""
@@ -138,11 +139,11 @@ class Playback:
     def _faded(self, stream: SetPointStream, played: FloatArray, now_ns: int) -> FloatArray:
         """`played`, and what is left of being beside it: the cubic that begins with its position and velocity."""
         assert self._beside is not None
-        since_ns, beside, velocity = self._beside
-        share = 1e-9 * (now_ns - since_ns) / FADE
+        since_ns, duration, beside, velocity = self._beside
+        share = 1e-9 * (now_ns - since_ns) / duration
         if share >= 1.0:
             self._beside = None
             return played
-        left = (1.0 - share) ** 2 * ((1.0 + 2.0 * share) * beside + share * FADE * velocity)
+        left = (1.0 - share) ** 2 * ((1.0 + 2.0 * share) * beside + share * duration * velocity)
         faded: FloatArray = np.clip(played + left, stream.limits.lower, stream.limits.upper)
         return faded
