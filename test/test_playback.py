@@ -11,7 +11,7 @@ from simulated_arm import CONFIG, paper_arm, paper_limits
 
 from spacearm_ident.canbus import realtime
 from spacearm_ident.driver.arm_can import load_arm_can
-from spacearm_ident.driver.playback import CATCH_UP, FADE, Playback
+from spacearm_ident.driver.playback import CATCH_UP, FADE, FADE_SHARE, Playback
 from spacearm_ident.driver.safety import TOLERANCE, Limits, MotionMonitor, Rule
 from spacearm_ident.driver.set_points import SetPointStream
 from spacearm_ident.excitation.trajectory import random_feasible
@@ -121,12 +121,14 @@ def test_drives_that_went_on_are_faded_onto_the_path_at_the_clock(at, stall):
     i = after[0]
     gone = targets[i - 1] + (targets[i - 1] - targets[i - 2]) * (ms[i] - ms[i - 1])
     np.testing.assert_allclose(targets[i], gone, atol=1e-12)
-    faded = ms > ms[i] + FADE * (stall + 1)
+    T = 1e-3 * (stall + 1)
+    fade = max(FADE, FADE_SHARE * T)
+    faded = ms > ms[i] + 1e3 * fade
     np.testing.assert_allclose(targets[faded], [swinging(1e-3 * k - DELAY) for k in ms[faded]], atol=2e-6)
     # The fading itself: a cubic from an error of a T²/2 and a T; the velocity they went on with is half a cycle older.
     _, acceleration = rates_of(targets[i:])
-    older = (stall + 2) / (stall + 1)
-    assert np.all(np.abs(acceleration) <= 1.02 * ACCELERATION * (1 + 4 * older / FADE + 3 / FADE**2))
+    most = 1 + 4 * (T + 1e-3) / fade + 3 * (T / fade) ** 2
+    assert np.all(np.abs(acceleration) <= 1.02 * most * ACCELERATION)
 
 
 def test_what_is_faded_stays_within_the_position_limits():

@@ -26,9 +26,10 @@ from spacearm_ident.driver.set_points import SetPointStream
 #: Cycles from one target to the next beyond which it is a stall. The arm hardly feels fewer: to set off from rest
 #: would be the harder jerk (seen on the simulated arm, its drives standing at once).
 STALL: Final = 6.5
-#: What drives that extrapolated are beside the path is faded out in so many times as long: longer, and the arm gets
-#: further off, shorter, and it accelerates more (4/FADE + 3/FADE² of what the path does).
-FADE: Final = 6.0
+#: What drives that extrapolated for T seconds are beside the path is faded out in F seconds, this long or so many T:
+#: longer, and the arm gets further off, shorter, and it accelerates more (by 4 T/F + 3 T²/F² of what the path does).
+FADE: Final = 0.15
+FADE_SHARE: Final = 6.0
 #: Share by which the playing is faster than the clock while it lags; its square is within `TOLERANCE`.
 CATCH_UP: Final = 0.4 * TOLERANCE
 #: How fast the rate of playing may rise, 1/s, and how fast the catching up ends.
@@ -114,7 +115,12 @@ class Playback:
             )
         path = stream.target(now_ns - self.lag_ns)
         if path is not None and gone_ns:
-            self._beside = now_ns, FADE * 1e-9 * gone_ns, there - path, velocity - self.rate * stream.course()[0]
+            self._beside = (
+                now_ns,
+                max(FADE, FADE_SHARE * 1e-9 * gone_ns),
+                there - path,
+                velocity - self.rate * stream.course()[0],
+            )
 
     def _make_up(self, stream: SetPointStream, now_ns: int, step_ns: int) -> None:
         """Let the playing go on by a cycle, and a little more."""
