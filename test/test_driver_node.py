@@ -138,6 +138,27 @@ def test_disabling_in_motion_stops_first(arm):
     assert done and arm.at_rest() and not arm.fault, message
 
 
+def test_a_driver_that_is_held_up_for_a_moment_goes_on_along_the_path(arm):
+    """As a kernel or a hypervisor does it, at speed and twice."""
+    bridged, start, begin = int(arm.values["stalls_bridged"]), arm.position(), time.monotonic()
+    moments = [1.4, 2.4]
+
+    def until():
+        if moments and time.monotonic() - begin > moments[0]:
+            moments.pop(0)
+            arm.driver.send_signal(signal.SIGSTOP)
+            time.sleep(0.03)
+            arm.driver.send_signal(signal.SIGCONT)
+        return bool(arm.fault)
+
+    first = arm.stream(3.0, lambda t: smooth(t, amplitude=0.4, period=3.0), until=until)
+    arm.wait_for(lambda: arm.fault or arm.states(arm.payloads[-1:])[0][0] > first + 3_600_000_000, "the motion's end")
+    assert not arm.fault and not moments
+    arm.wait_for(lambda: int(arm.values["stalls_bridged"]) >= bridged + 2, "the stalls on /diagnostics")
+    assert arm.enabled and float(arm.values["playback_lag_s"]) == 0.0
+    assert np.abs(arm.position() - start).max() < 0.01
+
+
 # Bad days -------------------------------------------------------------------------------------------
 
 

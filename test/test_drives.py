@@ -613,6 +613,20 @@ def test_motion_interpolates_evenly_and_then_stands():
     assert seen[4:] == [(140.0, 0.0)] * 2
 
 
+@pytest.mark.parametrize("extrapolation", [0.0, 0.02])
+def test_a_stream_that_breaks_off_is_extrapolated_for_so_long(extrapolation):
+    motion = Motion(extrapolation)
+    motion.hold(0.0)
+    for k in range(1, 6):
+        motion.follow(10.0 * k, 0.001)
+        motion.advance(0.001)
+    seen = []
+    for _ in range(25):
+        motion.advance(0.001)
+        seen.append(motion.demand)
+    assert max(seen) == pytest.approx(50.0 + 10.0 * round(1e3 * extrapolation))
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_stop_ramp_takes_v_squared_over_two_a(sign):
     motion = Motion()

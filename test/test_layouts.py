@@ -51,6 +51,8 @@ def graph() -> dict[str, object]:
         **dict.fromkeys(("cycles", "missed", "incomplete", "late_frames", "malformed", "samples", "set_points"), 1),
         lateness_s=(1e-6, 2e-6, 3e-6),
         buffered_s=0.1,
+        stalls=1,
+        lag_s=0.0,
         temperature_failures=0,
         loads=(BusLoad(0.7, 0.8),),
         warnings=(),

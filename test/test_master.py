@@ -219,6 +219,22 @@ def test_the_drives_stop_when_the_cycle_does(run):
     assert run.cycle.states == [State.QUICK_STOP_ACTIVE] * 4, "nothing may be enabled again by itself"
 
 
+def test_a_target_that_is_asked_for_is_that_of_the_sync_that_has_gone_out(run):
+    run.enable()
+    asked = []
+
+    def target(sync_ns):
+        asked.append((sync_ns, run.cycle.sync_ns, time.time_ns()))
+        return np.full(4, 0.001 * len(asked))
+
+    for _ in range(5):
+        run.cycle.run(target)
+    assert len(asked) == 5 and all(given == sync <= now for given, sync, now in asked)
+    np.testing.assert_allclose(run.cycle.set_points.position(), 0.005, atol=1e-6)
+    run.cycle.run(lambda _: None)
+    np.testing.assert_allclose(run.cycle.set_points.position(), 0.005, atol=1e-6)
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e9])
 def test_an_impossible_target_is_refused_before_anything_is_sent(run, bad):
     run.enable()
@@ -492,6 +508,8 @@ def test_a_period_a_drive_cannot_be_told():
         ({"axes": (Axis(127, SCALE),)}, "cannot be a drive"),
         ({"mode": 9}, "mode of operation 9"),
         ({"answer_time": 1.0}, "answer_time"),
+        ({"extrapolation": -0.1}, "extrapolation_s is -0.1"),
+        ({"extrapolation": math.nan}, "extrapolation_s is nan"),
     ],
 )
 def test_impossible_arms(change, message):

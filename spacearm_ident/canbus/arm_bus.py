@@ -31,6 +31,9 @@ AFTER_QUICK_STOP: Final = 6
 IN_FAULT: Final = 2
 INTERPOLATED_MODE: Final = 7
 CYCLIC_MODE: Final = 8
+#: Extrapolation where none is given, and the longest that is believed, s.
+EXTRAPOLATION: Final = 0.06
+MOST_EXTRAPOLATION: Final = 1.0
 _I32: Final = 2**31 - 1
 _U32: Final = 2**32 - 1
 STATUS_PDO: Final = Layout((STATUSWORD,))
@@ -76,6 +79,7 @@ class ArmBus:
         heartbeat: Interval of the master's and the drives' heartbeats.
         heartbeat_timeout: Without a heartbeat for so long, the other side is lost.
         stale_cycles: Cycles in a row without feedback after which an axis is reported.
+        extrapolation: How long the drives go on with their last velocity when set-points fail to come; 0: they stand.
         bit_rate: For the load of the buses.
     """
 
@@ -90,6 +94,7 @@ class ArmBus:
     heartbeat: float = 0.05
     heartbeat_timeout: float = 0.2
     stale_cycles: int = 20
+    extrapolation: float = EXTRAPOLATION
     bit_rate: BitRate = field(default_factory=BitRate)
 
     def __post_init__(self) -> None:
@@ -109,6 +114,8 @@ class ArmBus:
         if self.mode == INTERPOLATED_MODE:
             fields = tuple(INTERPOLATED_TARGET if field is TARGET else field for field in self.set_point.fields)
             object.__setattr__(self, "set_point", Layout(fields))
+        if not 0 <= self.extrapolation <= MOST_EXTRAPOLATION:
+            raise UserError(f"extrapolation_s is {self.extrapolation:g}: give seconds from 0 to {MOST_EXTRAPOLATION:g}")
         if not 0 < self.answer_time < self.period:
             raise UserError("answer_time must be positive and shorter than the period")
 

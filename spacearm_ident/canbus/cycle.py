@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import can
@@ -53,7 +53,8 @@ class Cycle:
 
     Attributes:
         feedback: Position (rad), torque (N·m, output side), current (A), statusword of each axis.
-        sync_ns: When the SYNC of the last cycle was sent, nanoseconds since the epoch.
+        sync_ns: When the SYNC of the last cycle was sent (its last, where it went out in pieces), nanoseconds since the
+            epoch.
         stamp: (n,) time of each axis' last feedback frame, seconds since the epoch.
         received: (n,) feedback frames taken in so far.
         missing: (n,) cycles in a row without feedback.
@@ -130,19 +131,20 @@ class Cycle:
         """Whether every axis is in "operation enabled"."""
         return all(state is State.OPERATION_ENABLED for state in self.states)
 
-    def run(self, target: FloatArray | None = None) -> Feedback:
+    def run(self, target: FloatArray | Callable[[int], FloatArray | None] | None = None) -> Feedback:
         """Send SYNC and set-points, and wait for the feedback.
 
         Args:
-            target: (n,) rad, for axes in "operation enabled"; None: as before.
+            target: (n,) rad, for axes in "operation enabled"; None: as before. Or who knows it, asked with `sync_ns`
+                once SYNC is out: a process that was held up before it must not send what was meant for then.
 
         Returns:
             `feedback`, the same object every time; `missing` says which axes are not from this cycle.
 
         Raises:
-            ValueError: A target is not finite or out of the drive's range. Nothing has been sent.
+            ValueError: A target is not finite or out of the drive's range. It has not been sent.
         """
-        if target is not None:
+        if target is not None and not callable(target):
             self.set_points.encode(target)
         for bus in range(len(self._buses)):
             self._take_waiting(bus)
@@ -153,6 +155,10 @@ class Cycle:
             self._send(bus, self._sync)
         # Taken off the processor meanwhile: what the drives answer is not of the moment of `sync_ns`.
         self._torn = time.monotonic() - begin > TORN * self.arm.period
+        if self._torn:
+            self.sync_ns = time.time_ns()
+        if callable(target) and (asked := target(self.sync_ns)) is not None:
+            self.set_points.encode(asked)
         self.cycles += 1
         if self.cycles % self.arm.set_point_divider == 0:
             self._send_set_points()

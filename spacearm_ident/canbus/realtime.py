@@ -95,7 +95,8 @@ class Pacer:
         """Sleep until the next slot; skip, and count, slots that are over.
 
         Returns:
-            How late this slot begins, s.
+            How late this slot begins, s; less than the period, for a thread that is kept asleep through several slots
+            begins the last of them.
         """
         now = time.monotonic_ns()
         if self._next_ns == 0:
@@ -108,8 +109,10 @@ class Pacer:
             time.sleep((self._next_ns - now) * 1e-9)
             now = time.monotonic_ns()
         late_ns = now - self._next_ns
-        self._next_ns += self._period_ns
         self._lateness[min(late_ns // 1000, self.BINS - 1)] += 1
+        over, late_ns = divmod(late_ns, self._period_ns)
+        self.missed += over
+        self._next_ns += (over + 1) * self._period_ns
         self.slots += 1
         return late_ns * 1e-9
 

@@ -198,6 +198,7 @@ def _can_yaml(arm: Arm, eds: str | None, sheet: DataSheet, interface: str) -> st
         "  heartbeat_s: 0.05",
         "  heartbeat_timeout_s: 0.25",
         "  stale_feedback_s: 0.05",
+        "  extrapolation_s: 0.06  # ASSUMED: how long the drives go on without set-points; 0: they stand at once",
         "# Further keys of a joint: rated_torque_Nm instead of rated_current_A where 0x6077 is per mille of the rated",
         "# torque; peak_factor (1.414 where the drive reports RMS and the torque constant is for peak), direction and",
         "# torque_sign (1 or -1), zero_counts (0x6064 at joint angle zero), tracking_error_rad, any limit of the arm.",

@@ -27,6 +27,7 @@ from spacearm_ident.canbus.pdo import Feedback
 from spacearm_ident.canbus.realtime import Pacer, prepare_process, prepare_thread
 from spacearm_ident.driver.arm_can import ArmCan
 from spacearm_ident.driver.bus_lock import BusLock
+from spacearm_ident.driver.playback import Playback
 from spacearm_ident.driver.safety import Fault, FloatArray, MotionMonitor, Rule, fault_of
 from spacearm_ident.driver.set_points import SetPointStream
 from spacearm_ident.driver.status import DriverStatus, Phase
@@ -91,6 +92,7 @@ class ArmDriver:
         self._missed_before = 0
         self._monitor = MotionMonitor(config.limits)
         self._stream: SetPointStream | None = None
+        self._playback = Playback(config.bus.period, config.bus.extrapolation)
         self._target = np.zeros(len(config.limits.joints))
         self._wanted = self._resetting = self._reconnecting = self._astray = False
         self._latency: str | None = None
@@ -225,6 +227,8 @@ class ArmDriver:
             samples=self.samples,
             set_points=self.set_points,
             buffered_s=self._stream.fill_s if self._stream else 0.0,
+            stalls=self._playback.stalls,
+            lag_s=1e-9 * self._playback.lag_ns if self._stream else 0.0,
             temperature_failures=self.temperature_failures,
             loads=tuple(master.loads) if master else (),
             warnings=tuple(self.warnings) + ((self._latency,) if self._latency else ()),
@@ -311,10 +315,12 @@ class ArmDriver:
         elif self._monitor.at_rest:
             cycle.goal = Goal.DISABLED
 
-    def _next_target(self, late: float) -> FloatArray | None:
-        # For when the cycle was due: a target for now would turn every lateness into a jerk.
-        stream = self._stream
-        return None if stream is None else stream.target(time.time_ns() - round(1e9 * late))
+    def _next_target(self, late: float) -> Callable[[int], FloatArray | None] | None:
+        stream, late_ns = self._stream, round(1e9 * late)
+        if stream is None:
+            return None
+        # For when the slot began: a target for now would turn every lateness into a jerk.
+        return lambda sync_ns: self._playback.target(stream, sync_ns - late_ns)
 
     def _judge(self, cycle: Cycle, monitor: MotionMonitor, feedback: Feedback) -> None:
         events = cycle.events
@@ -327,9 +333,10 @@ class ArmDriver:
         if self.fault is None and self._wanted and cycle.enabled:
             if self._stream is None:
                 monitor.limits = self.config.limits.around(feedback.position)
+                self._playback.begin()
                 self._stream = SetPointStream(monitor.limits, cycle.set_points.position(), self._delay)
             fault = monitor.judge(cycle.set_points.position())
-            fault = fault or self._stream.starved(cycle.sync_ns)
+            fault = fault or self._playback.starved(self._stream, cycle.sync_ns)
             if fault is not None:
                 self.trip(fault)
         if self.fault is not None and cycle.goal is Goal.ENABLED:

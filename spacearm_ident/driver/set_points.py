@@ -36,7 +36,13 @@ MOST_WAITING: Final = 20000
 
 
 class SetPointStream:
-    """Set-points of one enabled period; `put` and `target` may be called from different threads."""
+    """Set-points of one enabled period; `put` and `target` may be called from different threads.
+
+    Attributes:
+        limits: For every set-point.
+        delay: Seconds from a set-point's stamp to its playing.
+        accepted: Set-points taken in.
+    """
 
     def __init__(self, limits: Limits, held: FloatArray, delay: float = 0.2) -> None:
         """Start at rest.
@@ -48,7 +54,7 @@ class SetPointStream:
         """
         self.delay = delay
         self.accepted = 0
-        self._limits = limits
+        self.limits = limits
         # To be played, offset blended in; as streamed; where the arm is held between streams.
         self._waiting: deque[tuple[int, FloatArray]] = deque()
         self._last: tuple[int, FloatArray] | None = None
@@ -112,6 +118,29 @@ class SetPointStream:
             return position + min(1e-9 * (play - at), BRIDGE) * self._velocity
         return position
 
+    def course(self) -> tuple[FloatArray, FloatArray]:
+        """Velocity and acceleration of the path where `target` was asked last, (n,) rad/s and rad/s²."""
+        waiting = self._waiting
+        still = np.zeros(len(self._held))
+        if len(waiting) < 2:
+            return still, still
+        (first, q0), (second, q1) = waiting[0], waiting[1]
+        velocity = 1e9 * (q1 - q0) / (second - first)
+        if len(waiting) < 3:
+            return velocity, still
+        third, q2 = waiting[2]
+        return velocity, 2e9 * (1e9 * (q2 - q1) / (third - second) - velocity) / (third - first)
+
+    def rests(self, now_ns: int) -> bool:
+        """Whether nothing moves from where `target` was asked last to what is meant for now."""
+        play, waiting = now_ns - round(1e9 * self.delay), self._waiting
+        for k in range(1, len(waiting)):
+            if not np.array_equal(waiting[k][1], waiting[0][1]):
+                return False
+            if waiting[k][0] >= play:
+                return True
+        return not self._moving
+
     def starved(self, now_ns: int) -> Fault | None:
         """Whether the stream has ended while the arm should move."""
         last = self._last
@@ -121,7 +150,7 @@ class SetPointStream:
         if missing <= BRIDGE:
             return None
         speed = np.abs(self._velocity)
-        joint = self._limits.joints[int(speed.argmax())]
+        joint = self.limits.joints[int(speed.argmax())]
         return Fault(
             Rule.STARVATION,
             f"no set-point for {1e3 * (missing + self.delay):.0f} ms while {joint} should move with "
@@ -131,7 +160,7 @@ class SetPointStream:
     def _begin(self, stamp_ns: int, position: FloatArray) -> Fault | None:
         still = np.zeros(len(position))
         held = self._held
-        fault = judge_step(self._limits, position, still, still)
+        fault = judge_step(self.limits, position, still, still)
         if fault is not None:
             return fault
         offset = held - position
@@ -139,7 +168,7 @@ class SetPointStream:
         if abs(offset[joint]) > START:
             return Fault(
                 Rule.SET_POINT,
-                f"{self._limits.joints[joint]} is held at {held[joint]:.4g} rad, the first set-point is "
+                f"{self.limits.joints[joint]} is held at {held[joint]:.4g} rad, the first set-point is "
                 f"{position[joint]:.4g} rad: start within {START} rad",
             )
         self._offset, self._origin_ns = offset, stamp_ns
@@ -157,7 +186,7 @@ class SetPointStream:
         velocity = (position - last[1]) / step
         # The change of velocity is from the middle of the interval before to the middle of this one.
         acceleration = (velocity - self._velocity) / (0.5 * (step + (self._step_s or step)))
-        fault = judge_step(self._limits, position, velocity, acceleration)
+        fault = judge_step(self.limits, position, velocity, acceleration)
         if fault is None:
             self._velocity, self._step_s = velocity, step
             self._moving = bool((np.abs(velocity) > STANDSTILL).any())

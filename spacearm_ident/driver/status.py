@@ -39,6 +39,8 @@ class DriverStatus:
         samples: Samples published, since the start.
         set_points: Set-points received while enabled, since the start.
         buffered_s: Seconds of set-points waiting.
+        stalls: Times the cycle was held up in motion and the drives were taken up where they were, since the start.
+        lag_s: How far what is played lags behind the clock for that, s.
         temperature_failures: SDO reads that failed, since the start.
         loads: Of each bus.
         warnings: What a user should know.
@@ -57,6 +59,8 @@ class DriverStatus:
     samples: int
     set_points: int
     buffered_s: float
+    stalls: int
+    lag_s: float
     temperature_failures: int
     loads: tuple[BusLoad, ...]
     warnings: tuple[str, ...]

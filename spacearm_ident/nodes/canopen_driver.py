@@ -151,6 +151,8 @@ def _values(status: DriverStatus) -> dict[str, object]:
         "lateness_p999_us": p999,
         "set_points": status.set_points,
         "set_points_buffered_s": status.buffered_s,
+        "stalls_bridged": status.stalls,
+        "playback_lag_s": status.lag_s,
         "temperature_failures": status.temperature_failures,
         "warnings": "; ".join(status.warnings),
     }

@@ -40,7 +40,8 @@ class ArmProcess:
         """
         self._locks = [BusLock(address.interface, address.channel, "simulated_arm") for address in config.buses]
         self._buses: list[can.BusABC] = config.open()
-        configs = [(axis.bus, DriveConfig(axis.node_id, axis.scale)) for axis in config.bus.axes]
+        bus = config.bus
+        configs = [(axis.bus, DriveConfig(axis.node_id, axis.scale, bus.extrapolation)) for axis in bus.axes]
         self.network = DriveNetwork(self._buses, configs, arm, config.bus.period)
         self.failure: str | None = None
         self.warning: str | None = None

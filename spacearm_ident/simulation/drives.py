@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from spacearm_ident.canbus.arm_bus import EXTRAPOLATION
 from spacearm_ident.canbus.cia402 import (
     FOLLOWING,
     FOLLOWING_ERROR,
@@ -54,10 +55,11 @@ _I32: Final = (-(2**31), 2**31 - 1)
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """One drive of the simulated arm: its node and how it counts (see `canbus.scaling`)."""
+    """One drive of the simulated arm: its node, how it counts (see `canbus.scaling`), how long it extrapolates (s)."""
 
     node_id: int
     scale: JointScale
+    extrapolation: float = EXTRAPOLATION
 
 
 class SimulatedDrive(Communication):
@@ -73,7 +75,7 @@ class SimulatedDrive(Communication):
         super().__init__(config.node_id, send)
         self.config = config
         self.state = State.NOT_READY_TO_SWITCH_ON
-        self.motion = Motion()
+        self.motion = Motion(config.extrapolation)
         self._controlword = 0
         self._stop_latched = False
         self._excess_s = 0.0

@@ -1,15 +1,15 @@
 """How a simulated drive turns set-points into a demand: interpolation between them, ramps to a stop.
 
-A set-point that is missing in an even stream is extrapolated, as drives do (some call it "extrapolation
-cycles"): otherwise each one would be a jerk. Positions are encoder counts as floats, times seconds.
+A set-point that is missing in an even stream is extrapolated, as drives do that are told to (some call it
+"extrapolation cycles"): otherwise each one would be a jerk. Positions are encoder counts as floats, times seconds.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-#: Interpolation periods over which a stream of set-points that breaks off is extrapolated.
-EXTRAPOLATED: Final = 60
+from spacearm_ident.canbus.arm_bus import EXTRAPOLATION
+
 #: Interpolation periods in which the drive then goes back to the last set-point.
 RETURN: Final = 100
 
@@ -22,7 +22,9 @@ class Motion:
         velocity: How fast the demand moves, counts/s.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, extrapolation: float = EXTRAPOLATION) -> None:
+        """Stand at zero; a stream of set-points that breaks off is extrapolated for so many seconds."""
+        self._extrapolation = extrapolation
         self.demand = 0.0
         self.velocity = 0.0
         self._goal = 0.0
@@ -57,7 +59,7 @@ class Motion:
         self._goal = target + self.velocity * stale
         self._remaining = self._period = period
         self._deceleration = None
-        most = EXTRAPOLATED * period
+        most = self._extrapolation
         # A lone set-point is a place to go to, not a motion to continue.
         self._beyond = most if self._age <= most else 0.0
         self._age = 0.0

@@ -1,0 +1,155 @@
+"""`Playback`: the set-points of a stream onto the drives, evenly even where the cycle was held up.
+
+A kernel that promises nothing, or a hypervisor, holds the cycle up for 5 to 50 ms now and then. The drives go on
+with their last velocity meanwhile for as long as they extrapolate (`ArmBus.extrapolation`), then stand. Playing what
+the clock says from then on would make them jump; instead they are taken up where they are, and led on along the
+same path q(s):
+
+- As far as they went on, so does s. They have left the path by what it bent meanwhile: that is faded out (`FADE`).
+- For as long as they stood, s lags behind the clock. It sets off from rest at a rate that keeps to the acceleration
+  limits, |q'' ṡ² + q' s̈| (Bobrow, Dubowsky and Gibson 1985, "Time-optimal control of robotic manipulators along
+  specified paths"), and makes the lag up at a rate that set-points may exceed the limits by.
+
+So what is played is never ahead of the clock, and without a stall it is the stream, to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from spacearm_ident.driver.safety import TOLERANCE, Fault, FloatArray, Rule
+from spacearm_ident.driver.set_points import SetPointStream
+
+#: Cycles from one target to the next beyond which it is a stall. The arm hardly feels fewer: to set off from rest
+#: would be the harder jerk (seen on the simulated arm, its drives standing at once).
+STALL: Final = 6.5
+#: What drives that extrapolated for T seconds are beside the path is faded out in F seconds, this long or so many T:
+#: longer, and the arm gets further off, shorter, and it accelerates more (by 4 T/F + 3 T²/F² of what the path does).
+FADE: Final = 0.15
+FADE_SHARE: Final = 6.0
+#: Share by which the playing is faster than the clock while it lags; its square is within `TOLERANCE`.
+CATCH_UP: Final = 0.4 * TOLERANCE
+#: How fast the rate of playing may rise, 1/s, and how fast the catching up ends.
+RISE: Final = 10.0
+EASE: Final = 0.05
+#: A machine that has held up the cycle so often that the playing lags by more is not fit for it, s.
+LONGEST_LAG: Final = 1.0
+
+
+class Playback:
+    """What is played of a stream, cycle by cycle; for the cyclic thread.
+
+    Attributes:
+        stalls: Stalls bridged in motion, since the start.
+        lag_ns: How far the playing lags behind the clock, ns.
+        rate: Of the playing, path seconds a second; 1 unless it sets off or catches up.
+    """
+
+    def __init__(self, period: float, extrapolation: float) -> None:
+        """Nothing is played yet.
+
+        Args:
+            period: Of the cycle, s.
+            extrapolation: How long the drives go on by themselves without set-points, s.
+        """
+        self._stall_ns = round(1e9 * STALL * period)
+        self._extrapolation_ns = round(1e9 * extrapolation)
+        self.stalls = 0
+        self.begin()
+
+    def begin(self) -> None:
+        """The arm is held; another stream is about to be played."""
+        self.lag_ns, self.rate = 0, 1.0
+        self._too_late: Fault | None = None
+        # Time and target of the last two cycles.
+        self._last: tuple[int, FloatArray] | None = None
+        self._before: tuple[int, FloatArray] | None = None
+        # Beside the path: since when, for how long, by how many rad, rad/s.
+        self._beside: tuple[int, float, FloatArray, FloatArray] | None = None
+
+    def target(self, stream: SetPointStream, now_ns: int) -> FloatArray | None:
+        """What the drives shall follow now, (n,) rad; None where nothing has been played yet. Once a cycle."""
+        if self._last is not None:
+            step_ns = now_ns - self._last[0]
+            if step_ns > self._stall_ns:
+                self._bridge(stream, now_ns, *self._last)
+            elif self.lag_ns:
+                self._make_up(stream, now_ns, step_ns)
+        played = stream.target(now_ns - self.lag_ns)
+        if played is None:
+            return None
+        if self._beside is not None:
+            played = self._faded(stream, played, now_ns)
+        self._before, self._last = self._last, (now_ns, played)
+        return played
+
+    def starved(self, stream: SetPointStream, now_ns: int) -> Fault | None:
+        """Whether the stream has ended while the arm should move, or the cycle was held up for too long."""
+        return self._too_late or stream.starved(now_ns - self.lag_ns)
+
+    def _bridge(self, stream: SetPointStream, now_ns: int, last_ns: int, last: FloatArray) -> None:
+        """Take the drives up where they are now, having had no set-point since `last`."""
+        step_ns = now_ns - last_ns
+        if stream.rests(now_ns):
+            self._settle()
+            return
+        self.stalls += 1
+        velocity = np.zeros_like(last)
+        if self._before is not None:
+            velocity = 1e9 * (last - self._before[1]) / (last_ns - self._before[0])
+        gone_ns = min(step_ns, self._extrapolation_ns)
+        there = last + 1e-9 * gone_ns * velocity
+        self.lag_ns = max(0, self.lag_ns + step_ns - round(self.rate * gone_ns))
+        if step_ns > gone_ns:
+            self.rate, velocity = 0.0, np.zeros_like(last)
+        elif self.lag_ns == 0:
+            self.rate = 1.0
+        if step_ns > 1e9 * stream.delay or self.lag_ns > 1e9 * LONGEST_LAG:
+            self._too_late = Fault(
+                Rule.STARVATION,
+                f"the cycle was held up for {1e-6 * step_ns:.0f} ms while the arm should move, and set-points are "
+                f"{1e-6 * self.lag_ns:.0f} ms late: end what else runs on this machine",
+            )
+        path = stream.target(now_ns - self.lag_ns)
+        if path is not None and gone_ns:
+            self._beside = (
+                now_ns,
+                max(FADE, FADE_SHARE * 1e-9 * gone_ns),
+                there - path,
+                velocity - self.rate * stream.course()[0],
+            )
+
+    def _make_up(self, stream: SetPointStream, now_ns: int, step_ns: int) -> None:
+        """Let the playing go on by a cycle, and a little more."""
+        if stream.rests(now_ns):
+            self._settle()
+            return
+        velocity, acceleration = stream.course()
+        # Between set-points the path is straight: it bends by q'' ṡ at some cycles, at others not.
+        bend = self.rate * np.maximum(np.sign(velocity) * acceleration, 0.0)
+        room = (stream.limits.acceleration - bend) / np.maximum(np.abs(velocity), 1e-9)
+        rise = min(max(float(room.min()), 0.0), RISE)
+        most = 1.0 + min(CATCH_UP, math.sqrt(2e-9 * EASE * self.lag_ns))
+        self.rate = min(most, self.rate + 1e-9 * rise * step_ns)
+        self.lag_ns = max(0, self.lag_ns - round((self.rate - 1.0) * step_ns))
+        if self.lag_ns == 0:
+            self.rate = 1.0
+
+    def _settle(self) -> None:
+        """Nothing moves between what is played and the clock: they are one."""
+        self.lag_ns, self.rate = 0, 1.0
+
+    def _faded(self, stream: SetPointStream, played: FloatArray, now_ns: int) -> FloatArray:
+        """`played`, and what is left of being beside it: the cubic that begins with its position and velocity."""
+        assert self._beside is not None
+        since_ns, duration, beside, velocity = self._beside
+        share = 1e-9 * (now_ns - since_ns) / duration
+        if share >= 1.0:
+            self._beside = None
+            return played
+        left = (1.0 - share) ** 2 * ((1.0 + 2.0 * share) * beside + share * duration * velocity)
+        faded: FloatArray = np.clip(played + left, stream.limits.lower, stream.limits.upper)
+        return faded
