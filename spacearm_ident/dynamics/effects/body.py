@@ -239,11 +239,16 @@ class _FreeBase:
         return _interpolate(free - self.fixed[:, 6:], np.arange(len(self.motion.position)) / self.step)
 
 
+OUTER_LINKS = 4
+"""Those that reach where something may be in the way."""
+
+
 @dataclass(frozen=True)
 class ExternalContact(Effect):
-    """Something pushed the flange for a while."""
+    """Something pushed a link for a while, near where it hangs in its joint."""
 
     kind: ClassVar[str] = "external_contact"
+    one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "something touched the arm for a while"
     equation: ClassVar[str] = "J^T F between t_0 and t_1"
     source: ClassVar[str] = "De Luca and Mattone 2005"
@@ -252,16 +257,18 @@ class ExternalContact(Effect):
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """On the last link."""
-        yield {"joint": arm.joint_names[-1]}
+        """On one of the outer links."""
+        for joint in arm.joints[-OUTER_LINKS:]:
+            if joint.parent >= 0:
+                yield {"joint": joint.name}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """On the last link's frame; the window is searched."""
-        known_joint(arm, place)
-        parameters = tuple(Parameter(f"force_{axis}", "flange", "N", scale=50.0) for axis in "xyz")
-        start = Constant("start", "flange", "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
-        length = Constant("length", "flange", "s", (0.75, 1.5, 3.0, 5.0))
+        """On a link's frame; the window is searched."""
+        joint = known_joint(arm, place)
+        parameters = tuple(Parameter(f"force_{axis}", joint, "N", scale=50.0) for axis in "xyz")
+        start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
+        length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 5.0))
         return cls(parameters, (start, length), place=place)
 
     @property
@@ -270,8 +277,9 @@ class ExternalContact(Effect):
         return (str(self.place["joint"]),)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """Torque that holds against a force on the flange along each base axis, within the window."""
-        rows = range(len(motion.joints))
+        """Torque that holds against a force on the link along each base axis, within the window."""
+        number = motion.joints.index(self.place["joint"])
+        rows = range(number + 1)
         if background is None or background.arm is None:
             return nothing(motion, rows, 3)
         arm, count = background.arm, len(motion.joints)
@@ -279,12 +287,12 @@ class ExternalContact(Effect):
         def compute() -> FloatArray:
             # A force F on a point is what gravity -F does to a unit mass there, as torque that must be held.
             unit = np.zeros((count, 10))
-            unit[-1, 0] = 1.0
+            unit[number, 0] = 1.0
             return np.stack(
                 [rigid_torque(arm.with_gravity(-axis), unit, motion.position) for axis in np.eye(3)], axis=2
             )
 
-        jacobian = background.keep("flange", compute)
+        jacobian = background.keep(("push", number), compute)
         time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
         inside = (time >= constants[0]) & (time < constants[0] + constants[1])
         return each({row: -jacobian[:, row] * inside[:, None] for row in rows})
@@ -300,4 +308,5 @@ class ExternalContact(Effect):
 
     def where(self, values: FloatArray) -> str:
         """Its window."""
-        return f"from {values[3]:.1f} s for {values[4]:.1f} s, {np.linalg.norm(values[:3]):.1f} N at the flange"
+        window = f"from {values[3]:.1f} s for {values[4]:.1f} s"
+        return f"{window}, {np.linalg.norm(values[:3]):.1f} N on the link of {self.place['joint']}"
