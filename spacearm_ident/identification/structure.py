@@ -22,6 +22,7 @@ from .prior import make_prior
 from .regression import Regression
 from .separable import Solution, system
 
+RESISTS = "quadratic friction that resists in both directions (qd |qd| instead of qd^2)"
 GATE = 30.0
 """Chi-square an option must gain. Far above the 5 % point of one parameter, 3.8: the whitening is approximate, and
 a column too many costs more on other motions than one too few."""
@@ -101,7 +102,7 @@ def _options(model: TorqueModel) -> list[_Option]:
     even, odd = ({f"{symbol}[{joint}]" for joint in joints} for symbol in ("k_v2", ViscousFriction.ODD))
     options.append(
         _Option(
-            "quadratic friction that resists in both directions (qd |qd| instead of qd^2)",
+            RESISTS,
             frozenset(odd),
             frozenset(even),
             lambda structure: {**structure, "viscous_friction": {"quadratic": "odd"}},

@@ -15,8 +15,9 @@ from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.base_link import placed
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..identification.identified import Identified
 from ..identification.identify import Settings, identify
-from ..identification.structure import GATE
+from ..identification.structure import GATE, RESISTS
 from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
@@ -82,7 +83,9 @@ def prepare_evidence(
     rates = [recording.rate_hz for recording in everything]
     rates += [recording.base.rate_hz for recording in everything if recording.base is not None]
     cutoff = min(CUTOFF_HZ, 0.2 * min(rates))
-    base = known or identify(healthy or field, arm, Settings(cutoff_hz=cutoff)).model
+    identified = None if known is not None else identify(healthy or field, arm, Settings(cutoff_hz=cutoff))
+    base = known if identified is None else identified.model
+    assert base is not None
     base = replace(base, cutoff_hz=cutoff)
 
     def motions(recordings: Sequence[Recording]) -> list[Motion]:
@@ -102,9 +105,9 @@ def prepare_evidence(
         return Evidence(base, Scene(base, examined, whiteners), Scene(base, referred, whiteners) if referred else None)
 
     evidence = gathered(base)
-    other = _in_other_form(base) if healthy else None
-    if other is not None:
-        # The healthy arm alone need not tell which; an arm in vacuum that lacks the term does.
+    if healthy and identified is not None and _form_is_open(identified):
+        # An arm in vacuum, that lacks the term, may tell.
+        other = _resisting(base)
         in_other_form = gathered(other)
         if in_other_form.in_thin_air()[1] < evidence.in_thin_air()[1] - GATE:
             base, evidence = other, in_other_form
@@ -112,13 +115,14 @@ def prepare_evidence(
     return Prepared(base, evidence, unseen, plain, _floor(whiteners), cutoff, known is not None)
 
 
-def _in_other_form(base: IdentifiedModel) -> IdentifiedModel | None:
-    """The base with its quadratic friction even in place of odd, or odd in place of even; None if it has none."""
-    options = base.model.structure.get(ViscousFriction.kind, {"vacuum": True})
-    if options.get("vacuum"):
-        return None
-    other = "even" if options.get("quadratic") == "odd" else "odd"
-    structure = {**base.model.structure, ViscousFriction.kind: {**options, "quadratic": other}}
+def _form_is_open(identified: Identified) -> bool:
+    """Whether the healthy arm's friction may as well be odd in its quadratic term as even."""
+    return any(choice.term == RESISTS and not choice.accepted and choice.gain > -GATE for choice in identified.choices)
+
+
+def _resisting(base: IdentifiedModel) -> IdentifiedModel:
+    """The base with quadratic friction that resists in both directions, unknown yet."""
+    structure = {**base.model.structure, ViscousFriction.kind: {"quadratic": "odd"}}
     quadratic = np.array([parameter.symbol == "k_v2" for parameter in base.model.parameters])
     parameters = np.where(quadratic, 0.0, base.parameters)
     return replace(base, model=TorqueModel(base.model.arm, structure), parameters=parameters)
