@@ -53,6 +53,7 @@ class Strength:
         form: `linear`, `signed` (either sign, drawn), `inverse`, `less` (1 − strength) or `scale` (1 ± strength).
         joints: Joints it may act at; empty: the whole arm.
         also: Other parameters to be drawn evenly between two numbers.
+        along: Parameters that grow with the first: their ratio to it is drawn evenly between two numbers.
     """
 
     parameter: str
@@ -61,6 +62,7 @@ class Strength:
     form: str = "linear"
     joints: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
     also: tuple[tuple[str, float, float], ...] = ()
+    along: tuple[tuple[str, float, float], ...] = ()
 
     def value(self, strength: float, sign: float) -> float:
         """The parameter at a strength."""
@@ -88,7 +90,11 @@ STRENGTHS = {
     "gear_efficiency": Strength("efficiency", 2e-3, 0.3, "less", joints=(1, 2, 3)),
     "presliding_hysteresis": Strength("distance", 5e-4, 0.03),
     "position_friction": Strength("amplitude", 0.03, 8.0, also=(_PHASE, ("cycles", 1.0, 3.0))),
-    "asymmetric_friction": Strength("coulomb", 0.02, 6.0, "signed", joints=(0, 3, 4, 5)),
+    # A joint that rubs more one way has more of both kinds of friction (in these arms k_v1 is one to two times f_c):
+    # more dry friction alone would be a current_offset to any fit.
+    "asymmetric_friction": Strength(
+        "coulomb", 0.02, 6.0, "signed", joints=(0, 3, 4, 5), along=(("viscous", 0.0, 1.5),)
+    ),
     "stribeck": Strength("amplitude", 0.05, 12.0, also=(("velocity", 0.025, 0.12),)),
     "vacuum_friction": Strength("fraction", 0.02, 1.0, joints=()),
     "torque_ripple": Strength("amplitude", 0.02, 8.0, also=(_PHASE, ("cycles", 8.0, 60.0))),
@@ -293,10 +299,12 @@ def _scaled(trial: Trial, name: str, asked: float) -> tuple[Entry, Entry]:
     rng, strength, kind = trial.rng, STRENGTHS[name], EFFECTS[name]
     entry = _placed(trial, name)
     sign = float(rng.choice([-1.0, 1.0]))
+    ratios = {key: float(rng.uniform(low, high)) for key, low, high in strength.along}
     mine = [JOINTS.index(joint) for joint in entry["joints"]] if _local(name) else list(range(6))
     x, slope, last = math.sqrt(strength.low * strength.high), 1.0, None
     for _ in range(4):
-        entry["parameters"][strength.parameter] = strength.value(x, sign)
+        value = strength.value(x, sign)
+        entry["parameters"] |= {strength.parameter: value} | {key: ratio * value for key, ratio in ratios.items()}
         truth = trial.simulate(1, [entry])
         amplitude = trial.amplitudes(truth)
         reached = float((amplitude / trial.floor)[mine].max())

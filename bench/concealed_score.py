@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from concealed_draw import MULTIPLES
 from scipy.stats import binomtest
 
 TWIN_SCORE = 0.1
@@ -69,6 +70,11 @@ class Scored:
     def truth(self) -> Entry:
         """The concealed effect, the stronger where there are two."""
         return max(self.answer["effects"], key=lambda effect: effect["multiple"])
+
+    @property
+    def strength(self) -> float:
+        """The planned multiple of the noise floor that the reached one is next to: not every effect can be faint."""
+        return min(MULTIPLES, key=lambda multiple: abs(np.log(max(self.truth["multiple"], 1e-6) / multiple)))
 
     def names(self, twins: bool) -> list[set[str]]:
         """What each finding may be called."""
@@ -179,9 +185,8 @@ def report(trials: list[Scored]) -> str:
 
 def _singles(singles: list[Scored]) -> list[str]:
     lines = [share("one effect: detected", (bool(t.findings) for t in singles))]
-    asked = sorted({t.truth["asked_multiple"] for t in singles})
-    for multiple in [None, *asked]:
-        these = [t for t in singles if multiple is None or t.truth["asked_multiple"] == multiple]
+    for multiple in (None, *MULTIPLES):
+        these = [t for t in singles if multiple in (None, t.strength)]
         at = "all" if multiple is None else f"{multiple:g} x noise"
         lines.append(share(f"  detected, {at}", (bool(t.findings) for t in these)))
         lines.append(share(f"  right effect first, strict, {at}", (t.right(False) for t in these)))

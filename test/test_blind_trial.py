@@ -75,7 +75,7 @@ def test_the_score_counts_what_was_said(tmp_path):
         ("one", [hidden_effect()], [finding()]),
         ("one", [hidden_effect()], [twin]),
         ("one", [hidden_effect()], [far]),
-        ("one", [hidden_effect(asked_multiple=2.0)], []),
+        ("one", [hidden_effect(asked_multiple=5.0, multiple=2.8)], []),
         ("two", pair, [finding("stribeck", "joint_2"), finding()]),
         ("two", pair, [finding()]),
         ("absent", [gone], [finding("unknown")]),
