@@ -154,19 +154,21 @@ def enable(chain: Chain) -> None:
     """
     from ..nodes.chain import STARTED_S
 
-    def enabled() -> bool:
-        return chain.values("canopen_driver").get("operation_enabled") == "true"
-
     def attempt() -> bool:
         # Starting five nodes at once may hold up the driver for longer than the drives forgive.
         chain.call("/driver/recover")
         chain.call("/driver/enable", True)
         give_up = time.monotonic() + ENABLING_S
-        chain.wait(lambda: enabled() or time.monotonic() > give_up, "enabled drives", STARTED_S)
-        return enabled()
+        chain.wait(lambda: enabled(chain) or time.monotonic() > give_up, "enabled drives", STARTED_S)
+        return enabled(chain)
 
     if not any(attempt() for _ in range(int(STARTED_S / ENABLING_S))):
         raise UserError(f"the drives do not stay enabled: {chain.status('canopen_driver')}")
+
+
+def enabled(chain: Chain) -> bool:
+    """Whether the driver says that all drives are enabled."""
+    return chain.values("canopen_driver").get("operation_enabled") == "true"
 
 
 def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None:
@@ -178,11 +180,22 @@ def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None
 def go_through(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None:
     """Run a trajectory; returns when the arm has come through it.
 
-    A run that breaks off, on a machine too busy for the cycle, is told and begun again: `ATTEMPTS` times in all.
+    A run that breaks off, on a machine too busy for the cycle, is told and begun again: `ATTEMPTS` times in all. So is
+    one that cannot begin because the drives have fallen out meanwhile.
+
+    Raises:
+        UserError: It did not come through, or was refused though the drives are enabled.
     """
     chain.set_parameter("trajectory", "trajectory_file", str(file.resolve()))
     for _ in range(ATTEMPTS):
-        run_id = _start(chain)
+        try:
+            run_id = _start(chain)
+        except UserError as refusal:
+            if enabled(chain):
+                raise
+            print(f"spacearm: {refusal}; enabling again", file=sys.stderr)
+            enable(chain)
+            continue
         reason = _moved(chain, plan, run_id, report)
         complete = chain.excitation["complete"]
         if reason:
@@ -190,7 +203,7 @@ def go_through(chain: Chain, plan: Plan, file: Path, report: common.Report) -> N
             enable(chain)
         if complete:
             return
-    raise UserError(f"the {plan.name} run was stopped {ATTEMPTS} times: is this machine too busy?")
+    raise UserError(f"the {plan.name} run was stopped, or could not begin, {ATTEMPTS} times: is this machine too busy?")
 
 
 def _start(chain: Chain) -> str:
