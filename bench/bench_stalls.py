@@ -18,7 +18,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 import driven_arm
@@ -58,17 +57,7 @@ def main() -> int:
     options = parser.parse_args()
     went_on = 0
     with tempfile.TemporaryDirectory() as folder:
-        generous = driven_arm.generous_config
-
-        def config(directory: Path) -> Path:
-            path = generous(directory)
-            data = yaml.safe_load(path.read_text())
-            data["cycle"]["extrapolation_s"] = options.extrapolation
-            path.write_text(yaml.safe_dump(data))
-            return path
-
-        driven_arm.generous_config = config
-        arm = driven_arm.DrivenArm(Path(folder))
+        arm = driven_arm.DrivenArm(Path(folder), extrapolation_s=options.extrapolation)
         try:
             for run in range(options.runs):
                 stall_s = STALLS_S[run % len(STALLS_S)]

@@ -24,11 +24,11 @@ LEAD_S = 0.6
 """Set-points are sent so long before they are due: this process may be held up, the tests are not about that."""
 
 
-def generous_config(folder: Path) -> Path:
-    """The arm's CAN YAML, with time limits for a busy machine."""
+def generous_config(folder: Path, **cycle: float) -> Path:
+    """The arm's CAN YAML, with time limits for a busy machine, and what else its `cycle` is to say."""
     data = yaml.safe_load((CONFIG / "paper_arm_can.yaml").read_text())
     data["arm"] = str(CONFIG / "paper_arm.yaml")
-    data["cycle"] |= {"heartbeat_timeout_s": 1.5, "stale_feedback_s": 0.5}
+    data["cycle"] |= {"heartbeat_timeout_s": 1.5, "stale_feedback_s": 0.5} | cycle
     path = folder / "can.yaml"
     path.write_text(yaml.safe_dump(data))
     return path
@@ -91,10 +91,10 @@ class BusWatch:
 class DrivenArm:
     """Both processes, and the probe."""
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, **cycle: float):
         os.environ["ROS_DOMAIN_ID"] = str(30 + os.getpid() % 20)
         os.environ["SPACEARM_RUNTIME_DIR"] = str(folder / "run")
-        self.can_config = generous_config(folder)
+        self.can_config = generous_config(folder, **cycle)
         self.processes = Processes(folder)
         self.probe = Probe()
         from sensor_msgs.msg import JointState

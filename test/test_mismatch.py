@@ -255,7 +255,7 @@ def test_in_thin_air_the_field_has_no_friction_of_high_order(prepared):
     brute, high = Brute(evidence), np.flatnonzero(evidence.base.model.of_high_order)
     brute.columns[: brute.rows, high] = 0.0
     want, _, base, _ = brute.solve([])
-    found, squares = evidence.in_thin_air()
+    found, squares = evidence.in_thin_air
     assert squares == pytest.approx(want, rel=1e-4)
     np.testing.assert_allclose(found, base[: len(found)], rtol=1e-4, atol=1e-4 * np.abs(base).max())
     assert np.abs(found[high]).min() > 0

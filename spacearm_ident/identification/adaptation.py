@@ -237,9 +237,8 @@ def _changes(prior: GroundPrior, updated: Updated, change: FloatArray, spread: F
 
 def _vacuum(prior: GroundPrior, change: FloatArray, spread: FloatArray) -> Share | None:
     """Share s of delta = -s k over k_v2 and k_v3 of all joints, by generalised least squares."""
-    names = prior.names
-    places = [k for k, name in enumerate(names) if name.startswith(("k_v2[", "k_v3[")) and spread[k, k] > 0]
-    high = np.array([prior.model.parameters[k] for k in places])
+    places = [k for k in np.flatnonzero(prior.model.model.of_high_order) if spread[k, k] > 0]
+    high = prior.model.parameters[places]
     if not high.any():
         return None
     weight = np.linalg.pinv(spread[np.ix_(places, places)], hermitian=True) @ high

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import TorqueModel, temperature_joints
 from ..dynamics.term import Parameter
 from ..recording.motion import Motion
 
-HIGH_ORDERS = ("k_v2", "k_v3")
 LEVEL = 0.05
 GRAVITY_SCALE = 10.0
 """Standard deviation of each component of gravity before the data, m/s^2: it may be there, absent, or upside down."""
@@ -97,7 +97,7 @@ def judge_vacuum(
     """
     numbers: dict[str, list[int]] = {}
     for k, parameter in enumerate(parameters):
-        if parameter.symbol.startswith(HIGH_ORDERS) and scale[k] > 0 and parameter.joint in freedom:
+        if ViscousFriction.high_order(parameter) and scale[k] > 0 and parameter.joint in freedom:
             numbers.setdefault(parameter.joint, []).append(k)
     if not numbers:
         return None

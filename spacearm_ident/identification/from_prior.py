@@ -32,7 +32,7 @@ from ..recording.bandwidth import Bandwidth
 from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
-from .environment import GRAVITY_SCALE, HIGH_ORDERS, GravityEstimate
+from .environment import GRAVITY_SCALE, GravityEstimate
 from .gravity import DIRECTION, gravity_columns, gravity_result, is_zero, tangents, weight_columns
 from .identified import Identified
 from .posterior import posterior
@@ -102,9 +102,10 @@ class GroundPrior:
 
     def in_vacuum(self) -> GroundPrior:
         """With k_v2 and k_v3 zero, and certain to be."""
-        gone = np.array([name.startswith(HIGH_ORDERS) for name in self.names])
-        parameters = np.where(gone[: len(self.model.parameters)], 0.0, self.model.parameters)
-        kept = ~gone
+        gone = self.model.model.of_high_order
+        parameters = np.where(gone, 0.0, self.model.parameters)
+        kept = np.ones(len(self.names), dtype=bool)
+        kept[: len(gone)] = ~gone
         covariance = self.covariance * np.outer(kept, kept)
         return replace(self, model=replace(self.model, parameters=parameters), covariance=covariance)
 

@@ -115,7 +115,7 @@ class Competition:
         self._healthy: Evidence | None = None
         self.accepted: list[Candidate] = []
         if evidence.reference is not None:
-            thin, _ = evidence.in_thin_air()
+            thin, _ = evidence.in_thin_air
             for scene in [evidence.field, *([unseen.scene] if unseen else [])]:
                 scene.believe_high_orders(thin)
         self._pool = list(self._candidates(excluded))

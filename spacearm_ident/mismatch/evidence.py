@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -131,6 +132,7 @@ class Evidence:
         self._squares = float(torque @ torque)
         self.residual = torque[: self.rows] - self._basis @ self._inside
 
+    @cached_property
     def in_thin_air(self) -> tuple[FloatArray, float]:
         """Base parameters (p,), were there no friction of second and third order in the field, and the squares left.
 

@@ -15,7 +15,7 @@ from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.base_link import placed
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, TorqueModel
-from ..identification.identified import Identified
+from ..identification.identified import Choice
 from ..identification.identify import Settings, identify
 from ..identification.structure import GATE, RESISTS
 from ..recording.motion import Motion
@@ -77,15 +77,18 @@ def prepare_evidence(
         UserError: A recording lacks a joint.
     """
     known = reference if isinstance(reference, IdentifiedModel) else None
-    healthy = [] if known is not None else list(reference)  # type: ignore[arg-type]
+    healthy = [] if isinstance(reference, IdentifiedModel) else list(reference)
     healthy, field, validation = placed(healthy, arm), placed(field, arm), placed(validation, arm)
     everything = [*healthy, *field, *validation]
     rates = [recording.rate_hz for recording in everything]
     rates += [recording.base.rate_hz for recording in everything if recording.base is not None]
     cutoff = min(CUTOFF_HZ, 0.2 * min(rates))
-    identified = None if known is not None else identify(healthy or field, arm, Settings(cutoff_hz=cutoff))
-    base = known if identified is None else identified.model
-    assert base is not None
+    choices: tuple[Choice, ...] = ()
+    if known is None:
+        identified = identify(healthy or field, arm, Settings(cutoff_hz=cutoff))
+        base, choices = identified.model, identified.choices
+    else:
+        base = known
     base = replace(base, cutoff_hz=cutoff)
 
     def motions(recordings: Sequence[Recording]) -> list[Motion]:
@@ -105,19 +108,19 @@ def prepare_evidence(
         return Evidence(base, Scene(base, examined, whiteners), Scene(base, referred, whiteners) if referred else None)
 
     evidence = gathered(base)
-    if healthy and identified is not None and _form_is_open(identified):
+    if healthy and _form_is_open(choices):
         # An arm in vacuum, that lacks the term, may tell.
         other = _resisting(base)
         in_other_form = gathered(other)
-        if in_other_form.in_thin_air()[1] < evidence.in_thin_air()[1] - GATE:
+        if in_other_form.in_thin_air[1] < evidence.in_thin_air[1] - GATE:
             base, evidence = other, in_other_form
     unseen = Unseen(evidence, Scene(base, judged, whiteners)) if judged else None
     return Prepared(base, evidence, unseen, plain, _floor(whiteners), cutoff, known is not None)
 
 
-def _form_is_open(identified: Identified) -> bool:
+def _form_is_open(choices: Sequence[Choice]) -> bool:
     """Whether the healthy arm's friction may as well be odd in its quadratic term as even."""
-    return any(choice.term == RESISTS and not choice.accepted and choice.gain > -GATE for choice in identified.choices)
+    return any(choice.term == RESISTS and not choice.accepted and choice.gain > -GATE for choice in choices)
 
 
 def _resisting(base: IdentifiedModel) -> IdentifiedModel:
