@@ -39,7 +39,13 @@ COMPARED: dict[str, tuple[str, Callable[[Entry, Entry], float]] | None] = {
         lambda effect, arm: effect["parameters"]["viscous_slope"] * _of_joint(effect, arm, "k_v1"),
     ),
     "wrist_coupling": ("f", lambda effect, arm: effect["parameters"]["coulomb"]),
-    "floating_base": ("mass", lambda effect, arm: effect["parameters"]["base_ratio"] * sum(arm["mass_kg"])),
+    # A heavy base shows by how little it turns; its mass by how little it shifts, which is a tenth of that.
+    "floating_base": (
+        "inertia",
+        lambda effect, arm: (
+            effect["parameters"]["base_ratio"] * sum(arm["mass_kg"]) * effect["parameters"].get("gyration", 0.4) ** 2
+        ),
+    ),
     # A knee in the answer, a cubic in the catalogue.
     "motor_saturation": None,
 }
@@ -91,14 +97,16 @@ class Scored:
         return all(effect["effect"] in named_ones for effect in self.answer["effects"])
 
     def right_joint(self) -> bool:
-        """Whether the first finding points at a concealed effect's joint, or at joints that show it."""
+        """Whether the first finding points at a concealed effect's joint or link, or at joints that show it."""
         said = set(self.findings[0].get("joints", [])) if self.findings else set()
         for effect in self.answer["effects"]:
             if effect["local"]:
                 where = set(effect["joints"])
                 if said & where and len(said) <= len(where) + 2:
                     return True
-            elif said & {joint for joint, multiple in effect["multiples"].items() if multiple >= 1.0}:
+            shown = {joint for joint, multiple in effect["multiples"].items() if multiple >= 1.0}
+            own = set(effect["joints"]) if len(effect["joints"]) < len(effect["multiples"]) else set()
+            if not effect["local"] and said & (shown | own):
                 return True
         return False
 

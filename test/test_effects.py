@@ -403,10 +403,10 @@ def test_without_gravity_no_base_is_tilted():
 
 def test_a_floating_base_moves_as_momentum_demands():
     """Pinocchio's free-flyer with zero momentum and no force on its base."""
-    mass, radius = 40.0, 0.4
+    mass, radius, below = 40.0, 0.4, 0.25
     model = pin.buildModelFromXML(urdf_of(THREE_LINKS), pin.JointModelFreeFlyer())
     model.gravity.linear = np.zeros(3)
-    model.inertias[1] = pin.Inertia(mass, np.zeros(3), mass * radius**2 * np.eye(3))
+    model.inertias[1] = pin.Inertia(mass, np.array([0.0, 0.0, -below]), mass * radius**2 * np.eye(3))
     data = model.createData()
     some = slice(0, 1000, 100)
     want = []
@@ -422,13 +422,13 @@ def test_a_floating_base_moves_as_momentum_demands():
         accelerated = -np.linalg.solve(inertia[:6, :6], inertia[:6, 6:] @ qdd + bias[:6])
         want.append(pin.rnea(model, data, whole, speed, np.concatenate([accelerated, qdd]))[6:])
     fixed = rnea(THREE_LINKS, W.position[some], W.velocity[some], W.acceleration[some], np.zeros(3))
-    made = torque(one("floating_base", ARM), W, [1.0], [mass * radius**2, mass], background_of(ARM, W))
+    made = torque(one("floating_base", ARM), W, [1.0], [mass * radius**2, mass, below], background_of(ARM, W))
     np.testing.assert_allclose(made[some], np.array(want) - fixed, atol=1e-8)
     assert np.abs(made).max() > 0.1
 
 
 def test_a_base_as_heavy_as_a_house_does_not_float():
-    made = torque(one("floating_base", ARM), W, [1.0], [1e11, 1e9], background_of(ARM, W))
+    made = torque(one("floating_base", ARM), W, [1.0], [1e11, 1e9, 0.3], background_of(ARM, W))
     np.testing.assert_allclose(made, 0.0, atol=1e-5)
 
 
@@ -444,6 +444,12 @@ def test_a_push_at_the_flange_is_held_by_the_transposed_jacobian_in_its_window()
     late = replace(W, start_s=10.0)
     made = torque(one("external_contact", ARM, joint="elbow"), late, force, [11.0, 1.5], background_of(ARM, late))
     np.testing.assert_allclose(made, want, atol=1e-9)
+
+
+def test_a_touch_is_no_blow():
+    push = one("external_contact", ARM, joint="elbow")
+    assert push.plausible(np.array([40.0, 0.0, 200.0]), (11.0, 1.5))
+    assert not push.plausible(np.array([40.0, 0.0, -500.0]), (11.0, 1.5))
 
 
 # --- coupling -------------------------------------------------------------------------------------------------------
@@ -597,6 +603,27 @@ def test_a_hinge_that_bends_is_the_arm_with_that_joint(kind):
     want = np.delete(held(-bend) - held(0.0), number)
     made = torque(effect, still, [1.0], [stiffness, 0.05], background_of(ARM, still))
     np.testing.assert_allclose(made[-1], want, atol=0.02 * np.abs(want).max())
+
+
+def test_a_link_on_a_spring_rings_between_its_slowest_and_its_fastest():
+    """Hanging straight down, from either side of its swing: the root of (K + m g l) over m l^2 + I."""
+    moved, arm = swing(0.8, 0.5, 20.0), arm_of(PENDULUM)
+    background = background_of(arm, moved)
+    effect = one("joint_elasticity", arm, joint="hip")
+    sensitivity = effect.sensitivity(moved, background)
+    low, high = effect.resonance(moved, (3000.0, 0.02), background)
+    inertia, gravity = sensitivity.own_inertia, sensitivity.own_gravity
+    assert np.ptp(inertia) < 1e-9 * inertia.max() and np.ptp(gravity) > 0
+    rates = np.sqrt((3000.0 + gravity[[gravity.argmin(), gravity.argmax()]]) / inertia[0]) / (2 * np.pi)
+    np.testing.assert_allclose((low, high), rates)
+    assert one("backlash", arm, joint="hip").resonance(moved, (1e-3, 1e5), background) is None
+
+
+def test_friction_that_falls_below_every_speed_is_no_stribeck_curve():
+    effect = one("stribeck", ARM, joint="elbow")
+    (curve,) = effect.constants
+    assert not effect.plausible(np.array([1.0]), (curve.grid[0],))
+    assert effect.plausible(np.array([1.0]), (curve.grid[1],))
 
 
 def test_a_link_may_bend_halfway_square_to_its_length_where_another_follows():

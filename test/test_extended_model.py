@@ -103,7 +103,7 @@ def test_the_simulated_arm_obeys_what_the_term_predicts(kind, place, values, sha
 
 
 def test_a_floating_arm_feels_what_the_term_predicts():
-    floating = extended("floating_base", {}, {"share": 1.0, "inertia": 24.0, "mass": 150.0}, ORBIT)
+    floating = extended("floating_base", {}, {"share": 1.0, "inertia": 24.0, "mass": 150.0, "below": 0.2}, ORBIT)
     agrees(floating, ORBIT, "floating_base", 0.1)
 
 
@@ -181,7 +181,7 @@ def test_what_moves_beside_its_encoder_does_so_by_as_much_as_the_term_says(kind,
             {"share": 1, "stiffness": 4e3, "damping_ratio": 0.05},
             "base_flexibility",
         ),
-        ("floating_base", {}, {"share": 1.0, "inertia": 24.0, "mass": 150.0}, "floating_base.*gravity"),
+        ("floating_base", {}, {"share": 1.0, "inertia": 24.0, "mass": 150.0, "below": 0.2}, "floating_base.*gravity"),
         ("presliding_hysteresis", SECOND, {"f": 1.0, "d_s": 0.01}, "presliding_hysteresis at joint_2"),
         ("harness_spring", SECOND, {"stiffness": 0.0, "preload": 1.0}, "harness_spring at joint_2"),
     ],

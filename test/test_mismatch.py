@@ -20,10 +20,12 @@ from spacearm_ident.identification.prior import make_prior
 from spacearm_ident.mismatch.competition import penalty
 from spacearm_ident.mismatch.document import EXTENDED_MODEL, to_document
 from spacearm_ident.mismatch.evidence import NUISANCE, base_columns, stacked_effect
-from spacearm_ident.mismatch.explain import doubted, explain
-from spacearm_ident.mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH
+from spacearm_ident.mismatch.explain import explain
+from spacearm_ident.mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH, Alternative
 from spacearm_ident.mismatch.integrity import faults
+from spacearm_ident.mismatch.judgement import contradicted, doubted
 from spacearm_ident.mismatch.preparation import prepare_evidence
+from spacearm_ident.mismatch.residuals import Residuals
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival, rivals
 from spacearm_ident.mismatch.scene import (
     LARGEST_ROOT,
@@ -481,12 +483,52 @@ def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
 def test_a_law_that_leaves_much_of_what_there_was_is_not_the_one(rippled, explained, left, named):
     """Nearly all must be explained, or nothing but noise be left; else it is unknown, and what it is like is told."""
     (finding,) = rippled.findings
-    finding = replace(finding, explained=explained, after_Nm={"elbow": 0.1 * left})
+    rival = Alternative("payload", ("elbow",), 0.6, "")
+    finding = replace(finding, explained=explained, after_Nm={"elbow": 0.1 * left}, beside_Nm={}, alternatives=(rival,))
     judged = doubted(finding, {"shoulder": 0.2, "elbow": 0.1})
     assert (judged == finding) == named
     if not named:
         assert (judged.effect, judged.joints, judged.parameters) == (UNKNOWN, ("elbow",), {})
         assert judged.alternatives[0].effect == "torque_ripple" and "2.0 times the noise" in judged.where
+
+
+def test_a_law_that_leaves_much_keeps_its_name_where_nothing_else_comes_near(rippled):
+    (finding,) = rippled.findings
+    far = Alternative("payload", ("elbow",), 0.4, "")
+    finding = replace(finding, explained=0.7, after_Nm={"elbow": 0.3}, beside_Nm={}, alternatives=(far,))
+    assert doubted(finding, {"elbow": 0.1}) == finding
+    assert doubted(replace(finding, explained=0.6), {"elbow": 0.1}).effect == UNKNOWN
+
+
+def test_what_rings_at_its_own_resonance_is_not_held_against_a_compliance(rippled):
+    (finding,) = rippled.findings
+    near = Alternative("payload", ("elbow",), 0.6, "")
+    finding = replace(finding, explained=0.7, after_Nm={"elbow": 0.3}, beside_Nm={"elbow": 0.1}, alternatives=(near,))
+    assert doubted(finding, {"elbow": 0.1}) == finding
+
+
+def test_a_band_is_taken_out_of_a_residual_and_the_rest_stays(prepared):
+    evidence = prepared.evidence
+    residuals = Residuals(evidence, evidence.field, prepared.plain)
+    scene = residuals.scene
+    (motion,) = scene.motions
+    time = motion.time[scene.place]
+    swing, rest = np.sin(2 * np.pi * 8.0 * time), np.sin(2 * np.pi * 2.0 * time)
+    left = residuals.without_band(swing + rest, [(6.5, 9.5)])
+    assert np.std(left - rest) < 0.25 * np.std(swing)
+    np.testing.assert_array_equal(residuals.without_band(swing, [None]), swing)
+
+
+def test_a_law_beside_which_a_free_function_of_the_same_quantity_stands_is_another(rippled):
+    """The residual of a dead zone, say, looks like less friction first, and like any curve over the speed then."""
+    (finding,) = rippled.findings
+    ripple = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
+    curve = {"joint": "elbow", "count": 9, "low": -1.0, "high": 1.0}
+    places = [{**curve, "of": "position"}, {**curve, "of": "velocity"}, {**curve, "of": "position", "with": "shoulder"}]
+    own, other, neighbour = (Rival.at(ARM, place) for place in places)
+    assert contradicted(finding, ripple, [ripple, other, neighbour]) == finding
+    judged = contradicted(finding, ripple, [ripple, own])
+    assert judged.effect == UNKNOWN and judged.where.startswith("most like torque_ripple")
 
 
 def test_noise_that_has_grown_is_a_mismatch_without_a_name():

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from .competition import Outcome, Scored
+from .competition import TEMPER, TEMPER_SHARE, Outcome, Scored
 from .evidence import Evidence, Stacked, stacked_effect
 from .finding import Alternative, Finding, Quantity
 from .residuals import Residuals
@@ -15,9 +15,8 @@ from .rivals import UNKNOWN
 
 STEP = 1e-3
 """Relative step of a constant for its derivative."""
-TEMPER, TEMPER_SHARE = 10.0, 0.01
-"""Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
-difference of one in the exponent is this much, and this share of the score, together."""
+NEAR_RESONANCE = 1.2
+"""A link with little damping answers the noise of an encoder, and any error of its inertia, this near its resonance."""
 NEAR = 0.25
 """Explanations with less than this share of the winner's score are not worth a line."""
 MOST = 4
@@ -42,7 +41,7 @@ class Cards:
         effect = self.accepted[number].effect
         values = self._values(number)
         rivals = _others(winner, others)
-        before, after, explained = self._on_unseen(number)
+        before, after, beside, explained = self._on_unseen(number)
         joints = effect.joints or tuple(before)
         return Finding(
             effect=effect.kind,
@@ -59,6 +58,7 @@ class Cards:
             before_Nm=before,
             after_Nm=after,
             explained=explained,
+            beside_Nm=beside,
         )
 
     def _values(self, number: int) -> FloatArray:
@@ -72,8 +72,8 @@ class Cards:
         whole = float(np.sum((columns @ values) ** 2))
         return float(values @ gram @ values) / whole if whole > 0 else float("nan")
 
-    def _on_unseen(self, number: int) -> tuple[dict[str, float], dict[str, float], float]:
-        """RMS by joint without and with the effect, and the share of the variance above the noise that it removes."""
+    def _on_unseen(self, number: int) -> tuple[dict[str, float], dict[str, float], dict[str, float], float]:
+        """RMS by joint without, with, and with it less its swings; share of the variance above the noise it removes."""
         values = self.outcome.refit.values
         others = [c for k, c in enumerate(self.accepted) if k != number]
         kept = np.delete(values, np.arange(self._starts[number], self._starts[number + 1]))
@@ -87,6 +87,7 @@ class Cards:
             without = self.residuals.of(whole, others, kept)
         names = self.evidence.base.model.arm.joint_names
         rms_without, rms_with = self.residuals.rms(without), self.residuals.rms(with_it)
+        rms_beside = self.residuals.rms(self.residuals.without_band(with_it, self._swings(number)))
         rows = self._felt_at(number)
         removed = above = 0.0
         for row in rows:
@@ -98,8 +99,18 @@ class Cards:
         return (
             {names[row]: float(rms_without[row]) for row in rows},
             {names[row]: float(rms_with[row]) for row in rows},
+            {names[row]: float(rms_beside[row]) for row in rows},
             explained,
         )
+
+    def _swings(self, number: int) -> list[tuple[float, float] | None]:
+        """By unseen motion, the band in which an effect rings, if it does."""
+        scene, candidate = self.residuals.scene, self.accepted[number]
+        bands: list[tuple[float, float] | None] = []
+        for motion, background in zip(scene.motions, scene.backgrounds):
+            band = candidate.effect.resonance(motion, candidate.constants, background)
+            bands.append(band and (band[0] / NEAR_RESONANCE, band[1] * NEAR_RESONANCE))
+        return bands
 
     def _felt_at(self, number: int) -> list[int]:
         """The rows in which an effect moves torque, the strongest first."""

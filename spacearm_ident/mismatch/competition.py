@@ -29,7 +29,7 @@ NAMED_SHARE, NAMED_PAIR = 0.8, 0.9
 """A named effect stands if it explains this share of what the best generic rival does, or two of them this share."""
 SHARED = 0.3
 """An effect that explains this share as much in the reference, row for row, was there before."""
-MINOR_SHARE = 0.003
+MINOR_SHARE = 0.01
 """Beside a large effect at the same joints, less than this share of it is more likely the large one's own law being
 a little different than a second physics: it is left unexplained, not named."""
 MINOR_UNKNOWN = 0.05
@@ -41,6 +41,9 @@ CLEARS_UP = 0.5
 """What an effect that is asleep in the unseen data must explain of its joints' residual in the field."""
 NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
+TEMPER, TEMPER_SHARE = 10.0, 0.01
+"""Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
+difference of one in the exponent is this much, and this share of the score, together."""
 MOST = 8
 """Effects in one arm; more is a wrong base model."""
 
@@ -174,6 +177,9 @@ class Competition:
         above = [s for s in ranked if s.score > self.gate and s.plausible]
         named = [s for s in above if s.named]
         generic = next((s for s in above if not s.named), None)
+        if named:
+            first = _simplest(named)
+            named = [first, *(s for s in named if s is not first)]
         if generic is None or not named:
             return named[0] if named else generic
         if generic.score <= named[0].score:
@@ -213,8 +219,9 @@ class Competition:
                 return False
         if not self.accepted:
             return True
-        large = self._energy(self.accepted, self.evidence.refit(self.accepted).values)
-        minor = MINOR_SHARE if scored.named else MINOR_UNKNOWN
+        # An event is small beside what goes on while it lasts: there the larger effect's law is most in doubt.
+        large = self._energy(self.accepted, self.evidence.refit(self.accepted).values, None if lasting else scored)
+        minor = MINOR_SHARE if scored.named and lasting else MINOR_UNKNOWN
         return float(mine.sum()) > minor * float(large[felt].sum())
 
     def _excess(self) -> FloatArray:
@@ -224,8 +231,8 @@ class Competition:
         squares = np.bincount(joint, weights=residual**2, minlength=count)
         return np.asarray(np.maximum(squares - np.bincount(joint, minlength=count), 0.0))
 
-    def _energy(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
-        """(n,) sum of squares by joint of what effects add to the torque."""
+    def _energy(self, candidates: Sequence[Candidate], values: FloatArray, event: Scored | None = None) -> FloatArray:
+        """(n,) sum of squares by joint of what effects add to the torque, in all rows or in those of an event."""
         joint = self.evidence.field.joint
         torque = np.zeros(len(joint))
         first = 0
@@ -233,6 +240,10 @@ class Competition:
             count = len(candidate.effect.parameters)
             torque[candidate.stacked.rows] += candidate.stacked.columns @ values[first : first + count]
             first += count
+        if event is not None:
+            during = np.zeros(len(joint), dtype=bool)
+            during[event.candidate.stacked.rows] = np.any(event.candidate.stacked.columns != 0.0, axis=1)
+            torque = np.where(during, torque, 0.0)
         joints = len(self.evidence.base.model.arm.joints)
         return np.asarray(np.bincount(joint, weights=torque**2, minlength=joints), dtype=float)
 
@@ -363,6 +374,18 @@ class Competition:
                 self.accepted = others
                 return self._without_the_idle([r for number, r in enumerate(rounds) if number != k])
         return rounds
+
+
+def _simplest(ranked: Sequence[Scored]) -> Scored:
+    """The best, or one with less freedom that is as good as far as scores can tell."""
+    best = ranked[0]
+    near = [s for s in ranked if best.score - s.score < TEMPER + TEMPER_SHARE * best.score]
+    return min(near, key=lambda s: freedom(s.candidate.effect))
+
+
+def freedom(effect: Effect) -> int:
+    """How many numbers of an effect are fitted."""
+    return sum(parameter.scale != 0.0 for parameter in effect.parameters) + len(effect.anew) + len(effect.constants)
 
 
 def penalty(effect: Effect, rows: int) -> float:

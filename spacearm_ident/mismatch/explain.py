@@ -6,23 +6,23 @@ effects explain what is left (`competition`); and a card for each, judged on a r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.effects import EFFECTS
-from ..dynamics.effects.body import ExternalContact
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
 from .cards import Cards
-from .competition import GATE, SEEN_AGAIN, Competition, Outcome, Scored
+from .competition import GATE, Competition, Outcome, Scored
 from .evidence import Evidence
 from .extend import extended_model
-from .finding import MISMATCH, NO_MISMATCH, Alternative, Explanation, Finding, Unexplained, joined, unfit
+from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
 from .integrity import faults
+from .judgement import contradicted, doubted, harms, shows
 from .preparation import Prepared, prepare_evidence
 from .residuals import Residuals
 from .rivals import UNKNOWN
@@ -33,18 +33,6 @@ LEFT_OVER = 2.0
 """A joint whose residual variance is so many times the noise's has something unexplained."""
 UNNAMED = 2.5
 """The same where nothing was found at all: then it is a mismatch without a name. Healthy arms had 1.5 at most."""
-NAMES = 0.8
-"""A finding that leaves more than noise on unseen data, and more than a fifth of what there was, has not that name."""
-SHOWS = 0.5
-"""A finding beside the first that removes less than this share of what is above the noise on unseen data is not one: it
-is a crumb of the first, whose law is not quite the catalogue's."""
-FIRST_SHOWS = 0.1
-"""The first may be one of several at its joints; less than this share, and it is none."""
-LEAST = 0.1
-"""A finding that lowers the mean square on unseen data by less than this share of the noise's, at all its joints, is a
-crumb of the base model: of how friction runs through a reversal, say."""
-HARM = 1.02
-"""A finding with which the mean square on unseen data is this many times larger is a false one."""
 CLOSE = 0.7
 """Another explanation with this share of the score cannot be told apart."""
 
@@ -114,13 +102,15 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     while True:
         cards = Cards(evidence, residuals, outcome, floor)
         made = [cards.finding(k) for k in range(len(outcome.accepted))]
-        idle = [k for k, found in enumerate(made) if _harms(found) or not _shows(found, noise, first=k == 0)]
+        idle = [k for k, found in enumerate(made) if harms(found) or not shows(found, noise, first=k == 0)]
         if not idle:
             break
         # What shows beside another may show no more without it.
         outcome = competition.without(outcome, idle)
-    findings = tuple(doubted(finding, noise) for finding in _by_cause(made, joints))
     accepted = outcome.accepted
+    effects = [candidate.effect for candidate in accepted]
+    made = [contradicted(finding, effect, effects) for finding, effect in zip(made, effects)]
+    findings = tuple(doubted(finding, noise) for finding in _by_cause(made, joints))
     before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     rms_before, rms_after = residuals.rms(before), residuals.rms(after)
@@ -155,46 +145,6 @@ def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Findi
             key = (UNKNOWN, finding.joints)
         causes.setdefault(key, []).append(finding)
     return tuple(joined(group, joints) for group in causes.values())
-
-
-def _harms(finding: Finding) -> bool:
-    """Whether the residual of unseen data, every row counted alike, is larger with a finding than without."""
-    before, after = (sum(rms**2 for rms in by.values()) for by in (finding.before_Nm, finding.after_Nm))
-    return finding.effect != ExternalContact.kind and after > HARM * before
-
-
-def _shows(finding: Finding, floor: Mapping[str, float], first: bool) -> bool:
-    """Whether a finding explains enough of what the fit has not seen.
-
-    An event in time need not show there, nor a first one that is asleep there.
-    """
-    if finding.effect == ExternalContact.kind:
-        return True
-    if first and finding.unseen_gain < SEEN_AGAIN * finding.gain:
-        return True
-    before, after = finding.before_Nm, finding.after_Nm
-    matters = any(before[joint] ** 2 - after[joint] ** 2 > LEAST * floor[joint] ** 2 for joint in before)
-    return matters and finding.explained >= (FIRST_SHOWS if first else SHOWS)
-
-
-def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
-    """A finding whose law is clearly not quite its own, as an unknown one that is like it; else the finding itself."""
-    left = [rms / floor[joint] for joint, rms in finding.after_Nm.items() if floor[joint] > 0]
-    worst = max(left, default=0.0)
-    if finding.effect == UNKNOWN or not finding.explained < NAMES or worst**2 <= UNNAMED:
-        return finding
-    why_not = f"explains {finding.explained:.0%}, and leaves {worst:.1f} times the noise"
-    like = Alternative(finding.effect, finding.joints, finding.explained, why_not)
-    where = f"most like {finding.effect} ({finding.where}), which leaves {worst:.1f} times the noise"
-    return replace(
-        finding,
-        effect=UNKNOWN,
-        where=where,
-        equation="",
-        source="",
-        parameters={},
-        alternatives=(like, *finding.alternatives),
-    )
 
 
 def _healthy(evidence: Evidence, prepared: Prepared) -> tuple[FloatArray, FloatArray]:

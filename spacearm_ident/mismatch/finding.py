@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -57,6 +57,8 @@ class Finding:
         visibility: Share of its energy that the base model cannot take over.
         before_Nm, after_Nm: By joint, RMS of the residual without and with it, on what the fit has not seen.
         explained: Share of the residual's variance above the noise floor that it removes there; NaN where untestable.
+        beside_Nm: By joint, `after_Nm` less what swings near the effect's own resonance: an encoder's noise makes a
+            link ring there, in the model alone.
     """
 
     effect: str
@@ -73,6 +75,7 @@ class Finding:
     before_Nm: dict[str, float]
     after_Nm: dict[str, float]
     explained: float
+    beside_Nm: dict[str, float] = field(default_factory=dict)
 
 
 def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
@@ -102,6 +105,7 @@ def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
         unseen_gain=sum(finding.unseen_gain for finding in findings),
         before_Nm={joint: rms for finding in findings for joint, rms in finding.before_Nm.items()},
         after_Nm={joint: rms for finding in findings for joint, rms in finding.after_Nm.items()},
+        beside_Nm={joint: rms for finding in findings for joint, rms in finding.beside_Nm.items()},
         explained=sum(w * e for w, e in known) / sum(w for w, _ in known) if known else float("nan"),
     )
 

@@ -9,11 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
 from ..dynamics.arm import FloatArray
 from .evidence import Candidate, Evidence, base_columns, stacked_effect, without_effects
 from .finding import Trace
 from .scene import Scene, Whitener
+
+HIGHEST = 0.45
+"""Of the sampling rate: where a filter's band ends at the latest."""
 
 
 class Residuals:
@@ -51,6 +55,23 @@ class Residuals:
         information = np.bincount(self.scene.joint, self._information, joints)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(squares / information))
+
+    def without_band(self, residual: FloatArray, bands: Sequence[tuple[float, float] | None]) -> FloatArray:
+        """(V,) the residual less what it has between two frequencies, Hz, of each motion."""
+        kept = residual.copy()
+        for m, (motion, band) in enumerate(zip(self.scene.motions, bands)):
+            rows = len(motion.torque_rows)
+            rate = motion.rate_hz * rows / len(motion.position)
+            if band is None or band[1] <= 0.0 or band[0] >= HIGHEST * rate:
+                continue
+            edges = max(band[0], 0.01 * rate), min(band[1], HIGHEST * rate)
+            sos = butter(2, edges, "bandpass", fs=rate, output="sos")
+            for j in range(motion.torque_rows.shape[1]):
+                slot = self.scene.slot(j, m)
+                whole = np.zeros(rows)
+                whole[self.scene.place[slot]] = residual[slot]
+                kept[slot] -= sosfiltfilt(sos, whole)[self.scene.place[slot]]
+        return kept
 
     def traces(self, before: FloatArray, after: FloatArray) -> tuple[Trace, ...]:
         """Signals of each motion."""

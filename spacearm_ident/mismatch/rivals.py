@@ -46,7 +46,7 @@ class Rival(Effect):
             start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
             length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 5.0))
             return cls((Parameter("torque", joint, "N m"),), (start, length), place=place)
-        count = 3 if place["of"] == "time_drift" else int(place["count"])
+        count = 3 if place["of"] == "time_drift" else int(place["count"]) + (place["of"] == "velocity")
         return cls(tuple(Parameter(f"b{k}", joint, "N m") for k in range(count)), place=place)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
@@ -69,12 +69,12 @@ class Rival(Effect):
             "velocity": motion.velocity[:, other],
             "acceleration": motion.acceleration[:, other],
         }[of]
-        basis = _splines(signal, float(self.place["low"]), float(self.place["high"]), len(self.parameters))
+        basis = _splines(signal, float(self.place["low"]), float(self.place["high"]), int(self.place["count"]))
         if of == "friction_position":
             basis = basis * direction(motion, row)[:, None]
         if of == "velocity":
             # Friction turns with the direction, and a spline through zero could not jump there.
-            basis[:, 0] = direction(motion, other)
+            basis = np.column_stack([basis, direction(motion, other)])
         return {row: (list(range(basis.shape[1])), basis)}
 
     def where(self, values: FloatArray) -> str:

@@ -146,6 +146,10 @@ class BaseTilt(Effect):
         }
 
 
+BELOW_M, DEEPEST_M = 0.3, 1.5
+"""How far below the arm's foot the middle of what carries it may be."""
+
+
 @dataclass(frozen=True)
 class FloatingBase(Effect):
     """The base is free and moves as the arm does: momentum stays zero.
@@ -172,9 +176,13 @@ class FloatingBase(Effect):
         total = max(sum(joint.inertial[0] for joint in arm.joints), 1.0)
         # Not its radius of gyration: mass and radius are searched one after the other, and the data know their inertia
         # first. A mass that is changed at a fixed radius hardly leaves its grid point.
-        inertia = tuple(float(total * ratio) for ratio in 0.1 * 2.0 ** np.arange(9))
-        mass = tuple(float(total * ratio) for ratio in (2, 3.5, 6, 11, 20, 36, 60))
-        constants = (Constant("inertia", "base", "kg m^2", inertia), Constant("mass", "base", "kg", mass))
+        inertia = tuple(float(total * ratio) for ratio in 0.1 * 2.3 ** np.arange(9))
+        mass = tuple(float(total * ratio) for ratio in (2, 4.5, 10, 22, 50, 110, 240, 500))
+        constants = (
+            Constant("inertia", "base", "kg m^2", inertia),
+            Constant("mass", "base", "kg", mass),
+            Constant("below", "base", "m", (BELOW_M,), reach=(0.0, DEEPEST_M)),
+        )
         return cls((share,), constants, place=place)
 
     @property
@@ -193,9 +201,10 @@ class FloatingBase(Effect):
         return each({row: torque[:, [row]] for row in rows})
 
     def shown(self, values: FloatArray) -> Shown:
-        """Inertia and mass, and the radius of gyration that they make."""
-        turn, mass = map(float, values[1:3])
-        return {"mass": (mass, "kg"), "inertia": (turn, "kg m^2"), "radius": (float(np.sqrt(turn / mass)), "m")}
+        """Mass, inertia about its centre, the radius of gyration that they make, and how far below the foot that is."""
+        turn, mass, below = map(float, values[1:4])
+        radius = float(np.sqrt(turn / mass))
+        return {"mass": (mass, "kg"), "inertia": (turn, "kg m^2"), "radius": (radius, "m"), "below": (below, "m")}
 
 
 class _FreeBase:
@@ -224,11 +233,20 @@ class _FreeBase:
         unit[:, axis] = 1.0
         return rigid_torque(self.arm, self.inertials, self.q, None, unit)
 
-    def change(self, turn: float, mass: float) -> FloatArray:
-        """(N, n) torque of the free arm less that of the fixed one, N·m, by the base's inertia and mass."""
-        own = np.diag([mass] * 3 + [turn] * 3)
+    def change(self, turn: float, mass: float, below: float) -> FloatArray:
+        """(N, n) torque of the free arm less that of the fixed one, N·m.
+
+        Args:
+            turn: Inertia of the base about its centre of mass, kg·m², the same about every axis.
+            mass: Its mass, kg.
+            below: How far its centre of mass is below the arm's foot, m.
+        """
+        rocked = turn + mass * below**2
         inertials = self.inertials.copy()
-        inertials[5] = mass, 0.0, 0.0, 0.0, turn, 0.0, turn, 0.0, 0.0, turn
+        inertials[5] = mass, 0.0, 0.0, -mass * below, rocked, 0.0, rocked, 0.0, 0.0, turn
+        own = np.diag([mass, mass, mass, rocked, rocked, turn])
+        own[[0, 4], [4, 0]] = -mass * below
+        own[[1, 3], [3, 1]] = mass * below
         inertia = self.rows[:, :, :6] + own
         momentum = np.einsum("nij,nj->ni", self.rows[:, :, 6:], self.qd[:, 6:])
         velocity = self.qd.copy()
@@ -241,6 +259,8 @@ class _FreeBase:
 
 OUTER_LINKS = 4
 """Those that reach where something may be in the way."""
+LARGEST_FORCE = 300.0
+"""N: of a person, a cable, a fixture touched in passing (the field's examples: 3 to 40)."""
 
 
 @dataclass(frozen=True)
@@ -296,6 +316,10 @@ class ExternalContact(Effect):
         time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
         inside = (time >= constants[0]) & (time < constants[0] + constants[1])
         return each({row: -jacobian[:, row] * inside[:, None] for row in rows})
+
+    def plausible(self, parameters: FloatArray, constants: Values) -> bool:
+        """Whether it is a touch: a direction that hardly shows may be fitted with any force."""
+        return float(np.linalg.norm(parameters)) < LARGEST_FORCE
 
     def shown(self, values: FloatArray) -> Shown:
         """Force and window."""

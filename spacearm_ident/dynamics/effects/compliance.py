@@ -57,6 +57,13 @@ class _Compliance(Effect):
         """(N,) d and d'' of a link on a spring; others say what is different."""
         return spring(self.sensitivity(motion, background), *constants)
 
+    def resonance(self, motion: Motion, constants: Values, background: Background) -> tuple[float, float] | None:
+        """Of the link on its spring, with the motor held."""
+        sensitivity = self.sensitivity(motion, background)
+        stiffness = np.maximum(constants[0] + sensitivity.own_gravity, 0.0)
+        frequency = np.sqrt(stiffness / np.maximum(sensitivity.own_inertia, 1e-6)) / (2 * np.pi)
+        return float(frequency.min()), float(frequency.max())
+
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the rows of all joints differ by."""
         if background is None or background.arm is None:
@@ -160,6 +167,10 @@ class Backlash(_Compliance):
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
         gap_ = Constant("gap", joint, "rad", GAP_GRID)
         return cls((share,), (gap_, Constant("stiffness", joint, "N m/rad", CONTACT_GRID)), place=place)
+
+    def resonance(self, motion: Motion, constants: Values, background: Background) -> tuple[float, float] | None:
+        """None: how fast teeth bounce depends on how hard they meet."""
+        return None
 
     def give(self, motion: Motion, constants: Values, background: Background) -> tuple[FloatArray, FloatArray]:
         """Of a gap; those of the whole grid, at all joints, are computed at once."""

@@ -16,7 +16,7 @@ from ...errors import UserError
 from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
 from ..background import Background
-from ..term import Columns, Term
+from ..term import Columns, Term, Values
 
 Options = Mapping[str, Any]
 Shown = dict[str, tuple[float, str]]
@@ -38,6 +38,9 @@ class Effect(Term):
     experiment: ClassVar[str] = ""
     one_cause: ClassVar[bool] = False
     """Whether several joints show it for one reason (the arm got warm, the clock is late): one finding then."""
+    follows: ClassVar[str] = ""
+    """What it is a function of at its joint, if of one thing alone: `velocity`, `position`, or `friction_position`,
+    which is position times the direction of motion."""
     place: Options = ()  # type: ignore[assignment]
 
     @classmethod
@@ -86,6 +89,10 @@ class Effect(Term):
     def anew(self) -> tuple[int, ...]:
         """Numbers of the parameters that belong to a recording, not to the arm: another recording has its own."""
         return ()
+
+    def resonance(self, motion: Motion, constants: Values, background: Background) -> tuple[float, float] | None:
+        """Lowest and highest frequency, Hz, at which it rings along a motion; None where it does not."""
+        return None
 
     def again(self, arm: Arm) -> Effect | None:
         """A further one of the same kind at the same place (another harmonic), once this one is known."""

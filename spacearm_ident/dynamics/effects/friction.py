@@ -15,6 +15,9 @@ from ..friction import bristle_state, excess_temperature
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own
 
+BETWEEN = 1.05
+"""A constant nearer to the end of its grid than this ratio is at its end."""
+
 
 @dataclass(frozen=True)
 class _Friction(Effect):
@@ -30,6 +33,7 @@ class FrictionDrift(_Friction):
     """The level of Coulomb or viscous friction is another than it was, or creeps while the arm moves."""
 
     kind: ClassVar[str] = "friction_drift"
+    follows: ClassVar[str] = "velocity"
     words: ClassVar[str] = "friction level changed"
     equation: ClassVar[str] = "(df_c + creep t) sgn(qd) + dk_v1 qd, t since the recording began"
     source: ClassVar[str] = "paper eq. 2; wear and lubrication"
@@ -196,6 +200,7 @@ class PositionFriction(_Friction):
     """Friction that is not the same all around: an eccentric or worn gear, a tight spot."""
 
     kind: ClassVar[str] = "position_friction"
+    follows: ClassVar[str] = "friction_position"
     words: ClassVar[str] = "friction depends on the joint's position"
     equation: ClassVar[str] = "[a sin(n q) + b cos(n q)] sgn(qd)"
     source: ClassVar[str] = "Simoni et al. 2017"
@@ -239,6 +244,7 @@ class AsymmetricFriction(_Friction):
     """More friction in one direction than in the other."""
 
     kind: ClassVar[str] = "asymmetric_friction"
+    follows: ClassVar[str] = "velocity"
     words: ClassVar[str] = "more friction in one direction"
     equation: ClassVar[str] = "a + b |qd|"
     source: ClassVar[str] = "Armstrong-Hélouvry, Dupont and Canudas de Wit 1994"
@@ -275,6 +281,7 @@ class Stribeck(_Friction):
     """Friction falls with speed from a level that the model does not have."""
 
     kind: ClassVar[str] = "stribeck"
+    follows: ClassVar[str] = "velocity"
     words: ClassVar[str] = "friction is higher at low speeds"
     equation: ClassVar[str] = "f exp(-(qd/v)^2) sgn(qd)"
     source: ClassVar[str] = "paper eq. 2"
@@ -289,6 +296,10 @@ class Stribeck(_Friction):
         return cls(
             (Parameter("f", joint, "N m", lower=0.0),), (Constant("v_b", joint, "rad/s", grid, True),), place=place
         )
+
+    def plausible(self, parameters: FloatArray, constants: Values) -> bool:
+        """Whether it ends at a speed that was looked at: one below all of them is how the joint turns round."""
+        return constants[0] > BETWEEN * self.constants[0].grid[0]
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """A Gaussian of speed times direction."""

@@ -20,6 +20,7 @@ class TorqueRipple(Effect):
     """A torque that comes back so many times a turn: cogging, tooth mesh, a wave generator."""
 
     kind: ClassVar[str] = "torque_ripple"
+    follows: ClassVar[str] = "position"
     words: ClassVar[str] = "torque ripple over the joint's position"
     equation: ClassVar[str] = "a sin(N q) + b cos(N q)"
     source: ClassVar[str] = "cogging and gear mesh; Olsen and Petersen 2001"
@@ -65,6 +66,7 @@ class HarnessSpring(Effect):
     """Cables that pull a joint towards where they are slack."""
 
     kind: ClassVar[str] = "harness_spring"
+    follows: ClassVar[str] = "position"
     words: ClassVar[str] = "a spring, as of a cable harness, pulls the joint"
     equation: ClassVar[str] = "k (q - q_0)"
     source: ClassVar[str] = "cable harnesses of space manipulators"

@@ -203,7 +203,8 @@ def _floating_base(found: _Found) -> Values:
     if np.any(found.plant.gravity):
         raise found.refused("under gravity a floating arm falls")
     ratio = found["mass"] / found.share / float(found.plant.rigid_body[:, 0].sum())
-    return {"base_ratio": ratio, "gyration": float(np.sqrt(found["inertia"] / found["mass"])), "below": 0.0}
+    radius = float(np.sqrt(found["inertia"] / found["mass"]))
+    return {"base_ratio": ratio, "gyration": radius, "below": found["below"] / radius}
 
 
 def _contact(found: _Found) -> Values:

@@ -1,0 +1,89 @@
+"""Judgement of findings: whether they matter on data no fit has seen, and whether they are what they are called."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from ..dynamics.effects.body import ExternalContact
+from ..dynamics.effects.effect import Effect
+from .competition import SEEN_AGAIN
+from .finding import Alternative, Finding
+from .rivals import UNKNOWN
+
+NAMES, LAW_LEFT = 0.8, 1.4
+"""A finding that leaves more than a fifth of what there was on unseen data, and more than so many times the noise's
+variance, has not that name,"""
+ALONE, RIVALLED = 0.65, 0.5
+"""unless it removes this share, and nothing else explains so much as this share of what it does: how teeth bounce, say,
+follows from the smallest things, and leaves much of itself."""
+SHOWS = 0.5
+"""A finding beside the first that removes less than this share of what is above the noise on unseen data is not one: it
+is a crumb of the first, whose law is not quite the catalogue's."""
+FIRST_SHOWS = 0.1
+"""The first may be one of several at its joints; less than this share, and it is none."""
+LEAST = 0.1
+"""A finding that lowers the mean square on unseen data by less than this share of the noise's, at all its joints, is a
+crumb of the base model: of how friction runs through a reversal, say."""
+HARM = 1.02
+"""A finding with which the mean square on unseen data is this many times larger is a false one."""
+
+
+def harms(finding: Finding) -> bool:
+    """Whether the residual of unseen data, every row counted alike, is larger with a finding than without."""
+    before, after = (sum(rms**2 for rms in by.values()) for by in (finding.before_Nm, finding.after_Nm))
+    return finding.effect != ExternalContact.kind and after > HARM * before
+
+
+def shows(finding: Finding, floor: Mapping[str, float], first: bool) -> bool:
+    """Whether a finding explains enough of what the fit has not seen.
+
+    An event in time need not show there, nor a first one that is asleep there.
+    """
+    if finding.effect == ExternalContact.kind:
+        return True
+    if first and finding.unseen_gain < SEEN_AGAIN * finding.gain:
+        return True
+    # What is below the noise to begin with needs no explanation.
+    matters = any(
+        rms**2 - max(finding.after_Nm[joint], floor[joint]) ** 2 > LEAST * floor[joint] ** 2
+        for joint, rms in finding.before_Nm.items()
+    )
+    return matters and finding.explained >= (FIRST_SHOWS if first else SHOWS)
+
+
+def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
+    """A finding whose law is clearly not quite its own, as an unknown one that is like it; else the finding itself."""
+    left = [rms / floor[joint] for joint, rms in (finding.beside_Nm or finding.after_Nm).items() if floor[joint] > 0]
+    worst = max(left, default=0.0)
+    sole = finding.explained > ALONE and all(other.score < RIVALLED for other in finding.alternatives)
+    if finding.effect == UNKNOWN or not finding.explained < NAMES or worst**2 <= LAW_LEFT or sole:
+        return finding
+    why_not = f"explains {finding.explained:.0%}, and leaves {worst:.1f} times the noise"
+    return _unnamed(finding, why_not, f"which leaves {worst:.1f} times the noise")
+
+
+def contradicted(finding: Finding, effect: Effect, beside: Sequence[Effect]) -> Finding:
+    """A finding beside which a free function of the same quantity was found, as an unknown one; else the finding."""
+
+    def freer(other: Effect) -> bool:
+        own = other.joints == effect.joints and "with" not in other.place
+        return other.kind == UNKNOWN and own and other.place["of"] == effect.follows
+
+    if not any(freer(other) for other in beside):
+        return finding
+    return _unnamed(finding, "its law is another", f"with another law of the {effect.follows.replace('_', ' and ')}")
+
+
+def _unnamed(finding: Finding, why_not: str, but: str) -> Finding:
+    """The finding as an unknown one that is like what it was called."""
+    like = Alternative(finding.effect, finding.joints, finding.explained, why_not)
+    return replace(
+        finding,
+        effect=UNKNOWN,
+        where=f"most like {finding.effect} ({finding.where}), {but}",
+        equation="",
+        source="",
+        parameters={},
+        alternatives=(like, *finding.alternatives),
+    )
