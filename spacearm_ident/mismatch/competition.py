@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
+from .constants import grid_points, is_event, polish, refine, search
 from .evidence import Candidate, Evidence, Refit, Unseen
 from .rivals import UNKNOWN, Rival, rivals
 
@@ -41,6 +41,8 @@ CLEARS_UP = 0.5
 """What an effect that is asleep in the unseen data must explain of its joints' residual in the field."""
 NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
+SHADOW = 1.15
+"""An effect that scores so many times as much and does not stand takes those that it shares a joint with along."""
 TEMPER, TEMPER_SHARE = 10.0, 0.01
 """Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
 difference of one in the exponent is this much, and this share of the score, together."""
@@ -147,7 +149,9 @@ class Competition:
         while len(rounds) + len(self.common) < MOST:
             progress(len(rounds) / MOST, f"comparing effects, round {len(rounds) + 1}")
             ranked = self._ranked()
-            winner = self._choose([scored for scored in ranked if self._stands(scored)])
+            stands = [self._stands(scored) for scored in ranked]
+            refused = [scored for scored, good in zip(ranked, stands) if not good]
+            winner = self._choose([s for s, good in zip(ranked, stands) if good and not shadow(s, refused)])
             if winner is None:
                 left = ranked[0] if ranked else None
                 left_values = self._values_of(left) if left else left_values
@@ -155,6 +159,7 @@ class Competition:
             if self._was_there_before(winner):
                 self._take_into_base(winner)
                 continue
+            winner = self._polished(winner)
             self.accepted.append(winner.candidate)
             self._renew_pool(winner.candidate.effect)
             rounds.append(Round(winner, tuple(s for s in ranked if s is not winner)))
@@ -178,7 +183,7 @@ class Competition:
         named = [s for s in above if s.named]
         generic = next((s for s in above if not s.named), None)
         if named:
-            first = _simplest(named)
+            first = simplest(named)
             named = [first, *(s for s in named if s is not first)]
         if generic is None or not named:
             return named[0] if named else generic
@@ -211,7 +216,7 @@ class Competition:
         share = scored.gain / max(float(self._excess()[felt].sum()), 1e-9)
         if scored.named and share < NAMES_ENOUGH:
             return False
-        lasting = not any(constant.symbol == "start" for constant in scored.candidate.effect.constants)
+        lasting = not is_event(scored.candidate.effect)
         if self.unseen is not None and lasting:
             again = scored.unseen / len(self.unseen.scene) / (scored.gain / self.evidence.rows)
             asleep = scored.named and share > CLEARS_UP and again >= 0.0
@@ -305,7 +310,7 @@ class Competition:
         named = [item for item in rough if item[2].effect.kind != UNKNOWN][:REFINED]
         generic = [item for item in rough if item[2].effect.kind == UNKNOWN][:RIVALS]
         for _, _, candidate in [*named, *generic]:
-            refined = self._refined(candidate, beside)
+            refined = search(refine, candidate, self.evidence, lambda trial: self._gain(trial, beside))
             scored.append(self._scored(refined, beside, unseen_before))
         return sorted(scored, key=lambda s: -s.score)
 
@@ -313,16 +318,8 @@ class Competition:
         """An effect at every point of its constants' grids; computed once."""
         key = id(effect)
         if key not in self._grids:
-            motions = self.evidence.field.motions
-            grids = []
-            for constant in effect.constants:
-                values = np.array(constant.grid)
-                if constant.unit == "s" and constant.symbol == "start":
-                    begin = min(motion.start_s for motion in motions)
-                    end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in motions)
-                    values = values[(values >= begin) & (values < end)]
-                grids.append(values)
-            self._grids[key] = [self.evidence.candidate(effect, point) for point in product(*grids)]
+            points = grid_points(effect, self.evidence.field.motions)
+            self._grids[key] = [self.evidence.candidate(effect, point) for point in points]
         return self._grids[key]
 
     def _gain(self, candidate: Candidate, beside: Refit) -> float:
@@ -332,24 +329,11 @@ class Competition:
             return -np.inf
         return together.gain - beside.gain
 
-    def _refined(self, candidate: Candidate, beside: Refit) -> Candidate:
-        """Constants between the points of their grids, one after the other; twice where one has a reach."""
-        effect, constants = candidate.effect, list(candidate.constants)
-        rounds = 1 + any(constant.reach is not None for constant in effect.constants)
-        for k, constant in [*enumerate(effect.constants)] * rounds:
-            grid = np.array(constant.grid)
-            near = int(np.argmin(np.abs(grid - constants[k])))
-            low, high = constant.reach or (grid[max(near - 1, 0)], grid[min(near + 1, len(grid) - 1)])
-
-            def loss(value: float, k: int = k) -> float:
-                trial = self.evidence.candidate(effect, [*constants[:k], value, *constants[k + 1 :]])
-                return -self._gain(trial, beside)
-
-            found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"maxiter": 10})
-            if -found.fun > self._gain(candidate, beside):
-                constants[k] = float(found.x)
-                candidate = self.evidence.candidate(effect, constants)
-        return candidate
+    def _polished(self, scored: Scored) -> Scored:
+        """The winner with its constants searched together."""
+        beside = self.evidence.refit(self.accepted)
+        candidate = search(polish, scored.candidate, self.evidence, lambda trial: self._gain(trial, beside))
+        return self._scored(candidate, beside, self._unseen_squares(self.accepted, beside.values))
 
     def _scored(self, candidate: Candidate, beside: Refit, unseen_before: float) -> Scored:
         together = self.evidence.refit([*self.accepted, candidate])
@@ -376,7 +360,16 @@ class Competition:
         return rounds
 
 
-def _simplest(ranked: Sequence[Scored]) -> Scored:
+def shadow(scored: Scored, refused: Sequence[Scored]) -> bool:
+    """Whether a named effect only takes what another at its joints explains better, which itself does not stand."""
+
+    def better(other: Scored) -> bool:
+        return other.named and other.plausible and other.score > SHADOW * scored.score
+
+    return scored.named and any(better(other) and set(other.joints) & set(scored.joints) for other in refused)
+
+
+def simplest(ranked: Sequence[Scored]) -> Scored:
     """The best, or one with less freedom that is as good as far as scores can tell."""
     best = ranked[0]
     near = [s for s in ranked if best.score - s.score < TEMPER + TEMPER_SHARE * best.score]

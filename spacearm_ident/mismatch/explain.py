@@ -102,7 +102,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     while True:
         cards = Cards(evidence, residuals, outcome, floor)
         made = [cards.finding(k) for k in range(len(outcome.accepted))]
-        idle = [k for k, found in enumerate(made) if harms(found) or not shows(found, noise, first=k == 0)]
+        idle = [k for k, found in enumerate(made) if harms(found) or not shows(k, made, noise)]
         if not idle:
             break
         # What shows beside another may show no more without it.

@@ -20,8 +20,9 @@ follows from the smallest things, and leaves much of itself."""
 SHOWS = 0.5
 """A finding beside the first that removes less than this share of what is above the noise on unseen data is not one: it
 is a crumb of the first, whose law is not quite the catalogue's."""
-FIRST_SHOWS = 0.1
-"""The first may be one of several at its joints; less than this share, and it is none."""
+FIRST_SHOWS, ONLY_SHOWS = 0.1, 0.4
+"""The first may be one of several at its joints; less than this share, and it is none. With a name, and with no other
+there, it must remove so much."""
 LEAST = 0.1
 """A finding that lowers the mean square on unseen data by less than this share of the noise's, at all its joints, is a
 crumb of the base model: of how friction runs through a reversal, say."""
@@ -35,11 +36,12 @@ def harms(finding: Finding) -> bool:
     return finding.effect != ExternalContact.kind and after > HARM * before
 
 
-def shows(finding: Finding, floor: Mapping[str, float], first: bool) -> bool:
-    """Whether a finding explains enough of what the fit has not seen.
+def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) -> bool:
+    """Whether one of the findings explains enough of what the fit has not seen.
 
     An event in time need not show there, nor a first one that is asleep there.
     """
+    finding, first = findings[number], number == 0
     if finding.effect == ExternalContact.kind:
         return True
     if first and finding.unseen_gain < SEEN_AGAIN * finding.gain:
@@ -49,7 +51,10 @@ def shows(finding: Finding, floor: Mapping[str, float], first: bool) -> bool:
         rms**2 - max(finding.after_Nm[joint], floor[joint]) ** 2 > LEAST * floor[joint] ** 2
         for joint, rms in finding.before_Nm.items()
     )
-    return matters and finding.explained >= (FIRST_SHOWS if first else SHOWS)
+    beside = {joint for other in findings if other is not finding for joint in other.before_Nm}
+    only = finding.effect != UNKNOWN and beside.isdisjoint(finding.before_Nm)
+    least = ONLY_SHOWS if only else FIRST_SHOWS
+    return matters and finding.explained >= (least if first else SHOWS)
 
 
 def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:

@@ -1,0 +1,88 @@
+"""The search for an effect's constants: its grid, between the grid's points, and all together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.effects.effect import Effect
+from ..dynamics.term import Values
+from ..recording.motion import Motion
+from .evidence import Candidate, Evidence
+
+REFINEMENTS = 10
+"""Trials of one constant between its neighbours on the grid."""
+POLISHES, POLISH_STEP = 80, 0.2
+"""Trials of all constants together, and how far apart, relatively, they begin."""
+Gain = Callable[[Values], float]
+
+
+def is_event(effect: Effect) -> bool:
+    """Whether it begins and ends in time."""
+    return any(constant.symbol == "start" for constant in effect.constants)
+
+
+def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[float, ...]]:
+    """Every point of its constants' grids; an event begins while something was recorded."""
+    begin = min(motion.start_s for motion in motions)
+    end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in motions)
+    grids = []
+    for constant in effect.constants:
+        timed = constant.unit == "s" and constant.symbol == "start"
+        grids.append([value for value in constant.grid if not timed or begin <= value < end])
+    return product(*grids)
+
+
+def search(
+    method: Callable[[Effect, Values, Gain, float], Values],
+    candidate: Candidate,
+    evidence: Evidence,
+    gain: Callable[[Candidate], float],
+) -> Candidate:
+    """The candidate with better constants, if the method finds any that gain more."""
+    effect = candidate.effect
+
+    def gain_at(constants: Values) -> float:
+        return gain(evidence.candidate(effect, constants))
+
+    constants = method(effect, candidate.constants, gain_at, gain(candidate))
+    return candidate if constants is candidate.constants else evidence.candidate(effect, constants)
+
+
+def refine(effect: Effect, constants: Values, gain: Gain, best: float) -> Values:
+    """Constants between the points of their grids, one after the other; twice where one has a reach."""
+    rounds = 1 + any(constant.reach is not None for constant in effect.constants)
+    for k, constant in [*enumerate(effect.constants)] * rounds:
+        grid = np.array(constant.grid)
+        near = int(np.argmin(np.abs(grid - constants[k])))
+        bounds = constant.reach or (grid[max(near - 1, 0)], grid[min(near + 1, len(grid) - 1)])
+
+        def loss(value: float, k: int = k, at: Values = constants) -> float:
+            return -gain((*at[:k], value, *at[k + 1 :]))
+
+        found = minimize_scalar(loss, bounds=bounds, method="bounded", options={"maxiter": REFINEMENTS})
+        if -found.fun > best:
+            best, constants = -found.fun, (*constants[:k], float(found.x), *constants[k + 1 :])
+    return constants
+
+
+def polish(effect: Effect, constants: Values, gain: Gain, best: float) -> Values:
+    """All constants together, by the simplex of Nelder and Mead 1965: one after the other they may end in a valley."""
+    if len(constants) < 2 or is_event(effect):
+        return constants
+    ends = [constant.reach or (constant.grid[0], constant.grid[-1]) for constant in effect.constants]
+    low, high = np.array(ends).T
+    begin = np.array(constants)
+    inward = np.where(begin - low < high - begin, 1.0, -1.0)
+    steps = inward * np.minimum(POLISH_STEP * np.maximum(np.abs(begin), POLISH_STEP * high), 0.5 * (high - low))
+
+    def loss(point: FloatArray) -> float:
+        return -gain(tuple(point.tolist()))
+
+    options = {"maxfev": POLISHES, "initial_simplex": np.vstack([begin, begin + np.diag(steps)])}
+    found = minimize(loss, begin, method="Nelder-Mead", bounds=np.stack([low, high], axis=1), options=options)
+    return tuple(found.x.tolist()) if -found.fun > best else constants
