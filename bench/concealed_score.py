@@ -1,10 +1,10 @@
 """Open the answers of a blind trial and count.
 
-*Strict*: the first finding's name is the concealed effect's. *Twin-aware*: or the first finding lists it among its
-alternatives as one it cannot rule out (`"twin": true`, or a score of at least `TWIN_SCORE` of the finding's
-confidence). A run that crashed or found its data unfit counts as nothing found. The finding's value is compared with
-the truth as `COMPARED` says, else by the name in the answer's `comparable` where the finding has a parameter of that
-name, else by its first; by size, without the sign; and only where the concealed law is the usual one.
+*Strict*: the first finding's name is the concealed effect's. *With twins*: or the first finding lists it among its
+alternatives as one that explains as much (a score of at least `TWIN_SCORE` of the finding's). A run that crashed or
+found its data unfit counts as nothing found. The finding's value is compared with the truth as `COMPARED` says, else
+by the name in the answer's `comparable` where the finding has a parameter of that name, else by its first; by size,
+without the sign; and only where the concealed law is the usual one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ import numpy as np
 from concealed_draw import MULTIPLES
 from scipy.stats import binomtest
 
-TWIN_SCORE = 0.1
+TWIN_SCORE = 0.95
+ALSO_CALLED = {"soft_base": "base_flexibility"}
+"""What is concealed as absent, and what the catalogue calls its nearest; that name is no wrong one."""
 FROM_ONE = ("efficiency", "scale")
 """Parameters that are 1 on a healthy arm: their distance from 1 is compared."""
 NOTHING = "nothing"
@@ -91,6 +93,10 @@ class Scored:
         true = {effect["effect"] for effect in self.answer["effects"]}
         return bool(self.findings) and bool(self.names(twins)[0] & true)
 
+    def rightly_unnamed(self) -> bool:
+        """Whether what is absent from the catalogue was given no name of it, or that of its nearest."""
+        return self.first in ("unknown", NOTHING, ALSO_CALLED.get(self.truth["effect"]))
+
     def both(self, twins: bool) -> bool:
         """Whether every concealed effect is among the findings."""
         named_ones = set().union(*self.names(twins)) if self.findings else set()
@@ -134,9 +140,8 @@ class Scored:
 
 def named(finding: Entry) -> set[str]:
     """Every name the finding leaves open."""
-    least = TWIN_SCORE * float(finding.get("confidence", 1.0))
     others = finding.get("alternatives", [])
-    open_ones = {str(o["effect"]) for o in others if o.get("twin") or float(o.get("score", 0.0)) >= least}
+    open_ones = {str(other["effect"]) for other in others if float(other.get("score", 0.0)) >= TWIN_SCORE}
     return {str(finding["effect"])} | open_ones
 
 
@@ -181,9 +186,7 @@ def report(trials: list[Scored]) -> str:
     for twins, how in ((False, "strict"), (True, "with twins")):
         lines.append(share(f"two effects: both named, {how}", (t.both(twins) for t in by_kind["two"])))
         lines.append(share(f"two effects: first one right, {how}", (t.right(twins) for t in by_kind["two"])))
-    lines.append(
-        share("absent effect: unknown or nothing", (t.first in ("unknown", NOTHING) for t in by_kind["absent"]))
-    )
+    lines.append(share("absent effect: unknown or nothing", (t.rightly_unnamed() for t in by_kind["absent"])))
     lines += _quality(trials)
     lines += ["", "concealed effect × first finding (one effect)", *_confusion(singles)]
     lines += ["", "concealed effect × first finding (absent from the catalogue)", *_confusion(by_kind["absent"])]
@@ -242,7 +245,7 @@ def _misses(trials: list[Scored]) -> list[str]:
         if t.kind == "healthy":
             good, true = not t.findings and not t.failed, "healthy"
         else:
-            good = t.first in ("unknown", NOTHING) if t.kind == "absent" else t.both(False) and t.right(False)
+            good = t.rightly_unnamed() if t.kind == "absent" else t.both(False) and t.right(False)
             true = " + ".join(
                 f"{e['effect']}({e['law']}) {','.join(e['joints']) if e['local'] else '-'} x{e['multiple']:.1f}"
                 for e in t.answer["effects"]

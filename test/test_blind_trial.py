@@ -65,8 +65,8 @@ def write_case(out, number, kind, effects, findings, verdict=None):
 
 
 def test_the_score_counts_what_was_said(tmp_path):
-    twin = finding("base_tilt", alternatives=[{"effect": "payload", "score": 0.4, "why_not": ""}])
-    far = finding("payload", joint="joint_1", value=1.0, alternatives=[{"effect": "base_tilt", "score": 0.01}])
+    twin = finding("base_tilt", alternatives=[{"effect": "payload", "score": 0.96, "why_not": ""}])
+    far = finding("payload", joint="joint_1", value=1.0, alternatives=[{"effect": "base_tilt", "score": 0.9}])
     pair = [hidden_effect(), hidden_effect("stribeck", "joint_2")]
     gone = hidden_effect("loose_bolt")
     cases = [

@@ -509,6 +509,13 @@ def test_a_name_by_itself_must_explain_more_than_one_of_several(rippled, explain
     assert shows(0, [finding, other], {"shoulder": 0.1, "elbow": 0.1}) == good
 
 
+@pytest.mark.parametrize("gain, good", [(5000.0, True), (115.0, False)])
+def test_what_the_unseen_data_do_not_show_must_be_sure_in_the_field(rippled, gain, good):
+    (finding,) = rippled.findings
+    asleep = replace(finding, gain=gain, unseen_gain=0.05 * gain, explained=0.2)
+    assert shows(0, [asleep], {"shoulder": 0.1, "elbow": 0.1}) == good
+
+
 def test_what_was_below_the_noise_needs_no_explanation(rippled):
     (finding,) = rippled.findings
     assert shows(0, [finding], {"shoulder": 0.1, "elbow": 0.1})

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ..dynamics.effects.body import ExternalContact
 from ..dynamics.effects.effect import Effect
-from .competition import SEEN_AGAIN
+from .competition import GATE, SEEN_AGAIN
 from .finding import Alternative, Finding
 from .rivals import UNKNOWN
 
@@ -23,6 +23,8 @@ is a crumb of the first, whose law is not quite the catalogue's."""
 FIRST_SHOWS, ONLY_SHOWS = 0.1, 0.4
 """The first may be one of several at its joints; less than this share, and it is none. With a name, and with no other
 there, it must remove so much."""
+SURE = 5.0
+"""What is asleep in the unseen data must pass the gate so many times over in the field, which alone speaks for it."""
 LEAST = 0.1
 """A finding that lowers the mean square on unseen data by less than this share of the noise's, at all its joints, is a
 crumb of the base model: of how friction runs through a reversal, say."""
@@ -44,7 +46,7 @@ def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) 
     finding, first = findings[number], number == 0
     if finding.effect == ExternalContact.kind:
         return True
-    if first and finding.unseen_gain < SEEN_AGAIN * finding.gain:
+    if first and finding.unseen_gain < SEEN_AGAIN * finding.gain and finding.gain > SURE * GATE:
         return True
     # What is below the noise to begin with needs no explanation.
     matters = any(
