@@ -110,10 +110,11 @@ class Scored:
                 where = set(effect["joints"])
                 if said & where and len(said) <= len(where) + 2:
                     return True
-            shown = {joint for joint, multiple in effect["multiples"].items() if multiple >= 1.0}
-            own = set(effect["joints"]) if len(effect["joints"]) < len(effect["multiples"]) else set()
-            if not effect["local"] and said & (shown | own):
-                return True
+            else:
+                shown = {joint for joint, multiple in effect["multiples"].items() if multiple >= 1.0}
+                own = set(effect["joints"]) if len(effect["joints"]) < len(effect["multiples"]) else set()
+                if said & (shown | own):
+                    return True
         return False
 
     def amplitude_error(self) -> tuple[str, float] | None:

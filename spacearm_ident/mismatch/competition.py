@@ -333,6 +333,8 @@ class Competition:
         """The winner with its constants searched together."""
         beside = self.evidence.refit(self.accepted)
         candidate = search(polish, scored.candidate, self.evidence, lambda trial: self._gain(trial, beside))
+        if candidate is scored.candidate:
+            return scored
         return self._scored(candidate, beside, self._unseen_squares(self.accepted, beside.values))
 
     def _scored(self, candidate: Candidate, beside: Refit, unseen_before: float) -> Scored:
@@ -383,9 +385,8 @@ def freedom(effect: Effect) -> int:
 
 def penalty(effect: Effect, rows: int) -> float:
     """What freedom costs, in chi-square: ln N a parameter (BIC), and as much a constant and its grid."""
-    free = sum(parameter.scale != 0.0 for parameter in effect.parameters) + len(effect.anew)
-    searched = sum(np.log(rows) + 2 * np.log(len(constant.grid)) for constant in effect.constants)
-    return float(free * np.log(rows) + searched)
+    searched = sum(2 * np.log(len(constant.grid)) for constant in effect.constants)
+    return float(freedom(effect) * np.log(rows) + searched)
 
 
 def _plausible(candidate: Candidate, values: FloatArray) -> bool:

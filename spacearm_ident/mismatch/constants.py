@@ -10,7 +10,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.effects.effect import Effect
-from ..dynamics.term import Values
+from ..dynamics.term import Constant, Values
 from ..recording.motion import Motion
 from .evidence import Candidate, Evidence
 
@@ -23,7 +23,11 @@ Gain = Callable[[Values], float]
 
 def is_event(effect: Effect) -> bool:
     """Whether it begins and ends in time."""
-    return any(constant.symbol == "start" for constant in effect.constants)
+    return any(_begins(constant) for constant in effect.constants)
+
+
+def _begins(constant: Constant) -> bool:
+    return constant.unit == "s" and constant.symbol == "start"
 
 
 def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[float, ...]]:
@@ -32,8 +36,7 @@ def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[flo
     end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in motions)
     grids = []
     for constant in effect.constants:
-        timed = constant.unit == "s" and constant.symbol == "start"
-        grids.append([value for value in constant.grid if not timed or begin <= value < end])
+        grids.append([value for value in constant.grid if not _begins(constant) or begin <= value < end])
     return product(*grids)
 
 

@@ -67,7 +67,7 @@ def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
     if finding.effect == UNKNOWN or not finding.explained < NAMES or worst**2 <= LAW_LEFT or sole:
         return finding
     why_not = f"explains {finding.explained:.0%}, and leaves {worst:.1f} times the noise"
-    return _unnamed(finding, why_not, f"which leaves {worst:.1f} times the noise")
+    return _as_unknown(finding, why_not, f"which leaves {worst:.1f} times the noise")
 
 
 def contradicted(finding: Finding, effect: Effect, beside: Sequence[Effect]) -> Finding:
@@ -79,10 +79,10 @@ def contradicted(finding: Finding, effect: Effect, beside: Sequence[Effect]) -> 
 
     if not any(freer(other) for other in beside):
         return finding
-    return _unnamed(finding, "its law is another", f"with another law of the {effect.follows.replace('_', ' and ')}")
+    return _as_unknown(finding, "its law is another", f"with another law of the {effect.follows.replace('_', ' and ')}")
 
 
-def _unnamed(finding: Finding, why_not: str, but: str) -> Finding:
+def _as_unknown(finding: Finding, why_not: str, but: str) -> Finding:
     """The finding as an unknown one that is like what it was called."""
     like = Alternative(finding.effect, finding.joints, finding.explained, why_not)
     return replace(

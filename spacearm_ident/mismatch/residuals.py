@@ -60,15 +60,14 @@ class Residuals:
         """(V,) the residual less what it has between two frequencies, Hz, of each motion."""
         kept = residual.copy()
         for m, (motion, band) in enumerate(zip(self.scene.motions, bands)):
-            rows = len(motion.torque_rows)
-            rate = motion.rate_hz * rows / len(motion.position)
+            rate = motion.row_rate_hz
             if band is None or band[1] <= 0.0 or band[0] >= HIGHEST * rate:
                 continue
             edges = max(band[0], 0.01 * rate), min(band[1], HIGHEST * rate)
             sos = butter(2, edges, "bandpass", fs=rate, output="sos")
             for j in range(motion.torque_rows.shape[1]):
                 slot = self.scene.slot(j, m)
-                whole = np.zeros(rows)
+                whole = np.zeros(len(motion.torque_rows))
                 whole[self.scene.place[slot]] = residual[slot]
                 kept[slot] -= sosfiltfilt(sos, whole)[self.scene.place[slot]]
         return kept
