@@ -39,22 +39,9 @@ def foxglove_layout(joints: Sequence[str]) -> str:
     """Text of a layout file for Foxglove and Lichtblick."""
     panels: dict[str, Any] = {}
 
-    def plot(title: str, paths: Sequence[tuple[str, str, str]], stamps: str = "headerStamp") -> str:
+    def plot(title: str, paths: Sequence[tuple[str, str, str]]) -> str:
         name = f"Plot!{len(panels)}"
-        panels[name] = {
-            "title": title,
-            "paths": [
-                {"value": path, "label": label, "color": colour, "enabled": True, "timestampMethod": stamps}
-                for label, path, colour in paths
-            ],
-            "showLegend": True,
-            "legendDisplay": "floating",
-            "showXAxisLabels": True,
-            "showYAxisLabels": True,
-            "isSynced": True,
-            "xAxisVal": "timestamp",
-            "followingViewWidth": WINDOW_S,
-        }
+        panels[name] = _plot(title, paths)
         return name
 
     torques = [
@@ -97,6 +84,24 @@ def foxglove_layout(joints: Sequence[str]) -> str:
         "layout": {"direction": "row", "first": "DiagnosticSummary!0", "second": "Tab!0", "splitPercentage": 25},
     }
     return json.dumps(layout, indent=1, ensure_ascii=False) + "\n"
+
+
+def _plot(title: str, paths: Sequence[tuple[str, str, str]]) -> dict[str, Any]:
+    """A panel of curves, each a message path, its label and its colour."""
+    return {
+        "title": title,
+        "paths": [
+            {"value": path, "label": label, "color": colour, "enabled": True, "timestampMethod": "headerStamp"}
+            for path, label, colour in paths
+        ],
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "isSynced": True,
+        "xAxisVal": "timestamp",
+        "followingViewWidth": WINDOW_S,
+    }
 
 
 def plotjuggler_layout(arm: str, joints: Sequence[str]) -> str:

@@ -106,22 +106,11 @@ def identify(
     recordings = placed(recordings, arm)
     motions, bandwidth = prepare(recordings, arm.joint_names, settings.cutoff_hz)
     report(0.2, "searching the friction constants")
-    choices: tuple[Choice, ...] = ()
     model = TorqueModel(arm, over_temperature(settings.structure or structure_of(arm), arm, settings.temperature))
     if settings.solver == CLOE:
         output_error.require_simulated(model.structure)
     weighing = _weighing(settings, arm, motions)
-    if settings.solver == PSO_LM:
-        fit = fit_as_published(TorqueModel(arm, pso_lm.as_published(model.structure)), motions, settings.seed)
-    else:
-        search = search_of(settings.solver, settings.seed)
-        fit = weighing.settle(fit_model(model, motions, search))
-        if settings.structure is None:
-            report(0.5, "testing what else the data demand")
-            structure, choices = choose_structure(fit.regression, fit.solution)
-            if structure != fit.regression.model.structure:
-                fit = fit_model(TorqueModel(fit.regression.model.arm, structure), motions, search, fit)
-                fit = weighing.settle(fit)
+    fit, choices = _fitted(model, motions, settings, weighing, report)
     if settings.solver == IDIM_IV:
         report(0.7, "comparing with instrumental variables")
         fit = fit_instrumental(fit, recordings, bandwidth.cutoff_hz)
@@ -138,6 +127,24 @@ def identify(
     result = replace(result, base_body=body, notes=(*result.notes, *on_base, *words))
     report(1.0, "done")
     return result
+
+
+def _fitted(
+    model: TorqueModel, motions: list[Motion], settings: Settings, weighing: Weighing[Fit], report: Progress
+) -> tuple[Fit, tuple[Choice, ...]]:
+    """The fit by least squares in the torque, and what was decided about the structure unless the user had."""
+    if settings.solver == PSO_LM:
+        published = TorqueModel(model.arm, pso_lm.as_published(model.structure))
+        return fit_as_published(published, motions, settings.seed), ()
+    search = search_of(settings.solver, settings.seed)
+    fit = weighing.settle(fit_model(model, motions, search))
+    if settings.structure is not None:
+        return fit, ()
+    report(0.5, "testing what else the data demand")
+    structure, choices = choose_structure(fit.regression, fit.solution)
+    if structure != fit.regression.model.structure:
+        fit = weighing.settle(fit_model(TorqueModel(fit.regression.model.arm, structure), motions, search, fit))
+    return fit, choices
 
 
 def _weighing(settings: Settings, arm: Arm, motions: list[Motion]) -> Weighing[Fit]:
