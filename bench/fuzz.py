@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of the readers with atheris, beside the property tests of `test/test_fuzz.py`.
+"""Coverage-guided fuzzing of the readers with atheris, beside the property tests of `test/test_fuzz*.py`.
 
     pip install atheris==3.0.0
     python bench/fuzz.py {recording,cdr,yaml,urdf} [CORPUS_DIR] [-max_total_time=SECONDS] [other libFuzzer options]

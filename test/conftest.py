@@ -22,6 +22,20 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture
+def own_buses(tmp_path, monkeypatch):
+    """Local buses that no other test is on."""
+    monkeypatch.setenv("SPACEARM_RUNTIME_DIR", str(tmp_path / "run"))
+
+
+@pytest.fixture(scope="session")
+def rippled():
+    """What the mismatch engine says of ripple at a joint of the planar arm."""
+    from changed_arm import explained, ripple
+
+    return explained(ripple)
+
+
+@pytest.fixture
 def graph(tmp_path):
     """Processes to start on a graph, and a node that sees what they say there."""
     pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")

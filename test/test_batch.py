@@ -15,8 +15,8 @@ import numpy as np
 import pool_tasks
 import pytest
 import small_arm
+from made_result import Page
 from test_index import text_of
-from test_report import Page
 
 from spacearm_ident.bag_session import Options
 from spacearm_ident.batch_session import Task, find_bags, perform, up_to_date

@@ -1,28 +1,18 @@
 """The simulated drives under a master that is not ours: the plain `canopen` library, over the real bus."""
 
-import math
-import select
 import struct
 import time
-from types import SimpleNamespace
 
-import can
 import canopen
 import numpy as np
 import pytest
 from canopen.profiles.p402 import BaseNode402
+from drive_client import Stream, command, enable, reset, state, until
 from simulated_bus import SCALE, simulated_drives
 
-from spacearm_ident.canbus import local_bus
 from spacearm_ident.canbus.cia402 import State, state_of
 from spacearm_ident.canbus.eds import eds_path
 from spacearm_ident.canbus.local_bus import LocalBus
-from spacearm_ident.canbus.pdo import FEEDBACK, pdo_writes
-from spacearm_ident.simulation import drives_network
-from spacearm_ident.simulation.drives import DriveConfig
-from spacearm_ident.simulation.drives_mechanics import FirstOrderArm
-from spacearm_ident.simulation.drives_motion import Motion
-from spacearm_ident.simulation.drives_network import DriveNetwork
 
 EDS = str(eds_path())
 TURN = SCALE.counts_per_turn * SCALE.gear_ratio
@@ -30,9 +20,8 @@ pytestmark = pytest.mark.live
 
 
 @pytest.fixture
-def master(tmp_path, monkeypatch):
+def master(own_buses):
     """A `canopen.Network` with two drives, freshly reset."""
-    monkeypatch.setenv("SPACEARM_RUNTIME_DIR", str(tmp_path / "run"))
     with simulated_drives():
         network = canopen.Network(LocalBus("t"))
         network.NOTIFIER_CYCLE = 0.01
@@ -49,69 +38,6 @@ def master(tmp_path, monkeypatch):
 @pytest.fixture
 def drive(master):
     return master[1]
-
-
-def until(condition, seconds=5.0):
-    deadline = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.005)
-    return found
-
-
-def reset(network, nmt, nodes, command="RESET"):
-    """Reset `nodes` and wait for their boot-up messages (the library's own wait may begin too late)."""
-    booted = set()
-    for node_id in nodes:
-        network.subscribe(0x700 + node_id, lambda can_id, data, _: data == b"\0" and booted.add(can_id & 0x7F))
-    nmt.state = command
-    until(lambda: booted == set(nodes))
-
-
-def state(node):
-    return state_of(node.sdo[0x6041].raw)
-
-
-def command(node, *words):
-    for word in words:
-        node.sdo[0x6040].raw = word
-
-
-def enable(node):
-    command(node, 0x06, 0x07, 0x0F)
-    assert state(node) is State.OPERATION_ENABLED
-
-
-class Stream:
-    """SYNC and set-points from the library's own periodic tasks, feedback collected."""
-
-    def __init__(self, network, node, period=0.005):
-        self.network, self.node, self.frames = network, node, []
-        tpdo, rpdo = node.tpdo[1], node.rpdo[1]
-        tpdo.read()
-        rpdo.read()
-        tpdo.clear()
-        for index in (0x6064, 0x6077, 0x6041):
-            tpdo.add_variable(index)
-        tpdo.trans_type, tpdo.enabled = 1, True
-        rpdo.clear()
-        rpdo.add_variable(0x607A)
-        rpdo.add_variable(0x6040)
-        rpdo.trans_type, rpdo.enabled = 1, True
-        tpdo.save()
-        rpdo.save()
-        network.subscribe(0x180 + node.id, lambda _, data, stamp: self.frames.append((stamp, bytes(data))))
-        node.sdo[0x60C2][1].raw = round(1e3 * period)
-        node.nmt.state = "OPERATIONAL"
-        network.sync.start(period)
-
-    def send(self, target, word=0x0F):
-        self.network.send_message(0x200 + self.node.id, struct.pack("<iH", target, word))
-
-    def last(self):
-        seen = len(self.frames)
-        until(lambda: len(self.frames) > seen + 1)
-        return struct.unpack("<ihH", self.frames[-1][1])
 
 
 # CiA 301 ---------------------------------------------------------------------------------------------
@@ -461,187 +387,3 @@ def test_a_drive_that_lost_its_power_never_answers_again(master, drive):
     with pytest.raises(canopen.SdoCommunicationError):
         _ = drive.sdo[0x1000].raw
     assert master[2].sdo[0x1000].raw == 0x00020192
-
-
-# Time ------------------------------------------------------------------------------------------------
-
-
-class Turning:
-    """Mechanics that turn at 1 rad/s whatever the drives want."""
-
-    def __init__(self):
-        self.position, self.velocity = np.zeros(1), np.ones(1)
-        self.torque, self.temperature = np.zeros(1), np.zeros(1)
-
-    def step(self, target, enabled, brake, dt):
-        self.position = self.position + dt
-
-
-class Clock:
-    """Time that passes only when told to, for the drives and for the stamps on the bus."""
-
-    def __init__(self):
-        self.now = 1000.0
-
-    def time(self):
-        return self.now
-
-    def time_ns(self):
-        return round(1e9 * self.now)
-
-    monotonic = time
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    """However busy the machine is, nothing is late but what the test delays."""
-    clock = Clock()
-    monkeypatch.setattr(local_bus, "time", clock)
-    monkeypatch.setattr(drives_network, "time", clock)
-    without_waiting = SimpleNamespace(select=lambda *lists: select.select(*lists[:3], 0.0))
-    monkeypatch.setattr(drives_network, "select", without_waiting)
-    return clock
-
-
-@pytest.fixture
-def turning(tmp_path, monkeypatch, clock):
-    """A network whose one drive reports its position with every SYNC, and a bare master's bus."""
-    monkeypatch.setenv("SPACEARM_RUNTIME_DIR", str(tmp_path / "run"))
-    with LocalBus("t") as bus, LocalBus("t") as other:
-        network = DriveNetwork([bus], [(0, DriveConfig(1, SCALE))], Turning())
-        network.boot()
-        write = network.drives[0].dictionary.set_data
-        for index, sub, value, size in pdo_writes(1, FEEDBACK, transmit=True):
-            write(index, sub, value.to_bytes(size, "little"))
-        other.send(can.Message(arbitration_id=0, data=b"\x01\x01", is_extended_id=False))
-        yield network, other
-
-
-SYNC = can.Message(arbitration_id=0x80, is_extended_id=False)
-
-
-def pass_time(network, clock, until):
-    """Serve the drives until then, twenty times in a step of the physics."""
-    while clock.now < until:
-        clock.now = min(clock.now + 5e-5, until)
-        network.poll()
-
-
-def test_feedback_is_that_of_the_moment_of_its_sync(turning, clock):
-    """Held samples of a 1 kHz physics would be up to 1 ms old; jitter of the SYNC must not show at all."""
-    network, master = turning
-    rng = np.random.default_rng(1)
-    pairs = []
-    due = clock.now
-    for _ in range(450):
-        due += 0.002
-        pass_time(network, clock, due + rng.uniform(-3e-4, 3e-4))
-        while master.recv(0) is not None:
-            pass
-        sent = clock.now
-        master.send(SYNC)
-        network.poll()
-        answer = next(m for m in iter(lambda: master.recv(0), None) if m.arbitration_id == 0x181)
-        pairs.append((sent, struct.unpack_from("<i", answer.data)[0] * SCALE.rad_per_count))
-    t, q = np.array(pairs[200:]).T
-    assert np.abs(np.diff(q) - np.diff(t)).max() < 2e-5
-
-
-def test_a_sync_that_is_too_old_is_not_answered(turning, clock):
-    network, master = turning
-    for old in (False, True):
-        while master.recv(0) is not None:
-            pass
-        master.send(SYNC)
-        if old:
-            clock.now += 0.02
-        for _ in range(5):
-            network.poll()
-        answers = [m.arbitration_id for m in iter(lambda: master.recv(0), None)]
-        assert answers.count(0x181) == (0 if old else 1)
-        assert network.unanswered == int(old)
-        clock.now += 0.001
-
-
-def test_a_process_that_was_held_up_catches_up_or_says_what_it_left_out(turning, clock):
-    network, _ = turning
-    before = network.steps
-    clock.now += 0.01
-    for _ in range(12):
-        network.poll()
-    assert network.steps - before >= 8 and network.skipped == 0
-    clock.now += 0.5
-    for _ in range(3):
-        network.poll()
-    assert network.skipped >= 300
-
-
-def test_what_came_while_the_process_was_held_up_is_lived_through_in_order(turning, clock):
-    """Twenty SYNCs with their set-points wait; the drives must go through each, not jump to the last."""
-    network, master = turning
-    drive = network.drives[0]
-    seen = []
-    drive.after_sync = lambda stale=0.0: seen.append((network.steps, stale))
-    # In step with the SYNC first, as in any run.
-    for _ in range(20):
-        master.send(SYNC)
-        pass_time(network, clock, clock.now + 1e-3)
-    seen.clear()
-    for _ in range(20):
-        master.send(SYNC)
-        clock.now += 1e-3
-    for _ in range(200):
-        network.poll()
-    assert len(seen) == 20
-    steps = np.diff([at for at, _ in seen])
-    assert np.all(steps <= 3) and np.sum(steps) >= 15
-    assert network.skipped == 0
-
-
-# Parts -----------------------------------------------------------------------------------------------
-
-
-def test_motion_interpolates_evenly_and_then_stands():
-    motion = Motion()
-    motion.hold(100.0)
-    motion.follow(140.0, 0.004)
-    seen = []
-    for _ in range(6):
-        motion.advance(0.001)
-        seen.append((motion.demand, motion.velocity))
-    assert seen[:4] == [pytest.approx((110.0 + 10 * k, 10_000.0)) for k in range(4)]
-    assert seen[4:] == [(140.0, 0.0)] * 2
-
-
-@pytest.mark.parametrize("extrapolation", [0.0, 0.02])
-def test_a_stream_that_breaks_off_is_extrapolated_for_so_long(extrapolation):
-    motion = Motion(extrapolation)
-    motion.hold(0.0)
-    for k in range(1, 6):
-        motion.follow(10.0 * k, 0.001)
-        motion.advance(0.001)
-    seen = []
-    for _ in range(25):
-        motion.advance(0.001)
-        seen.append(motion.demand)
-    assert max(seen) == pytest.approx(50.0 + 10.0 * round(1e3 * extrapolation))
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_stop_ramp_takes_v_squared_over_two_a(sign):
-    motion = Motion()
-    motion.follow(sign * 1000.0, 0.1)
-    motion.advance(0.001)
-    motion.stop(1e5)
-    start = motion.demand
-    for _ in range(101):
-        motion.advance(0.001)
-    assert motion.stopped
-    assert motion.demand - start == pytest.approx(sign * 1e4**2 / (2 * 1e5), rel=0.02)
-
-
-def test_the_stand_in_follows_with_its_time_constant():
-    arm = FirstOrderArm(2, time_constant=0.01)
-    for _ in range(10):
-        arm.step(np.ones(2), np.array([True, False]), np.array([False, True]), 0.001)
-    assert arm.position == pytest.approx([1 - math.exp(-1.0), 0.0])

@@ -1,103 +1,43 @@
-"""Every effect's columns against closed forms, and against Pinocchio where the arm's dynamics enter."""
+"""Every effect's columns against closed forms, and the catalogue as a whole."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from contract import CONTRACT
-from planted_arm import THREE_LINKS, TWO_LINKS, Link, multisine, urdf_of
+from effect_torque import (
+    ARM,
+    BASE,
+    ODD,
+    PENDULUM,
+    RATE,
+    W,
+    arm_of,
+    background_of,
+    fitted,
+    healthy,
+    middle,
+    motion_of,
+    one,
+    only,
+    rnea,
+    torque,
+    wave,
+)
+from planted_arm import THREE_LINKS, Link
 
-from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.dynamics.background import Background
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
-from spacearm_ident.recording.motion import Motion
-
-RATE = 250.0
-PENDULUM = (Link("hip", mass=2.0, com=(0.0, 0.0, -0.5), inertia=(0.03, 0, 0, 0.03, 0, 0.01)),)
-HANGING_NM, PENDULUM_INERTIA = 2.0 * 9.81 * 0.5, 0.03 + 2.0 * 0.5**2
-BASE = {"rigid_body": {}, "rotor_inertia": {}, "viscous_friction": {}}
-ODD = {**BASE, "viscous_friction": {"quadratic": "odd"}}
-
-
-def arm_of(links=THREE_LINKS, gravity=(0.0, 0.0, -9.81)) -> Arm:
-    return arm_from_urdf(urdf_of(links), np.array(gravity))
-
-
-def motion_of(joints, q, qd, qdd, rate=RATE, temperature=None, noise=0.0, start=0.0) -> Motion:
-    count, zero = len(joints), np.zeros_like(q)
-    return Motion(
-        joints, rate, start, q, qd, qdd, zero, np.full(count, noise), np.zeros(count), temperature=temperature
-    )
-
-
-def wave(joints, seconds=4.0, seed=0, speed=1.5, **more) -> Motion:
-    time = np.arange(0.0, seconds, 1 / more.get("rate", RATE))
-    return motion_of(joints, *multisine(time, len(joints), seed, 0.25, 4, speed), **more)
-
-
-def healthy(arm: Arm, structure=BASE, **values) -> IdentifiedModel:
-    """Rigid links as in the URDF; others by symbol, the same at every joint."""
-    model = TorqueModel(arm, structure)
-    count = 10 * len(arm.joints)
-    rigid = np.concatenate([joint.inertial for joint in arm.joints])
-    others = [values.get(parameter.symbol, 0.0) for parameter in model.parameters[count:]]
-    return IdentifiedModel(model, np.concatenate([rigid, others]), np.zeros(0))
-
-
-def background_of(arm: Arm, motion: Motion, structure=BASE, **values) -> Background:
-    known = healthy(arm, structure, **values)
-    return known.model.background(motion, known.parameters, known.constants)
-
-
-def one(kind, arm, **place):
-    (effect,) = EFFECTS[kind].build(arm, {"at": [place]})
-    return effect
-
-
-def torque(effect, motion, parameters, constants=(), background=None):
-    """(N, n) what the effect adds."""
-    total = np.zeros_like(motion.position)
-    for row, (indices, columns) in effect.columns(motion, constants, background).items():
-        total[:, row] += columns @ np.asarray(parameters, dtype=float)[indices]
-    return total
-
-
-def only(row, values, count=3):
-    total = np.zeros((len(values), count))
-    total[:, row] = values
-    return total
-
-
-def rnea(links, q, qd, qdd, gravity=(0.0, 0.0, -9.81), change=None):
-    model = pin.buildModelFromXML(urdf_of(links))
-    model.gravity.linear = np.array(gravity, dtype=float)
-    if change is not None:
-        change(model)
-    data = model.createData()
-    return np.array([pin.rnea(model, data, *state) for state in zip(q, qd, qdd)])
-
-
-def fitted(signal, time, omega):
-    """Complex amplitude of a sine of known frequency: a in Im(a e^(i w t))."""
-    columns = np.stack([np.sin(omega * time), np.cos(omega * time)], axis=1)
-    sine, cosine = np.linalg.lstsq(columns, signal, rcond=None)[0]
-    return complex(sine, cosine)
-
 
 # --- the catalogue --------------------------------------------------------------------------------------------------
 
-ARM = arm_of()
+
 PLACES = [(kind, place) for kind, effect in EFFECTS.items() for place in effect.variants(ARM)]
-
-
-def middle(effect):
-    return [constant.grid[len(constant.grid) // 2] for constant in effect.constants]
 
 
 def test_every_name_of_the_contract_is_there():
@@ -206,7 +146,7 @@ def test_places_that_say_too_little_are_refused_in_one_line(kind, options):
 
 # --- functions of the joint's own motion ----------------------------------------------------------------------------
 
-W = wave(ARM.joint_names, seed=3)
+
 Q, V = W.position[:, 1], W.velocity[:, 1]
 S = np.sign(V)
 
@@ -356,313 +296,3 @@ def test_a_constant_torque_is_never_late():
     for kind in ("time_delay", "filter_lag"):
         change = torque(one(kind, ARM, joints=list(ARM.joint_names)), W, [1.0], [0.0133], level)
         np.testing.assert_allclose(change, 0.0, atol=1e-12)
-
-
-# --- bodies: against Pinocchio --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("link", [0, 1, 2])
-def test_a_payload_is_what_a_heavier_link_costs(link):
-    """A point's moment statically; mass, moment and inertia about the joint in motion."""
-    mass, centre, spread = 3.0, np.array([0.0, 0.0, 0.3]), np.array([0.01, 0.02, 0.03])
-
-    def heavier(model):
-        model.inertias[link + 1] += pin.Inertia(mass, centre, np.diag(spread))
-
-    about_joint = spread + mass * 0.3**2 * np.array([1.0, 1.0, 0.0])
-    state = W.position, W.velocity, W.acceleration
-    want = rnea(THREE_LINKS, *state, change=heavier) - rnea(THREE_LINKS, *state)
-    full = one("payload", ARM, joint=ARM.joint_names[link], inertia=True)
-    made = torque(full, W, [mass, *(mass * centre), *about_joint], (), background_of(ARM, W))
-    np.testing.assert_allclose(made, want, atol=1e-9)
-    still = replace(W, velocity=0 * W.velocity, acceleration=0 * W.acceleration)
-    held = (W.position, still.velocity, still.acceleration)
-    want = rnea(THREE_LINKS, *held, change=heavier) - rnea(THREE_LINKS, *held)
-    point = one("payload", ARM, joint=ARM.joint_names[link])
-    made = torque(point, still, [mass, *(mass * centre)], (), background_of(ARM, still))
-    np.testing.assert_allclose(made, want, atol=1e-9)
-    assert point.plausible(np.array([mass, *(mass * centre)]), ())
-    assert not point.plausible(np.array([0.1, *(mass * centre)]), ())
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_tilted_base_is_gravity_from_another_side(axis):
-    angle, still = 1e-5, np.zeros_like(W.position)
-    turn = pin.exp3(angle * np.eye(3)[axis])
-    level, tilted = (rnea(THREE_LINKS, W.position, still, still, g) for g in (ARM.gravity, turn.T @ ARM.gravity))
-    tilt = np.zeros(2)
-    tilt[axis] = angle
-    made = torque(one("base_tilt", ARM), W, tilt, (), background_of(ARM, W))
-    np.testing.assert_allclose(made / angle, (tilted - level) / angle, atol=1e-3)
-    assert np.abs(made).max() > 0
-
-
-def test_without_gravity_no_base_is_tilted():
-    assert not list(EFFECTS["base_tilt"].variants(arm_of(gravity=(0.0, 0.0, 0.0))))
-
-
-def test_a_floating_base_moves_as_momentum_demands():
-    """Pinocchio's free-flyer with zero momentum and no force on its base."""
-    mass, radius, below = 40.0, 0.4, 0.25
-    model = pin.buildModelFromXML(urdf_of(THREE_LINKS), pin.JointModelFreeFlyer())
-    model.gravity.linear = np.zeros(3)
-    model.inertias[1] = pin.Inertia(mass, np.array([0.0, 0.0, -below]), mass * radius**2 * np.eye(3))
-    data = model.createData()
-    some = slice(0, 1000, 100)
-    want = []
-    for q, qd, qdd in zip(W.position[some], W.velocity[some], W.acceleration[some]):
-        whole = np.concatenate([[0, 0, 0, 0, 0, 0, 1], q])
-        inertia = pin.crba(model, data, whole)
-        inertia = np.triu(inertia) + np.triu(inertia, 1).T
-        base = -np.linalg.solve(inertia[:6, :6], inertia[:6, 6:] @ qd)
-        speed = np.concatenate([base, qd])
-        pin.computeCentroidalMomentum(model, data, whole, speed)
-        np.testing.assert_allclose(data.hg.vector, 0.0, atol=1e-9)
-        bias = pin.rnea(model, data, whole, speed, np.zeros(9))
-        accelerated = -np.linalg.solve(inertia[:6, :6], inertia[:6, 6:] @ qdd + bias[:6])
-        want.append(pin.rnea(model, data, whole, speed, np.concatenate([accelerated, qdd]))[6:])
-    fixed = rnea(THREE_LINKS, W.position[some], W.velocity[some], W.acceleration[some], np.zeros(3))
-    made = torque(one("floating_base", ARM), W, [1.0], [mass * radius**2, mass, below], background_of(ARM, W))
-    np.testing.assert_allclose(made[some], np.array(want) - fixed, atol=1e-8)
-    assert np.abs(made).max() > 0.1
-
-
-def test_a_base_as_heavy_as_a_house_does_not_float():
-    made = torque(one("floating_base", ARM), W, [1.0], [1e11, 1e9, 0.3], background_of(ARM, W))
-    np.testing.assert_allclose(made, 0.0, atol=1e-5)
-
-
-def test_a_push_at_the_flange_is_held_by_the_transposed_jacobian_in_its_window():
-    force, model = np.array([3.0, -5.0, 8.0]), pin.buildModelFromXML(urdf_of(THREE_LINKS))
-    data = model.createData()
-    want = np.zeros_like(W.position)
-    time = 10.0 + np.arange(len(want)) / RATE
-    for k in np.flatnonzero((time >= 11.0) & (time < 12.5)):
-        pin.computeJointJacobians(model, data, W.position[k])
-        jacobian = pin.getJointJacobian(model, data, 3, pin.LOCAL_WORLD_ALIGNED)[:3]
-        want[k] = -jacobian.T @ force
-    late = replace(W, start_s=10.0)
-    made = torque(one("external_contact", ARM, joint="elbow"), late, force, [11.0, 1.5], background_of(ARM, late))
-    np.testing.assert_allclose(made, want, atol=1e-9)
-
-
-def test_a_touch_is_no_blow():
-    push = one("external_contact", ARM, joint="elbow")
-    assert push.plausible(np.array([40.0, 0.0, 200.0]), (11.0, 1.5))
-    assert not push.plausible(np.array([40.0, 0.0, -500.0]), (11.0, 1.5))
-
-
-# --- coupling -------------------------------------------------------------------------------------------------------
-
-
-def test_a_rotor_couples_by_how_far_axes_point_the_same_way_and_symmetrically():
-    model = pin.buildModelFromXML(urdf_of(SKEW))
-    data, arm = model.createData(), arm_of(SKEW)
-    motion = wave(arm.joint_names, seed=5)
-    aligned = np.empty((len(motion.position), 3))
-    for k, q in enumerate(motion.position):
-        pin.forwardKinematics(model, data, q)
-        axes = [data.oMi[j + 1].rotation @ arm.joints[j].axis for j in range(3)]
-        aligned[k] = [axis @ axes[2] for axis in axes]
-    background, qdd = background_of(arm, motion), motion.acceleration
-    want = np.stack(
-        [
-            aligned[:, 0] * qdd[:, 2],
-            aligned[:, 1] * qdd[:, 2],
-            aligned[:, 0] * qdd[:, 0] + aligned[:, 1] * qdd[:, 1],
-        ],
-        axis=1,
-    )
-    effect = one("rotor_coupling", arm, joint="elbow")
-    np.testing.assert_allclose(torque(effect, motion, [1.0], (), background), want, atol=1e-9)
-    pair = one("rotor_coupling", arm, joint="elbow", **{"with": "shoulder"})
-    want[:, 0], want[:, 2] = 0.0, aligned[:, 1] * qdd[:, 1]
-    np.testing.assert_allclose(torque(pair, motion, [1.0], (), background), want, atol=1e-9)
-
-
-SKEW = (THREE_LINKS[0], replace(THREE_LINKS[1], rpy=(0.4, 0.2, 0.1)), replace(THREE_LINKS[2], rpy=(-0.5, 0.3, 0.2)))
-
-
-@pytest.mark.parametrize("ratio", [None, 1.0, -1.0])
-def test_a_wrist_rubs_with_its_neighbour_or_with_both(ratio):
-    place = {} if ratio is None else {"ratio": ratio}
-    effect = one("wrist_coupling", ARM, joint="elbow", **{"with": "shoulder"}, **place)
-    mine = ratio or 0.0
-    speed, bend = (x[:, 1] + mine * x[:, 2] for x in (W.velocity, W.acceleration))
-    common = 0.1 * bend + 0.5 * speed + 2.0 * np.sign(speed)
-    want = only(2, common) if ratio is None else only(1, common) + only(2, mine * common)
-    np.testing.assert_allclose(torque(effect, W, [0.1, 0.5, 2.0]), want, atol=1e-12)
-
-
-# --- what gives way -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("values", "gear"),
-    [([0.0, 0.6, 1.7], True), ([0.01, -0.001, 0.06], True), ([0.0, 1.5, -0.15], False), ([0.0, 1.5, 0.1], False)],
-)
-def test_a_gear_rubs_dry_and_brakes(values, gear):
-    """[J, k, f]: what grows with speed alone, as a gyroscope's torque does, is no gear."""
-    effect = one("wrist_coupling", ARM, joint="elbow", **{"with": "shoulder"})
-    assert effect.plausible(np.array(values), ()) is gear
-    both = one("wrist_coupling", ARM, joint="elbow", **{"with": "shoulder"}, ratio=1.0)
-    assert not both.plausible(-np.array(values), ())
-
-
-def swing(amplitude, omega, seconds, arm=None, centre=0.0):
-    arm = arm or arm_of(PENDULUM)
-    angle = omega * np.arange(0.0, seconds, 1 / RATE)[:, None]
-    state = np.sin(angle), omega * np.cos(angle), -(omega**2) * np.sin(angle)
-    q, qd, qdd = (amplitude * x for x in state)
-    return motion_of(arm.joint_names, q + centre, qd, qdd)
-
-
-def test_moved_slowly_an_elastic_joint_sags_by_load_over_stiffness():
-    """The link hangs where K d = load(q - d): solved by Newton's method, not linearised."""
-    slow, stiffness = swing(0.5, 0.2, 30.0, centre=0.8), 500.0
-    q = slow.position[:, 0]
-    sag = np.zeros_like(q)
-    for _ in range(20):
-        load, slope = HANGING_NM * np.sin(q - sag), HANGING_NM * np.cos(q - sag)
-        sag -= (stiffness * sag - load) / (stiffness + slope)
-    arm = arm_of(PENDULUM)
-    effect = one("joint_elasticity", arm, joint="hip")
-    made = torque(effect, slow, [1.0], [stiffness, 0.05], background_of(arm, slow))[:, 0]
-    want = HANGING_NM * (np.sin(q - sag) - np.sin(q))
-    calm = slice(2500, None)
-    np.testing.assert_allclose(made[calm], want[calm], atol=0.02 * np.abs(want).max())
-
-
-@pytest.mark.parametrize(("ratio", "damping"), [(0.5, 0.05), (3.0, 0.05), (1.3, 0.15)])
-def test_below_its_resonance_a_link_is_heavier_and_above_it_is_gone(ratio, damping):
-    """All in all the motor feels M qdd times the classical transmissibility of a damped spring."""
-    arm = arm_of(PENDULUM, (0.0, 0.0, 0.0))
-    natural = 12.0
-    omega = ratio * natural
-    motion = swing(0.02, omega, 40.0, arm)
-    stiffness = PENDULUM_INERTIA * natural**2
-    effect = one("joint_elasticity", arm, joint="hip")
-    made = torque(effect, motion, [1.0], [stiffness, damping], background_of(arm, motion))[:, 0]
-    rigid = PENDULUM_INERTIA * motion.acceleration[:, 0]
-    time = np.arange(len(rigid)) / RATE
-    late = time > 25.0
-    found = fitted((rigid + made)[late], time[late], omega) / fitted(rigid[late], time[late], omega)
-    spring = 1 + 2j * damping * ratio
-    assert found == pytest.approx(spring / (spring - ratio**2), abs=0.01)
-
-
-def test_play_under_a_load_that_stays_on_one_side_is_half_the_gap():
-    slow, width, arm = swing(0.4, 0.3, 20.0, centre=0.9), 0.02, arm_of(PENDULUM)
-    stiff = 1e9  # as stiff as teeth may be
-    made = torque(one("backlash", arm, joint="hip"), slow, [1.0], [width, stiff], background_of(arm, slow))[:, 0]
-    q = slow.position[:, 0]
-    want = HANGING_NM * (np.sin(q - width / 2) - np.sin(q))
-    np.testing.assert_allclose(made, want, atol=0.05 * np.abs(want).max())
-
-
-def test_play_is_the_same_alone_and_among_the_grid():
-    moved, arm = swing(0.8, 0.5, 20.0), arm_of(PENDULUM)
-    effect, background = one("backlash", arm, joint="hip"), background_of(arm, moved)
-    gap, contact = (constant.grid for constant in effect.constants)
-    for point in ((gap[3], contact[0]), (gap[10], contact[2])):
-        among = torque(effect, moved, [1.0], point, background)
-        alone = torque(effect, moved, [1.0], np.nextafter(point, 1), background)
-        np.testing.assert_allclose(among, alone, atol=1e-3 * np.abs(alone).max())
-
-
-@pytest.mark.parametrize("kind", ["link_flexibility", "halfway", "base_flexibility"])
-def test_a_hinge_that_bends_is_the_arm_with_that_joint(kind):
-    """Statically: the load about a real extra joint over its stiffness, and what all joints feel of it bent."""
-    stiffness, axis = 4000.0, (1.0, 0.0, 0.0)
-    still = motion_of(ARM.joint_names, np.tile([0.3, 0.7, -0.9], (250, 1)), *np.zeros((2, 250, 3)))
-    if kind == "link_flexibility":
-        shoulder = THREE_LINKS[1]
-        hollow = replace(shoulder, mass=0.0, inertia=(0.0,) * 6)
-        hinge = replace(shoulder, name="hinge", parent="shoulder", axis=axis, xyz=(0, 0, 0))
-        links = (THREE_LINKS[0], hollow, hinge, replace(THREE_LINKS[2], parent="hinge"))
-        number, effect = 2, one(kind, ARM, joint="shoulder", axis=list(axis))
-    elif kind == "halfway":
-        half = tuple(0.5 * x for x in THREE_LINKS[2].xyz)
-        hinge = Link("hinge", parent="shoulder", axis=axis, xyz=half, mass=0.0, inertia=(0.0,) * 6)
-        links = (*THREE_LINKS[:2], hinge, replace(THREE_LINKS[2], parent="hinge", xyz=half))
-        number, effect = 2, one("link_flexibility", ARM, joint="shoulder", axis=list(axis), along=0.5)
-    else:
-        hinge = Link("hinge", axis=axis, mass=0.0, inertia=(0.0,) * 6)
-        links = (hinge, replace(THREE_LINKS[0], parent="hinge"), *THREE_LINKS[1:])
-        number, effect = 0, one(kind, ARM, axis=list(axis))
-    model = pin.buildModelFromXML(urdf_of(links))
-    data = model.createData()
-
-    def held(bend):
-        return pin.computeGeneralizedGravity(model, data, np.insert(still.position[0], number, bend)).copy()
-
-    bend = 0.0
-    for _ in range(50):
-        bend = held(-bend)[number] / stiffness
-    assert abs(bend) > 5e-5
-    want = np.delete(held(-bend) - held(0.0), number)
-    made = torque(effect, still, [1.0], [stiffness, 0.05], background_of(ARM, still))
-    np.testing.assert_allclose(made[-1], want, atol=0.02 * np.abs(want).max())
-
-
-def test_a_link_on_a_spring_rings_between_its_slowest_and_its_fastest():
-    """Hanging straight down, from either side of its swing: the root of (K + m g l) over m l^2 + I."""
-    moved, arm = swing(0.8, 0.5, 20.0), arm_of(PENDULUM)
-    background = background_of(arm, moved)
-    effect = one("joint_elasticity", arm, joint="hip")
-    sensitivity = effect.sensitivity(moved, background)
-    low, high = effect.resonance(moved, (3000.0, 0.02), background)
-    inertia, gravity = sensitivity.own_inertia, sensitivity.own_gravity
-    assert np.ptp(inertia) < 1e-9 * inertia.max() and np.ptp(gravity) > 0
-    rates = np.sqrt((3000.0 + gravity[[gravity.argmin(), gravity.argmax()]]) / inertia[0]) / (2 * np.pi)
-    np.testing.assert_allclose((low, high), rates)
-    assert one("backlash", arm, joint="hip").resonance(moved, (1e-3, 1e5), background) is None
-
-
-def test_friction_that_falls_below_every_speed_is_no_stribeck_curve():
-    effect = one("stribeck", ARM, joint="elbow")
-    (curve,) = effect.constants
-    assert not effect.plausible(np.array([1.0]), (curve.grid[0],))
-    assert effect.plausible(np.array([1.0]), (curve.grid[1],))
-
-
-def test_a_link_may_bend_halfway_square_to_its_length_where_another_follows():
-    kind = EFFECTS["link_flexibility"]
-    for place in kind.variants(ARM):
-        assert place["along"] == 0.5
-        following = {"waist": (0, 0, 0.3), "shoulder": (0, 0, 0.5)}[place["joint"]]
-        assert np.dot(place["axis"], following) == pytest.approx(0.0)
-        assert np.linalg.norm(place["axis"]) == pytest.approx(1.0)
-    assert [place["joint"] for place in kind.variants(ARM)] == ["waist", "waist", "shoulder", "shoulder"]
-    with pytest.raises(ValueError, match="along is a share"):
-        kind.at(ARM, {"joint": "shoulder", "axis": [1, 0, 0], "along": 1.5})
-
-
-@pytest.mark.parametrize("cycles", [1, 2])
-def test_an_eccentric_encoder_shows_torque_of_a_motion_that_was_not(cycles):
-    """What moved is q_read - e(q_read), by the chain rule; its torque by Pinocchio, less that of what was read."""
-    sine, cosine, rotor, viscous = 2e-3, -1e-3, 0.3, 3.0
-    arm = arm_of(PENDULUM)
-    read = wave(arm.joint_names, rate=1000.0)
-    q, qd, qdd = read.position, read.velocity, read.acceleration
-    error = sine * np.sin(cycles * q) + cosine * np.cos(cycles * q)
-    slope = cycles * (sine * np.cos(cycles * q) - cosine * np.sin(cycles * q))
-    true = q - error, qd * (1 - slope), qdd * (1 - slope) + cycles**2 * error * qd**2
-
-    def felt(position, velocity, acceleration):
-        return rnea(PENDULUM, position, velocity, acceleration) + rotor * acceleration + viscous * velocity
-
-    want = felt(*true) - felt(q, qd, qdd)
-    effect = one("encoder_eccentricity", arm, joint="hip", cycles=cycles)
-    made = torque(effect, read, [sine, cosine], (), background_of(arm, read, J_m=rotor, k_v1=viscous))
-    inside = slice(5, -5)
-    np.testing.assert_allclose(made[inside], want[inside], atol=0.01 * np.abs(want).max())
-
-
-def test_play_and_springs_of_one_joint_are_felt_by_all_that_it_moves():
-    arm = arm_of(TWO_LINKS)
-    motion = wave(arm.joint_names)
-    for kind in ("joint_elasticity", "backlash"):
-        effect = one(kind, arm, joint="elbow")
-        made = torque(effect, motion, [1.0], middle(effect), background_of(arm, motion))
-        assert np.all(np.abs(made).max(axis=0) > 1e-3)

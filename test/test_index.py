@@ -12,7 +12,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from test_report import Page, arm, identification, identified_model, validation
+from made_result import Page, arm, identification, identified_model, validation
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.errors import UserError

@@ -1,4 +1,4 @@
-"""The result folder: every file says the same numbers, the URDF is the same arm, the page stands alone."""
+"""The result folder: every file says the same numbers, and the page stands alone."""
 
 from __future__ import annotations
 
@@ -6,192 +6,45 @@ import csv
 import json
 import math
 import shutil
-import xml.etree.ElementTree as ET
 from dataclasses import fields, is_dataclass, replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from made_result import (
+    FILES,
+    STRUCTURE,
+    Page,
+    arm,
+    fit,
+    identification,
+    identified_model,
+    page_of,
+    parsed,
+    recording,
+    trace,
+    validation,
+)
 
-from spacearm_ident.dynamics.arm import Arm, Coupling, arm_from_urdf
-from spacearm_ident.dynamics.base_parameters import base_parameters
-from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel
+from spacearm_ident.dynamics.arm import Coupling
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.errors import UserError
 from spacearm_ident.identification.identified import (
     Choice,
     Determination,
-    Estimate,
     Fit,
     Identified,
     JointValidation,
     LackOfFit,
-    Trace,
     Validation,
 )
-from spacearm_ident.recording.bandwidth import Bandwidth
-from spacearm_ident.recording.motion import Motion
-from spacearm_ident.recording.recording import Recording, Source
 from spacearm_ident.report import folder
-from spacearm_ident.report.figures import joint_signals
 from spacearm_ident.report.folder import rewrite_report, write_result
-from spacearm_ident.report.friction_curve import friction_curve
-from spacearm_ident.report.html import report_html
-from spacearm_ident.report.markup import element, measured, number
-from spacearm_ident.report.plotting import decimated
 from spacearm_ident.report.provenance import provenance
 from spacearm_ident.report.store import Result, load_result, save_result
 from spacearm_ident.report.tables import PAPER_SYMBOLS
 from spacearm_ident.report.urdf import identified_urdf
 from spacearm_ident.report.verdict import judge_result
-
-FILES = {
-    *("model.yaml", "parameters.csv", "base_parameters.csv", "identified.urdf"),
-    *("validation.json", "covariance.json", "report.html", "result.json", "result.npz"),
-}
-STRUCTURE = {
-    "rigid_body": {},
-    "rotor_inertia": {},
-    "joint_spring": {},
-    "stribeck_friction": {},
-    "viscous_friction": {"quadratic": "even"},
-}
-
-INERTIAL = """<inertial><origin xyz="{0} 0.02 0.1" rpy="0.1 0.2 0.3"/><mass value="{1}"/>
-    <inertia ixx="0.02" ixy="0.001" ixz="0" iyy="0.03" iyz="0.002" izz="0.015"/></inertial>"""
-# A stand fixed to the base, a turning and a sliding joint, and two links merged into the last by fixed joints.
-URDF = f"""<?xml version="1.0" encoding="utf-8"?>
-<!-- a small arm -->
-<robot name="small">
-  <link name="world"/>
-  <joint name="stand" type="fixed"><parent link="world"/><child link="base"/>
-    <origin xyz="0 0 0.3" rpy="0 0 0.4"/></joint>
-  <link name="base">{INERTIAL.format(0.0, 9.0)}</link>
-  <joint name="turn" type="revolute">
-    <parent link="base"/><child link="upper"/><origin xyz="0 0.1 0.2" rpy="1.2 0 0.3"/><axis xyz="0 0.6 0.8"/>
-    <limit lower="-2" upper="2.5" effort="80" velocity="1.5"/>
-    <dynamics damping="99" friction="98"/>
-  </joint>
-  <link name="upper">{INERTIAL.format(0.05, 4.0)}
-    <visual><geometry><mesh filename="package://small/upper.stl"/></geometry></visual>
-  </link>
-  <joint name="slide" type="prismatic">
-    <parent link="upper"/><child link="lower"/><origin xyz="0.4 0 0" rpy="0 0.5 0"/><axis xyz="1 0 0"/>
-    <limit lower="-0.1" upper="0.3" effort="60" velocity="0.5"/>
-  </joint>
-  <link name="lower">{INERTIAL.format(0.1, 2.0)}
-    <collision><geometry><sphere radius="0.1"/></geometry></collision></link>
-  <joint name="flange" type="fixed"><parent link="lower"/><child link="tool"/>
-    <origin xyz="0.2 0 0" rpy="0 1 0"/></joint>
-  <link name="tool">{INERTIAL.format(-0.03, 1.0)}</link>
-  <joint name="mount" type="fixed"><parent link="tool"/><child link="camera"/>
-    <origin xyz="0 0 0.05" rpy="0 0 0"/></joint>
-  <link name="camera">{INERTIAL.format(0.0, 0.3)}<sensor:kind value="rgb"/></link>
-</robot>
-"""
-
-
-def arm(*names: str) -> Arm:
-    """The small arm, its two joints renamed."""
-    text = URDF
-    for old, new in zip(("turn", "slide"), names):
-        text = text.replace(f'"{old}"', f'"{new}"')
-    return arm_from_urdf(text)
-
-
-def inertials(seed: int, count: int) -> np.ndarray:
-    """Parameters of random bodies that can exist."""
-    pin.seed(seed)
-    return np.array([pin.Inertia.Random().toDynamicParameters() for _ in range(count)])
-
-
-VALUES = {
-    **{"J_m": 2.0, "k_1": 0.0, "f_c": 4.0, "f_b": 6.0, "k_v1": 8.0, "k_v2": -0.5, "k_v3": 0.25},
-    **{"v_b": 0.02, "d_s": 1e-3, "mu": 0.06, "offset": -0.3},
-}
-
-
-def identified_model(of: Arm, structure: dict = STRUCTURE, seed: int = 1) -> IdentifiedModel:
-    """Values that differ from symbol to symbol and from joint to joint."""
-    model = TorqueModel(of, structure)
-    bodies = inertials(seed, len(of.joints))
-    values, body = [], dict(zip(of.joint_names, bodies))
-    places = {name: k for k, name in enumerate(model_joints(model))}
-    for number_, parameter in enumerate(model.parameters):
-        if number_ < 10 * len(of.joints):
-            values.append(body[parameter.joint][number_ % 10])
-        else:
-            values.append(VALUES[parameter.symbol] * (1 + 0.1 * places[parameter.joint]))
-    constants = [VALUES[constant.symbol] for constant in model.constants]
-    return IdentifiedModel(model, np.array(values), np.array(constants), 7.5, {})
-
-
-def model_joints(model: TorqueModel) -> list[str]:
-    return list(dict.fromkeys(parameter.joint for parameter in model.parameters))
-
-
-def identification(model: IdentifiedModel, **changes: object) -> Identified:
-    """An `Identified` with every determination in it."""
-    kinds = list(Determination)
-    estimates = []
-    items = [*zip(model.model.parameters, model.parameters), *zip(model.model.constants, model.constants)]
-    for k, (item, value) in enumerate(items):
-        kind = kinds[k % len(kinds)]
-        error = 0.01 * abs(value) + 1e-4 if kind is Determination.DATA else math.nan
-        note = "" if kind is Determination.DATA else f"because of {kind.name.lower()}"
-        estimates.append(Estimate(item.symbol, item.joint, item.unit, float(value), error, kind, note))
-    base = base_parameters(model.model)
-    values = base.regrouping @ model.parameters
-    count = len(items)
-    joints = len(model.model.arm.joints)
-    result = Identified(
-        model=model,
-        estimates=tuple(estimates),
-        base=base,
-        base_values=values,
-        base_errors=(0.01 * np.abs(values) + 1e-3) * (np.arange(len(values)) > 0),
-        covariance=np.diag(np.arange(count) * 1e-6),
-        consistency_shift=0.4,
-        residual_sigma_Nm=np.linspace(0.1, 0.2, joints),
-        rows=np.arange(joints) + 500,
-        bandwidth=Bandwidth(7.5, 9.0, 1.5, np.full(joints, 1e-5), "five times the 1.5 Hz"),
-        choices=(Choice("torque offset", 0.8, False), Choice("load friction", 120.0, True)),
-        solver="separable: converged after 3 steps",
-        notes=("recording 1: 5 periods of 20 s averaged",),
-    )
-    return replace(result, **changes)
-
-
-def fit(relative: float = 0.05, rows: int = 400) -> Fit:
-    return Fit(rows, 1.5, 1.1, 6.25, 0.9987, relative)
-
-
-def trace(joints: int, rows: int = 400, source: str = "validation.mcap", seed: int = 3) -> Trace:
-    rng = np.random.default_rng(seed)
-    time = np.linspace(0.0, 20.0, rows)
-    velocity = np.sin(time[:, None] * np.arange(1, joints + 1) * 0.7)
-    torque = 10 * np.sign(velocity) + 5 * velocity
-    moving = np.abs(velocity) > 0.1
-    residual = 0.3 * rng.normal(size=torque.shape)
-    return Trace(source, time, np.cos(velocity), velocity, torque, torque - residual, moving)
-
-
-def validation(names: tuple[str, ...], **changes: object) -> Validation:
-    joints = {
-        name: JointValidation(fit(0.05 + 0.02 * k), fit(0.03 + 0.02 * k, 300), fit(0.08), LackOfFit(1.1, 0.3, 0.2))
-        for k, name in enumerate(names)
-    }
-    result = Validation(joints, (trace(len(names)),), "validation.mcap, another recording", True)
-    return replace(result, **changes)
-
-
-def recording(path: str) -> Recording:
-    empty = np.zeros((2, 2))
-    return Recording(("turn", "slide"), np.arange(2.0), empty, None, empty, (), sources=(Source(path, 12, "ab" * 32),))
 
 
 @pytest.fixture(scope="module")
@@ -212,44 +65,6 @@ def written(subject: tuple[Identified, Validation], tmp_path_factory: pytest.Tem
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of the folder, to which the page is one file among others."""
     monkeypatch.setattr(folder, "report_html", lambda result: result.validation.what)
-
-
-def page_of(identified: Identified, figures: Validation) -> str:
-    return report_html(Result(identified, figures, "2025-01-31T12:05:00+00:00"))
-
-
-class Page(HTMLParser):
-    """Elements, references and text of a page; fails on an element that is closed wrongly or not at all."""
-
-    VOID = frozenset({"meta", "br", "wbr", "col", "link", "img", "input", "hr"})
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.references: list[str] = []
-        self.words: list[str] = []
-        self._open: list[str] = []
-        self.feed(text)
-        self.close()
-        assert not self._open, f"never closed: {self._open}"
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_startendtag(tag, attrs)
-        if tag not in self.VOID:
-            self._open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        for name, value in attrs:
-            if name in ("src", "href", "xlink:href", "action", "data", "srcset"):
-                self.references.append(value or "")
-            assert not name.startswith("on"), f"<{tag}> would run a script: {name}"
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.words.append(data)
 
 
 # --- the folder -----------------------------------------------------------------------------------------------
@@ -475,97 +290,6 @@ def test_what_is_not_a_whole_result_is_one_line(damage, says: str, written: Path
     assert "\n" not in str(caught.value)
 
 
-# --- the URDF -------------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.integers(0, 10_000))
-def test_urdf_predicts_the_rigid_torque_of_the_model(seed: int) -> None:
-    model = identified_model(arm(), seed=seed)
-    loaded = pin.buildModelFromXML(identified_urdf(model))
-    assert tuple(loaded.names)[1:] == model.model.arm.joint_names
-    data = loaded.createData()
-    position, velocity, acceleration = np.random.default_rng(seed).uniform(-2, 2, (3, 20, 2))
-    zero = np.zeros(2)
-    motion = Motion(
-        model.model.arm.joint_names, 1.0, 0.0, position, velocity, acceleration, np.zeros((20, 2)), zero, zero
-    )
-    expected = model.torque(motion, ("rigid_body",))
-    torque = [pin.rnea(loaded, data, *state) for state in zip(position, velocity, acceleration)]
-    np.testing.assert_allclose(torque, expected, atol=1e-9 * np.abs(expected).max())
-
-
-def parsed(text: str) -> ET.Element:
-    """A URDF's root; the prefix that the small arm does not declare is taken off."""
-    return ET.fromstring(text.replace("sensor:kind", "kind"))
-
-
-def without_what_was_identified(text: str) -> list[tuple[str, dict[str, str], str]]:
-    """Every element but inertials of moved links and dynamics, in order."""
-    root = parsed(text)
-    for parent in root.iter():
-        for child in list(parent):
-            moved = child.tag == "inertial" and parent.get("name") != "base"
-            if moved or child.tag == "dynamics":
-                parent.remove(child)
-    return [(node.tag, dict(node.attrib), (node.text or "").strip()) for node in root.iter()]
-
-
-def test_urdf_keeps_everything_else() -> None:
-    text = identified_urdf(identified_model(arm()))
-    assert without_what_was_identified(text) == without_what_was_identified(URDF)
-    assert "<!-- a small arm -->" in text
-    assert "<sensor:kind" in text
-
-
-def test_urdf_has_the_merged_body_on_the_moving_link_alone() -> None:
-    model = identified_model(arm())
-    root = parsed(identified_urdf(model))
-    links = {link.get("name"): link for link in root.findall("link")}
-    assert {name for name, link in links.items() if link.find("inertial") is not None} == {"base", "upper", "lower"}
-    assert links["base"].find("inertial/mass").get("value") == "9.0"
-    assert float(links["lower"].find("inertial/mass").get("value")) == model.value("m", "slide")
-
-
-def test_urdf_friction_is_not_negative() -> None:
-    model = identified_model(arm())
-    names = [parameter.name for parameter in model.model.parameters]
-    values = model.parameters.copy()
-    values[names.index("k_v1[slide]")] = -3.0
-    root = parsed(identified_urdf(replace(model, parameters=values)))
-    found = {joint.get("name"): joint.findall("dynamics") for joint in root.findall("joint")}
-    assert {name: len(dynamics) for name, dynamics in found.items()} == {
-        **dict.fromkeys(("stand", "flange", "mount"), 0),
-        **dict.fromkeys(("turn", "slide"), 1),
-    }
-    assert found["turn"][0].attrib == {"damping": "8.0", "friction": "4.0"}
-    assert float(found["slide"][0].get("damping")) == 0.0
-    assert float(found["slide"][0].get("friction")) == pytest.approx(4.4)
-
-
-@pytest.mark.parametrize(
-    ("urdf", "says"),
-    [
-        ('<!DOCTYPE robot [<!ENTITY a "b">]>' + URDF.split("?>")[1], "DOCTYPE"),
-        ('<!DOCTYPE robot SYSTEM "file:///etc/passwd">' + URDF.split("?>")[1], "DOCTYPE"),
-        (URDF.replace("</robot>", ""), "not well-formed"),
-    ],
-)
-def test_urdf_with_entities_or_broken_is_refused(urdf: str, says: str) -> None:
-    model = identified_model(arm())
-    model = replace(model, model=TorqueModel(replace(model.model.arm, urdf=urdf), STRUCTURE))
-    with pytest.raises(UserError, match=says):
-        identified_urdf(model)
-
-
-def test_urdf_of_a_link_without_mass_is_refused() -> None:
-    model = identified_model(arm())
-    values = model.parameters.copy()
-    values[0] = 0.0
-    with pytest.raises(UserError, match="'upper' was identified without a positive mass"):
-        identified_urdf(replace(model, parameters=values))
-
-
 # --- the page -------------------------------------------------------------------------------------------------
 
 
@@ -665,73 +389,3 @@ def test_verdict_warns_of_what_weakens_it(subject: tuple[Identified, Validation]
         "by 7.0 of its standard errors",
     ):
         assert expected in warnings
-
-
-# --- figures and numbers --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("distance", [0.0, 1e-3])
-def test_friction_curve_is_the_papers_law_whatever_the_presliding_distance(distance: float) -> None:
-    model = identified_model(arm())
-    constants = np.array([distance if constant.symbol == "d_s" else 0.02 for constant in model.model.constants])
-    v, torque = friction_curve(replace(model, constants=constants), 0, 1.5, np.zeros(2))
-    assert v[0] == -1.5 and v[-1] == 1.5 and np.all(np.diff(v) > 0) and not np.any(v == 0)
-    expected = (4 + (6 - 4) * np.exp(-((v / 0.02) ** 2))) * np.sign(v) + 8 * v - 0.5 * v**2 + 0.25 * v**3
-    np.testing.assert_allclose(torque, expected, rtol=1e-9)
-
-
-def test_recordings_are_joined_on_one_axis() -> None:
-    traces = [trace(2, 100, "a"), trace(2, 0, "b"), trace(2, 50, "c", seed=5)]
-    signals = joint_signals(traces, 1, False)
-    assert np.all(np.diff(signals.time) > 0)
-    assert (signals.starts, signals.sources) == ((0, 100), ("a", "c"))
-    np.testing.assert_array_equal(signals.residual[100:], (traces[2].measured - traces[2].predicted)[:, 1])
-    np.testing.assert_allclose(np.ptp(signals.time[100:]), 20.0)
-    assert joint_signals([trace(2, 0)], 0, True) is None
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(1, 9000), st.integers(0, 99), st.integers(1, 3))
-def test_thinning_for_a_figure_keeps_every_extreme(count: int, seed: int, signals: int) -> None:
-    given_ = np.random.default_rng(seed).normal(size=(signals, count))
-    kept = decimated(*given_, most=500)
-    assert len(kept) <= 500
-    assert kept[0] == 0 and kept[-1] == count - 1
-    assert np.all(np.diff(kept) > 0)
-    for signal in given_:
-        assert {int(signal.argmin()), int(signal.argmax())} <= set(kept.tolist())
-
-
-SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
-
-
-def read(text: str) -> float:
-    """A printed number as a float."""
-    mantissa, _, exponent = text.replace("−", "-").partition("×10")
-    return float(mantissa) * 10.0 ** int(exponent.translate(SUPERSCRIPTS) or 0)
-
-
-@given(st.floats(-1e12, 1e12).filter(lambda value: abs(value) > 1e-12), st.integers(1, 5))
-def test_printed_numbers_are_right_to_their_digits(value: float, digits: int) -> None:
-    assert read(number(value, digits)) == pytest.approx(value, rel=0.5001 * 10.0 ** (1 - digits))
-
-
-@given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e5))
-def test_values_are_printed_to_the_digits_of_their_error(value: float, error: float) -> None:
-    printed, uncertainty = (read(part) for part in measured(value, error).split(" ± "))
-    assert uncertainty == pytest.approx(error, rel=0.15)
-    assert abs(printed - value) <= max(0.16 * error, 5.1e-3 * abs(value) * (error > 10 or error < 1e-6))
-
-
-def test_numbers_as_a_person_writes_them() -> None:
-    assert (number(14.879, 3), number(-0.05), number(9.9996), number(0.0)) == ("14.9", "−0.0500", "10.0", "0")
-    assert (number(math.nan), number(6.02e23), number(1e-7, 2)) == ("–", "6.02×10²³", "1.0×10⁻⁷")
-    assert measured(14.8791, 0.0213) == "14.879 ± 0.021"
-    assert measured(14.8791, 0.52) == "14.9 ± 0.5"
-    assert measured(-0.0001, 0.5) == "0.0 ± 0.5"
-    assert measured(14.8791, math.nan) == "14.88"
-
-
-def test_elements_escape_text_and_attributes() -> None:
-    built = element("td", "<i>&", element("b", 1), None, class_="a", title='"<', aria_hidden="true", rowspan=None)
-    assert built == '<td class="a" title="&quot;&lt;" aria-hidden="true">&lt;i&gt;&amp;<b>1</b></td>'

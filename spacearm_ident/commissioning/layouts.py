@@ -87,12 +87,12 @@ def foxglove_layout(joints: Sequence[str]) -> str:
 
 
 def _plot(title: str, paths: Sequence[tuple[str, str, str]]) -> dict[str, Any]:
-    """A panel of curves, each a message path, its label and its colour."""
+    """A panel of curves, each a label, a message path and a colour."""
     return {
         "title": title,
         "paths": [
             {"value": path, "label": label, "color": colour, "enabled": True, "timestampMethod": "headerStamp"}
-            for path, label, colour in paths
+            for label, path, colour in paths
         ],
         "showLegend": True,
         "legendDisplay": "floating",

@@ -1,0 +1,289 @@
+"""Rows, noise and joint refit of the mismatch engine, against closed forms and brute force."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from changed_arm import ARM, HEALTHY, ripple, run
+from scipy.signal import lfilter
+
+from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.identification.prior import make_prior
+from spacearm_ident.mismatch.competition import penalty
+from spacearm_ident.mismatch.evidence import NUISANCE, base_columns, stacked_effect
+from spacearm_ident.mismatch.preparation import prepare_evidence
+from spacearm_ident.mismatch.residuals import Residuals
+from spacearm_ident.mismatch.rivals import Rival, rivals
+from spacearm_ident.mismatch.scene import (
+    LARGEST_ROOT,
+    NEAR,
+    Scene,
+    Whitener,
+    coarse,
+    fit_whitener,
+    louder,
+    one_way,
+    stable,
+    stretch,
+    travel,
+)
+from spacearm_ident.recording.signals import prepare
+
+# --- rows -----------------------------------------------------------------------------------------------------------
+
+
+def test_after_its_whitener_coloured_noise_is_white_with_variance_one():
+    rng = np.random.default_rng(0)
+    noise = [0.3 * lfilter([1.0], [1.0, -1.2, 0.5], rng.standard_normal(4000)) for _ in range(2)]
+    whitener = fit_whitener(noise, [np.ones(4000, bool)] * 2, 4, 1e-6)
+    np.testing.assert_allclose(whitener.coefficients, [1.2, -0.5, 0.0, 0.0], atol=0.06)
+    assert whitener.sigma_Nm == pytest.approx(0.3, rel=0.04)
+    white = whitener.apply(noise[0][:, None], np.arange(4000))[:, 0]
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.08)
+    lags = [np.mean(white[lag:] * white[:-lag]) for lag in range(1, 8)]
+    assert np.abs(lags).max() < 4 / np.sqrt(len(white))
+
+
+def test_outliers_do_not_define_the_noise_and_few_rows_make_it_plain():
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal(4000)
+    noise[1000:1010] += 500.0
+    assert fit_whitener([noise], [np.ones(4000, bool)], 2, 1e-6).sigma_Nm == pytest.approx(1.0, rel=0.1)
+    few = fit_whitener([noise[:7]], [np.ones(7, bool)], 6, 1e-6)
+    assert few.order == 0 and few.sigma_Nm == pytest.approx(np.sqrt(np.mean(noise[:7] ** 2)))
+    assert fit_whitener([np.zeros(7)], [np.zeros(7, bool)], 6, 0.25).sigma_Nm == 0.25
+
+
+def test_a_stretch_is_counted_from_where_the_last_one_was_broken():
+    moving = np.array([0, 1, 1, 0, 0, 1, 1, 1], bool)
+    np.testing.assert_array_equal(stretch(moving), [-1, 0, 1, -1, -1, 0, 1, 2])
+    np.testing.assert_array_equal(stretch(np.zeros(3, bool)), [-1, -1, -1])
+
+
+def test_the_first_rows_of_a_stretch_are_white_too():
+    """Of noise that remembers, 3000 stretches of five rows, with none known before them."""
+    rng = np.random.default_rng(4)
+    noise = lfilter([1.0], [1.0, -1.6, 0.8], rng.standard_normal(3000 * 60)).reshape(3000, 60)[:, -5:]
+    whitener = Whitener(np.array([1.6, -0.8]), 1.0)
+    white = whitener.apply(noise.reshape(-1, 1), np.tile(np.arange(5), 3000)).reshape(3000, 5)
+    np.testing.assert_allclose(np.cov(white.T), np.eye(5), atol=5 / np.sqrt(3000))
+    np.testing.assert_allclose(whitener.predictors[0][1] ** 2, np.mean(noise**2), rtol=0.05)
+
+
+@pytest.mark.parametrize("coefficients", [(1.0,), (1.2, 0.0), (2.0, -1.0), (0.3, 0.2, 0.9)])
+def test_noise_without_end_is_taken_for_noise_that_forgets(coefficients):
+    tamed = stable(np.array(coefficients))
+    assert np.abs(np.roots([1.0, *-tamed])).max() == pytest.approx(LARGEST_ROOT)
+    assert np.isfinite(Whitener(tamed, 1.0).predictors[0][1])
+    np.testing.assert_array_equal(stable(0.5 * tamed), 0.5 * tamed)
+
+
+def test_slow_rows_and_rows_after_a_reversal_count_for_less():
+    whitener = Whitener(np.zeros(0), 1.0, (16.0, 4.0, 1.0, 1.0, 1.0), (100.0, 1.0, 1.0, 1.0, 1.0))
+    speed, gone = np.array([0.001, -0.004, 0.01, 1.0, 0.001]), np.array([1.0, 1.0, 1.0, 1e-4, 1e-4])
+    np.testing.assert_allclose(whitener.weight(speed, gone), [0.25, 0.5, 1.0, 0.1, 0.025])
+
+
+def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
+    """Noise ten times as large where a joint has gone little: found, told from slow rows, and weighed."""
+    base = prepare_evidence(ARM, [HEALTHY], [run(2)], []).base
+    (motion,), _ = prepare([HEALTHY], ARM.joint_names, 40.0, average=False)
+    scene = Scene(base, [coarse(motion, 20.0)], [Whitener(np.zeros(0), 1.0)] * 2)
+    rng = np.random.default_rng(3)
+    near = scene.gone < NEAR[-1]
+    assert 20 < near[scene.joint == 1].sum() < 0.5 * (scene.joint == 1).sum()
+    found = louder(scene.whiteners[1], scene, np.where(near, 10.0, 1.0) * rng.standard_normal(len(scene)), 1)
+    assert 50.0 < found.near[-1] <= found.near[0] < 400.0
+    assert max(found.loud) < 3.0
+
+
+def test_travel_starts_anew_at_every_reversal():
+    (motion,), _ = prepare([HEALTHY], ARM.joint_names, 40.0, average=False)
+    gone = travel(motion)[:, 0]
+    sound = one_way(motion)[:, 0]
+    turned = np.diff(np.sign(motion.velocity_rows[:, 0])) != 0
+    assert (gone[sound] >= 0).all() and turned.sum() > 3
+    # Between two reversals it is the distance from the first, to what passes while a row's window fills.
+    first, second = np.flatnonzero(turned)[:2]
+    position = motion.reduce(motion.position)[:, 0]
+    middle = (first + second) // 2
+    start = (
+        position[first : second + 1].min() if position[middle] > position[first] else position[first : second + 1].max()
+    )
+    assert gone[middle] == pytest.approx(abs(position[middle] - start), abs=0.02)
+
+
+def test_a_coarse_motion_is_the_mean_of_its_samples_at_their_middle():
+    (motion,), _ = prepare([HEALTHY], ARM.joint_names, 40.0, average=False)
+    fine = replace(motion, rate_hz=1000.0)
+    slow = coarse(fine, 20.0)
+    assert slow.rate_hz == 250.0
+    assert slow.start_s == pytest.approx(fine.start_s + 1.5e-3)
+    np.testing.assert_allclose(slow.velocity[7], fine.velocity[28:32].mean(axis=0))
+    np.testing.assert_allclose(slow.torque[7], fine.torque[28:32].mean(axis=0))
+
+
+# --- evidence against brute force -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    return prepare_evidence(ARM, [HEALTHY], [run(2, ripple)], [run(3, ripple)])
+
+
+def candidates_of(evidence):
+    """Free and held parameters, one joint and both, constants and none."""
+    effects = [
+        (EFFECTS["torque_ripple"], {"joint": "elbow"}, [20.0]),
+        (EFFECTS["friction_drift"], {"joint": "shoulder", "of": ["f_c", "k_v1"]}, []),
+        (EFFECTS["joint_elasticity"], {"joint": "elbow"}, [3000.0, 0.05]),
+        (EFFECTS["payload"], {"joint": "elbow"}, []),
+    ]
+    return [evidence.candidate(kind.at(ARM, place), constants) for kind, place, constants in effects]
+
+
+class Brute:
+    """Everything in one least-squares problem of all rows, base and effects side by side."""
+
+    def __init__(self, evidence):
+        scenes = [evidence.field, evidence.reference]
+        base = np.concatenate([base_columns(evidence.base, scene, ()) for scene in scenes])
+        prior = make_prior(evidence.base.model, [motion for scene in scenes for motion in scene.motions])
+        known, beside = prior.rows.shape[1], NUISANCE * len(ARM.joints)
+        belief = np.zeros((len(prior.rows) + beside, base.shape[1]))
+        belief[: len(prior.rows), :known] = prior.rows
+        belief[len(prior.rows) :, known:] = 1e-3 * np.eye(beside)
+        self.columns = np.concatenate([base, belief])
+        self.torque = np.concatenate([*(scene.torque() for scene in scenes), prior.target, np.zeros(beside)])
+        self.used = np.any(self.columns != 0, axis=0)
+        self.rows = len(evidence.field)
+
+    def solve(self, candidates):
+        """Chi-square, base's parameters, effects' values."""
+        target, free = self.torque.copy(), [self.columns[:, self.used]]
+        held = []
+        for candidate in candidates:
+            whole = np.zeros((len(target), len(candidate.effect.parameters)))
+            whole[: self.rows][candidate.stacked.rows] = candidate.stacked.columns
+            for k, parameter in enumerate(candidate.effect.parameters):
+                held.append(parameter.scale == 0.0)
+                if held[-1]:
+                    target = target - whole[:, k] * parameter.prior
+                else:
+                    free.append(whole[:, [k]])
+        columns = np.concatenate(free, axis=1)
+        size = np.linalg.norm(columns, axis=0)
+        size[size == 0.0] = 1.0
+        solution = np.linalg.lstsq(columns / size, target, rcond=1e-14)[0] / size
+        residual = target - columns @ solution
+        base = np.zeros(len(self.used))
+        base[self.used] = solution[: self.used.sum()]
+        values = np.array([p.prior for c in candidates for p in c.effect.parameters])
+        values[~np.array(held, bool)] = solution[self.used.sum() :]
+        return float(residual @ residual), residual[: self.rows], base, values
+
+
+SETS = [(0,), (1,), (2,), (3,), (0, 1), (0, 2, 3), (0, 1, 2, 3)]
+
+
+@pytest.mark.parametrize("chosen", SETS)
+def test_a_gain_is_the_drop_of_the_sum_of_squares_of_everything_fitted_together(prepared, chosen):
+    evidence = prepared.evidence
+    candidates = [candidates_of(evidence)[k] for k in chosen]
+    brute = Brute(evidence)
+    without, *_ = brute.solve([])
+    squares, residual, _, values = brute.solve(candidates)
+    found = evidence.refit(candidates)
+    assert found.gain == pytest.approx(without - squares, rel=1e-6, abs=1e-5 * without)
+    np.testing.assert_allclose(found.values, values, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(evidence.residual_beside(candidates), residual, atol=1e-5 * np.abs(residual).max())
+    assert np.all((found.visibility >= 0) & (found.visibility <= 1 + 1e-9))
+
+
+def test_in_thin_air_the_field_has_no_friction_of_high_order(prepared):
+    """The same least squares with those columns set to zero in the field's rows."""
+    evidence = prepared.evidence
+    brute, high = Brute(evidence), np.flatnonzero(evidence.base.model.of_high_order)
+    brute.columns[: brute.rows, high] = 0.0
+    want, _, base, _ = brute.solve([])
+    found, squares = evidence.in_thin_air
+    assert squares == pytest.approx(want, rel=1e-4)
+    np.testing.assert_allclose(found, base[: len(found)], rtol=1e-4, atol=1e-4 * np.abs(base).max())
+    assert np.abs(found[high]).min() > 0
+
+
+@pytest.mark.parametrize("chosen", [(), (0,), (0, 1, 2, 3)])
+def test_unseen_residuals_are_those_of_the_fitted_model_on_other_rows(prepared, chosen):
+    evidence, unseen = prepared.evidence, prepared.unseen
+    candidates = [candidates_of(evidence)[k] for k in chosen]
+    _, _, base, values = Brute(evidence).solve(candidates)
+    want = unseen.scene.torque() - base_columns(evidence.base, unseen.scene, ()) @ base
+    first = 0
+    for candidate in candidates:
+        own = values[first : first + len(candidate.effect.parameters)]
+        first += len(own)
+        stacked = stacked_effect(unseen.scene, candidate.effect, candidate.constants)
+        want[stacked.rows] -= stacked.columns @ own
+    found = unseen.residual(candidates, evidence.refit(candidates).values)
+    np.testing.assert_allclose(found, want, atol=1e-5 * np.abs(want).max())
+
+
+def test_stacked_rows_are_reduced_filtered_and_weighted_columns(prepared):
+    """An independent filter on each motion's rows, joint by joint."""
+    scene = prepared.evidence.field
+    effect = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
+    stacked = stacked_effect(scene, effect, [20.0])
+    motion, whitener = scene.motions[0], scene.whiteners[1]
+    reduced = motion.reduce(np.cos(20.0 * motion.position[:, 1]))
+    white = lfilter([1.0, *-whitener.coefficients], [whitener.sigma_Nm], reduced)
+    weighted = white * whitener.weight(motion.velocity_rows[:, 1], travel(motion)[:, 1])
+    slot = scene.slot(1, 0)
+    assert (stacked.rows.start, stacked.rows.stop) == (slot.start, slot.stop)
+    before = stretch(scene.sound[0][:, 1])
+    place = scene.place[slot]
+    np.testing.assert_array_equal(place, np.flatnonzero(before >= 0))
+    inside = before[place] >= whitener.order
+    np.testing.assert_allclose(stacked.columns[inside, 1], weighted[place[inside]], atol=1e-9)
+    assert inside.any() and not inside.all()
+
+
+def test_a_healthy_arm_leaves_white_noise_of_variance_one(prepared):
+    healthy = prepare_evidence(ARM, [HEALTHY], [run(2)], [run(3)])
+    residual = healthy.evidence.residual
+    assert np.mean(residual**2) == pytest.approx(1.0, abs=0.35)
+    assert np.mean(prepared.evidence.residual**2) > 10.0
+
+
+def test_freedom_costs():
+    drift, both = ({"joint": "elbow", "of": of} for of in (["f_c"], ["f_c", "k_v1"]))
+    one, two = (penalty(EFFECTS["friction_drift"].at(ARM, place), 1000) for place in (drift, both))
+    assert two == pytest.approx(2 * one) == pytest.approx(2 * np.log(1000))
+    searched = penalty(EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"}), 1000)
+    assert searched > 3 * np.log(1000)
+    held = penalty(EFFECTS["base_flexibility"].at(ARM, {"axis": [1, 0, 0]}), 1000)
+    assert held == pytest.approx(2 * np.log(1000) + 2 * np.log(20))
+
+
+def test_rivals_cover_every_joint_and_are_finite(prepared):
+    motions = prepared.evidence.field.motions
+    places = list(rivals(motions))
+    assert {place["joint"] for place in places} == set(ARM.joint_names)
+    for place in places:
+        rival = Rival.at(ARM, place)
+        constants = [constant.grid[len(constant.grid) // 2] for constant in rival.constants]
+        for row, (_, columns) in rival.columns(motions[0], constants, None).items():
+            assert ARM.joint_names[row] == place["joint"] and np.isfinite(columns).all()
+
+
+def test_a_band_is_taken_out_of_a_residual_and_the_rest_stays(prepared):
+    evidence = prepared.evidence
+    residuals = Residuals(evidence, evidence.field, prepared.plain)
+    scene = residuals.scene
+    (motion,) = scene.motions
+    time = motion.time[scene.place]
+    swing, rest = np.sin(2 * np.pi * 8.0 * time), np.sin(2 * np.pi * 2.0 * time)
+    left = residuals.without_band(swing + rest, [(6.5, 9.5)])
+    assert np.std(left - rest) < 0.25 * np.std(swing)
+    np.testing.assert_array_equal(residuals.without_band(swing, [None]), swing)

@@ -1,0 +1,113 @@
+"""Which findings stand: names that leave too much, explain too little, or are another's shadow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from changed_arm import ARM
+
+from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.mismatch.competition import Scored, shadow, simplest
+from spacearm_ident.mismatch.constants import polish, refine
+from spacearm_ident.mismatch.evidence import Candidate
+from spacearm_ident.mismatch.finding import Alternative
+from spacearm_ident.mismatch.judgement import contradicted, doubted, shows
+from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
+
+
+@pytest.mark.parametrize(
+    ("explained", "left", "named"), [(0.7, 2.0, False), (0.7, 1.1, True), (0.95, 2.0, True), (float("nan"), 2.0, True)]
+)
+def test_a_law_that_leaves_much_of_what_there_was_is_not_the_one(rippled, explained, left, named):
+    """Nearly all must be explained, or nothing but noise be left; else it is unknown, and what it is like is told."""
+    (finding,) = rippled.findings
+    rival = Alternative("payload", ("elbow",), 0.6, "")
+    finding = replace(finding, explained=explained, after_Nm={"elbow": 0.1 * left}, beside_Nm={}, alternatives=(rival,))
+    judged = doubted(finding, {"shoulder": 0.2, "elbow": 0.1})
+    assert (judged == finding) == named
+    if not named:
+        assert (judged.effect, judged.joints, judged.parameters) == (UNKNOWN, ("elbow",), {})
+        assert judged.alternatives[0].effect == "torque_ripple" and "2.0 times the noise" in judged.where
+
+
+def test_a_law_that_leaves_much_keeps_its_name_where_nothing_else_comes_near(rippled):
+    (finding,) = rippled.findings
+    far = Alternative("payload", ("elbow",), 0.4, "")
+    finding = replace(finding, explained=0.7, after_Nm={"elbow": 0.3}, beside_Nm={}, alternatives=(far,))
+    assert doubted(finding, {"elbow": 0.1}) == finding
+    assert doubted(replace(finding, explained=0.6), {"elbow": 0.1}).effect == UNKNOWN
+
+
+@pytest.mark.parametrize("explained, company, good", [(0.3, False, False), (0.3, True, True), (0.5, False, True)])
+def test_a_name_by_itself_must_explain_more_than_one_of_several(rippled, explained, company, good):
+    (finding,) = rippled.findings
+    other = replace(finding, effect="payload") if company else replace(finding, before_Nm={"shoulder": 1.0})
+    finding = replace(finding, explained=explained, before_Nm={"elbow": 1.0}, after_Nm={"elbow": 0.8})
+    assert shows(0, [finding, other], {"shoulder": 0.1, "elbow": 0.1}) == good
+
+
+@pytest.mark.parametrize("gain, good", [(5000.0, True), (115.0, False)])
+def test_what_the_unseen_data_do_not_show_must_be_sure_in_the_field(rippled, gain, good):
+    (finding,) = rippled.findings
+    asleep = replace(finding, gain=gain, unseen_gain=0.05 * gain, explained=0.2)
+    assert shows(0, [asleep], {"shoulder": 0.1, "elbow": 0.1}) == good
+
+
+def test_what_was_below_the_noise_needs_no_explanation(rippled):
+    (finding,) = rippled.findings
+    assert shows(0, [finding], {"shoulder": 0.1, "elbow": 0.1})
+    assert not shows(0, [finding], {joint: 1.01 * rms for joint, rms in finding.before_Nm.items()})
+
+
+def contender(kind, score, joint="elbow"):
+    effect = EFFECTS[kind].at(ARM, {"joint": joint})
+    return Scored(Candidate(effect, (), None, *np.zeros((3, 1))), 0.0, 0.0, score, plausible=True)
+
+
+def test_what_another_explains_better_and_does_not_stand_is_no_finding():
+    """An effect that fits by chance takes weaker ones at its joints along; those at other joints stay."""
+    ripple, drift = contender("torque_ripple", 300.0), contender("friction_drift", 100.0)
+    assert shadow(drift, [ripple]) and not shadow(ripple, [drift])
+    assert not shadow(contender("friction_drift", 100.0, "shoulder"), [ripple])
+    assert not shadow(drift, [replace(ripple, plausible=False)])
+
+
+def test_of_two_that_score_alike_the_one_with_less_freedom_is_taken():
+    less, more = contender("current_offset", 5000.0), contender("torque_ripple", 5040.0)
+    assert simplest([more, less]) is less
+    assert simplest([replace(more, score=5200.0), less]).candidate is more.candidate
+
+
+def test_constants_that_pull_at_each_other_are_searched_together():
+    """A bent valley: one constant after the other, from the grid's best point, ends far from its bottom."""
+    effect = EFFECTS["joint_elasticity"].at(ARM, {"joint": "elbow"})
+
+    def gain(constants):
+        stiffness, damping = constants[0] / 5000.0, constants[1] / 0.05
+        return -((stiffness - 1.0) ** 2) - 400.0 * (damping - stiffness) ** 2
+
+    begin = (8000.0, 0.08)
+    stuck, found = (method(effect, begin, gain, gain(begin)) for method in (refine, polish))
+    assert gain(found) > 0.1 * gain(stuck) > gain(begin)
+    assert found == pytest.approx((5000.0, 0.05), rel=0.1)
+
+
+def test_what_rings_at_its_own_resonance_is_not_held_against_a_compliance(rippled):
+    (finding,) = rippled.findings
+    near = Alternative("payload", ("elbow",), 0.6, "")
+    finding = replace(finding, explained=0.7, after_Nm={"elbow": 0.3}, beside_Nm={"elbow": 0.1}, alternatives=(near,))
+    assert doubted(finding, {"elbow": 0.1}) == finding
+
+
+def test_a_law_beside_which_a_free_function_of_the_same_quantity_stands_is_another(rippled):
+    """The residual of a dead zone, say, looks like less friction first, and like any curve over the speed then."""
+    (finding,) = rippled.findings
+    ripple = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
+    curve = {"joint": "elbow", "count": 9, "low": -1.0, "high": 1.0}
+    places = [{**curve, "of": "position"}, {**curve, "of": "velocity"}, {**curve, "of": "position", "with": "shoulder"}]
+    own, other, neighbour = (Rival.at(ARM, place) for place in places)
+    assert contradicted(finding, ripple, [ripple, other, neighbour]) == finding
+    judged = contradicted(finding, ripple, [ripple, own])
+    assert judged.effect == UNKNOWN and judged.where.startswith("most like torque_ripple")
