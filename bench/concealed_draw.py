@@ -301,20 +301,26 @@ def _scaled(trial: Trial, name: str, asked: float) -> tuple[Entry, Entry]:
     sign = float(rng.choice([-1.0, 1.0]))
     ratios = {key: float(rng.uniform(low, high)) for key, low, high in strength.along}
     mine = [JOINTS.index(joint) for joint in entry["joints"]] if _local(name) else list(range(6))
-    x, slope, last = math.sqrt(strength.low * strength.high), 1.0, None
-    for _ in range(4):
+    x, slope, last, high = math.sqrt(strength.low * strength.high), 1.0, None, strength.high
+    tries = 4
+    while tries:
         value = strength.value(x, sign)
         entry["parameters"] |= {strength.parameter: value} | {key: ratio * value for key, ratio in ratios.items()}
         truth = trial.simulate(1, [entry])
         amplitude = trial.amplitudes(truth)
         reached = float((amplitude / trial.floor)[mine].max())
+        if not math.isfinite(reached):  # More than the arm can carry: such a coupling leaves no inertia.
+            last, high = None, 0.5 * x
+            x = math.sqrt(strength.low * high)
+            continue
+        tries -= 1
         if abs(reached / asked - 1.0) < TOLERANCE:
             break
         if last is not None and reached > 0 and last[1] > 0 and x != last[0]:
             slope = min(3.0, max(0.4, math.log(reached / last[1]) / math.log(x / last[0])))
         last = (x, reached)
         following = x * math.exp(math.log(asked / max(reached, 1e-9)) / slope)
-        following = min(max(following, strength.low), strength.high)
+        following = min(max(following, strength.low), high)
         if abs(math.log(following / x)) < 1e-3:
             break
         x = following

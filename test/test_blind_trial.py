@@ -12,8 +12,9 @@ from spacearm_ident.simulation.concealed import EFFECTS
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
 import concealed as blind
+import concealed_draw
 import concealed_score
-from concealed_arm import draw_arm
+from concealed_arm import JOINTS, draw_arm
 
 KNOWN = {name for name, kind in EFFECTS.items() if kind.known}
 
@@ -39,6 +40,26 @@ def test_a_drawn_arm_is_one_that_can_exist_and_comes_again_from_its_seed():
         body = pin.Inertia.FromDynamicParameters(true)
         assert np.linalg.eigvalsh(body.toPseudoInertia().toMatrix())[0] > 0
         assert 1e-4 < abs(cad.mass / body.mass - 1.0) < 0.11
+
+
+class Fragile:
+    """A trial whose arm shows an inertia of 1 kg m² at 50 times the noise, and bears no more than 0.05."""
+
+    def __init__(self, strongest):
+        self.rng, self.floor, self.strongest, self.arm = np.random.default_rng(1), np.ones(6), strongest, None
+
+    def simulate(self, run, entries):
+        return entries[0]["parameters"]["inertia"]
+
+    def amplitudes(self, inertia):
+        return np.full(len(JOINTS), 50.0 * inertia if inertia < self.strongest else np.nan)
+
+
+@pytest.mark.parametrize("strongest, reached", [(9.0, 10.0), (0.21, 10.0), (0.05, None)])
+def test_an_arm_that_cannot_carry_an_effect_gets_less_of_it(strongest, reached):
+    entry, more = concealed_draw._scaled(Fragile(strongest), "rotor_coupling", 10.0)
+    assert 0.0 < entry["parameters"]["inertia"] < strongest
+    assert more["multiple"] == pytest.approx(reached or 50.0 * 0.04, rel=0.25 if reached else 0.5)
 
 
 def hidden_effect(name="payload", joint="joint_6", **more):
