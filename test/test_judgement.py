@@ -111,3 +111,14 @@ def test_a_law_beside_which_a_free_function_of_the_same_quantity_stands_is_anoth
     assert contradicted(finding, ripple, [ripple, other, neighbour]) == finding
     judged = contradicted(finding, ripple, [ripple, own])
     assert judged.effect == UNKNOWN and judged.where.startswith("most like torque_ripple")
+
+
+def test_a_level_of_friction_whose_parts_go_opposite_ways_is_another_curve_over_the_speed(rippled):
+    drift = EFFECTS["friction_drift"].at(ARM, {"joint": "elbow", "of": ["f_c", "k_v1"]})
+    (finding,) = rippled.findings
+    for values, named in (([0.5, 0.2], True), ([-0.5, -0.2], True), ([-0.5, 0.7], False)):
+        found = replace(finding, effect=drift.kind, against=drift.against(np.array(values)))
+        judged = contradicted(found, drift, [drift])
+        assert (judged == found) == named
+    assert judged.effect == UNKNOWN and "whose dry and viscous parts go opposite ways" in judged.where
+    assert judged.alternatives[0].effect == "friction_drift"

@@ -59,6 +59,7 @@ class Cards:
             after_Nm=after,
             explained=explained,
             beside_Nm=beside,
+            against=effect.against(values),
         )
 
     def _values(self, number: int) -> FloatArray:

@@ -59,6 +59,7 @@ class Finding:
         explained: Share of the residual's variance above the noise floor that it removes there; NaN where untestable.
         beside_Nm: By joint, `after_Nm` less what swings near the effect's own resonance: an encoder's noise makes a
             link ring there, in the model alone.
+        against: What its own values say against its name, in words that follow "whose".
     """
 
     effect: str
@@ -76,6 +77,7 @@ class Finding:
     after_Nm: dict[str, float]
     explained: float
     beside_Nm: dict[str, float] = field(default_factory=dict)
+    against: str = ""
 
 
 def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:

@@ -71,12 +71,14 @@ def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
 
 
 def contradicted(finding: Finding, effect: Effect, beside: Sequence[Effect]) -> Finding:
-    """A finding beside which a free function of the same quantity was found, as an unknown one; else the finding."""
+    """A finding as an unknown one where its own values, or a free function of its quantity beside it, deny its name."""
 
     def freer(other: Effect) -> bool:
         own = other.joints == effect.joints and "with" not in other.place
         return other.kind == UNKNOWN and own and other.place["of"] == effect.follows
 
+    if finding.against:
+        return _as_unknown(finding, f"its {finding.against}", f"whose {finding.against}")
     if not any(freer(other) for other in beside):
         return finding
     return _as_unknown(finding, "its law is another", f"with another law of the {effect.follows.replace('_', ' and ')}")

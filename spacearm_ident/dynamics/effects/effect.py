@@ -108,6 +108,10 @@ class Effect(Term):
             shown[constant.symbol] = (float(value), constant.unit)
         return shown
 
+    def against(self, values: FloatArray) -> str:
+        """What in its own values speaks against its name, in words that follow "whose"; empty where nothing does."""
+        return ""
+
     def where(self, values: FloatArray) -> str:
         """Where and when it acts, in words."""
         return self.words

@@ -65,6 +65,14 @@ class FrictionDrift(_Friction):
         signals = {"f_c": sign, "k_v1": motion.velocity[:, row], "creep": sign * time}
         return own(row, *(signals[of] for of in self.place.get("of", ["f_c"])))
 
+    def against(self, values: FloatArray) -> str:
+        """A level rises or falls; where one part rises and the other falls it is the curve over speed that changed.
+
+        Wear, preload and lubricant move both parts the same way, or one of them.
+        """
+        both = self.place.get("of") == ["f_c", "k_v1"]
+        return "dry and viscous parts go opposite ways" if both and values[0] * values[1] < 0.0 else ""
+
     def where(self, values: FloatArray) -> str:
         """Whether it creeps."""
         return "friction creeps in time" if "creep" in self.place.get("of", ()) else self.words
