@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.identification.prior import make_prior
-from spacearm_ident.mismatch.competition import penalty
 from spacearm_ident.mismatch.evidence import NUISANCE, base_columns, stacked_effect
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
@@ -29,6 +28,7 @@ from spacearm_ident.mismatch.scene import (
     stretch,
     travel,
 )
+from spacearm_ident.mismatch.scored import BEST, PARTS, penalty, throughout
 from spacearm_ident.recording.signals import prepare
 
 # --- rows -----------------------------------------------------------------------------------------------------------
@@ -287,3 +287,14 @@ def test_a_band_is_taken_out_of_a_residual_and_the_rest_stays(prepared):
     left = residuals.without_band(swing + rest, [(6.5, 9.5)])
     assert np.std(left - rest) < 0.25 * np.std(swing)
     np.testing.assert_array_equal(residuals.without_band(swing, [None]), swing)
+
+
+def test_a_drop_is_counted_without_its_best_parts(prepared):
+    scene = prepared.evidence.field
+    part = scene.part(PARTS)
+    assert np.all(np.diff(part[scene.joint == 0]) >= 0) and set(part) == set(range(PARTS))
+    counts, none = np.bincount(part), np.zeros(len(scene))
+    even = throughout(scene, np.ones(len(scene)), none)
+    assert even == len(scene) - np.sort(counts)[-BEST:].sum()
+    assert throughout(scene, np.where(part < BEST, 5.0, 0.0), none) == 0.0
+    assert throughout(scene, none, np.where(part == 3, 1.0, 0.0)) == -counts[3]

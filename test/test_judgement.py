@@ -6,15 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from changed_arm import ARM
+from changed_arm import ARM, HEALTHY, ripple, run
 
 from spacearm_ident.dynamics.effects import EFFECTS
-from spacearm_ident.mismatch.competition import Scored, shadow, simplest
+from spacearm_ident.mismatch.competition import GATE, Competition
 from spacearm_ident.mismatch.constants import polish, refine
 from spacearm_ident.mismatch.evidence import Candidate
 from spacearm_ident.mismatch.finding import Alternative
 from spacearm_ident.mismatch.judgement import contradicted, doubted, shows
+from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
+from spacearm_ident.mismatch.scored import Scored, shadow, simplest
 
 
 @pytest.mark.parametrize(
@@ -122,3 +124,22 @@ def test_a_level_of_friction_whose_parts_go_opposite_ways_is_another_curve_over_
         assert (judged == found) == named
     assert judged.effect == UNKNOWN and "whose dry and viscous parts go opposite ways" in judged.where
     assert judged.alternatives[0].effect == "friction_drift"
+
+
+def in_one_moment(planted):
+    """Ripple for a second and a half."""
+    time = np.linspace(0.0, 1.0, len(planted.torque))[:, None]
+    return np.where((time > 0.5) & (time < 0.59), ripple(planted), 0.0)
+
+
+@pytest.mark.parametrize(("extra", "lasts"), [(ripple, True), (in_one_moment, False)])
+def test_what_shows_in_one_moment_alone_is_no_lasting_effect(extra, lasts):
+    prepared = prepare_evidence(ARM, [HEALTHY], [run(2, extra)], [run(3, extra)])
+    competition = Competition(prepared.evidence, prepared.unseen)
+    scored = competition._scored(
+        prepared.evidence.candidate(EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"}), [20.0]),
+        prepared.evidence.refit([]),
+        competition._unseen_squares([], np.zeros(0)),
+    )
+    assert scored.score > GATE
+    assert competition._lasts(scored) == lasts

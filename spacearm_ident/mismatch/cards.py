@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from .competition import TEMPER, TEMPER_SHARE, Outcome, Scored
+from .competition import Outcome
 from .evidence import Evidence, Stacked, stacked_effect
 from .finding import Alternative, Finding, Quantity
 from .residuals import Residuals
 from .rivals import UNKNOWN
+from .scored import TEMPER, TEMPER_SHARE, Scored
 
 STEP = 1e-3
 """Relative step of a constant for its derivative."""

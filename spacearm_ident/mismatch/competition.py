@@ -20,6 +20,7 @@ from ..dynamics.effects.effect import Effect
 from .constants import grid_points, is_event, polish, refine, search
 from .evidence import Candidate, Evidence, Refit, Unseen
 from .rivals import UNKNOWN, Rival, rivals
+from .scored import Scored, penalty, plausible, shadow, simplest, throughout
 
 GATE = 60.0
 """Score an effect must have. The largest on healthy arms is what sets it (bench/concealed.py)."""
@@ -41,42 +42,10 @@ CLEARS_UP = 0.5
 """What an effect that is asleep in the unseen data must explain of its joints' residual in the field."""
 NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
-SHADOW = 1.15
-"""An effect that scores so many times as much and does not stand takes those that it shares a joint with along."""
-TEMPER, TEMPER_SHARE = 10.0, 0.01
-"""Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
-difference of one in the exponent is this much, and this share of the score, together."""
+LASTS = 0.5
+"""An effect must score this share of the gate without its best moments: what shows in one alone is an accident."""
 MOST = 8
 """Effects in one arm; more is a wrong base model."""
-
-
-@dataclass(frozen=True)
-class Scored:
-    """A candidate beside those accepted.
-
-    Attributes:
-        candidate: Effect and constants.
-        gain: Drop in chi-square on field and reference.
-        unseen: Drop on the recordings not fitted (0 where there are none).
-        score: Both, less the penalty.
-        plausible: Whether its values are such as this physics has.
-    """
-
-    candidate: Candidate
-    gain: float
-    unseen: float
-    score: float
-    plausible: bool
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Where it acts."""
-        return self.candidate.effect.joints
-
-    @property
-    def named(self) -> bool:
-        """Whether it is an effect of the catalogue."""
-        return self.candidate.effect.kind != UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -210,6 +179,8 @@ class Competition:
 
     def _stands(self, scored: Scored) -> bool:
         """Whether an effect explains enough, shows on unseen rows too, and is no crumb of a larger one beside it."""
+        if scored.score > self.gate and not self._lasts(scored):
+            return False
         values = self._values_of(scored)
         mine = self._energy([scored.candidate], values)
         felt = mine > 0.05 * mine.max()
@@ -228,6 +199,22 @@ class Competition:
         large = self._energy(self.accepted, self.evidence.refit(self.accepted).values, None if lasting else scored)
         minor = MINOR_SHARE if scored.named and lasting else MINOR_UNKNOWN
         return float(mine.sum()) > minor * float(large[felt].sum())
+
+    def _lasts(self, scored: Scored) -> bool:
+        """Whether an effect has a score without the best moments of field and unseen rows, too; an event need not."""
+        effect = scored.candidate.effect
+        if is_event(effect) or (isinstance(effect, Rival) and effect.place["of"] == "time_window"):
+            return True
+        both = [*self.accepted, scored.candidate]
+        drop = throughout(
+            self.evidence.field, self.evidence.residual_beside(self.accepted), self.evidence.residual_beside(both)
+        )
+        if self.unseen is not None:
+            before, after = (
+                self.unseen.residual(effects, self.evidence.refit(effects).values) for effects in (self.accepted, both)
+            )
+            drop += throughout(self.unseen.scene, before, after)
+        return drop - penalty(effect, self.evidence.rows) > LASTS * self.gate
 
     def _excess(self) -> FloatArray:
         """(n,) chi-square of each joint's field rows above what noise would leave, beside what is accepted."""
@@ -325,7 +312,7 @@ class Competition:
     def _gain(self, candidate: Candidate, beside: Refit) -> float:
         together = self.evidence.refit([*self.accepted, candidate])
         values = together.values[len(beside.values) :]
-        if not _plausible(candidate, values):
+        if not plausible(candidate, values):
             return -np.inf
         return together.gain - beside.gain
 
@@ -343,7 +330,7 @@ class Competition:
         unseen = unseen_before - self._unseen_squares([*self.accepted, candidate], together.values)
         values = together.values[len(beside.values) :]
         score = gain + unseen - penalty(candidate.effect, self.evidence.rows)
-        return Scored(candidate, gain, unseen, score, _plausible(candidate, values))
+        return Scored(candidate, gain, unseen, score, plausible(candidate, values))
 
     def _unseen_squares(self, candidates: Sequence[Candidate], values: FloatArray) -> float:
         if self.unseen is None:
@@ -360,38 +347,3 @@ class Competition:
                 self.accepted = others
                 return self._without_the_idle([r for number, r in enumerate(rounds) if number != k])
         return rounds
-
-
-def shadow(scored: Scored, refused: Sequence[Scored]) -> bool:
-    """Whether a named effect only takes what another at its joints explains better, which itself does not stand."""
-
-    def better(other: Scored) -> bool:
-        return other.named and other.plausible and other.score > SHADOW * scored.score
-
-    return scored.named and any(better(other) and set(other.joints) & set(scored.joints) for other in refused)
-
-
-def simplest(ranked: Sequence[Scored]) -> Scored:
-    """The best, or one with less freedom that is as good as far as scores can tell."""
-    best = ranked[0]
-    near = [s for s in ranked if best.score - s.score < TEMPER + TEMPER_SHARE * best.score]
-    return min(near, key=lambda s: freedom(s.candidate.effect))
-
-
-def freedom(effect: Effect) -> int:
-    """How many numbers of an effect are fitted."""
-    return sum(parameter.scale != 0.0 for parameter in effect.parameters) + len(effect.anew) + len(effect.constants)
-
-
-def penalty(effect: Effect, rows: int) -> float:
-    """What freedom costs, in chi-square: ln N a parameter (BIC), and as much a constant and its grid."""
-    searched = sum(2 * np.log(len(constant.grid)) for constant in effect.constants)
-    return float(freedom(effect) * np.log(rows) + searched)
-
-
-def _plausible(candidate: Candidate, values: FloatArray) -> bool:
-    """Whether values lie within their physical bounds."""
-    for parameter, value in zip(candidate.effect.parameters, values):
-        if not parameter.lower <= value <= parameter.upper or not np.isfinite(value):
-            return False
-    return candidate.effect.plausible(values, candidate.constants)

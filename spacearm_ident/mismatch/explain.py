@@ -17,7 +17,7 @@ from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
 from .cards import Cards
-from .competition import GATE, Competition, Outcome, Scored
+from .competition import GATE, Competition, Outcome
 from .evidence import Evidence
 from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
@@ -26,6 +26,7 @@ from .judgement import contradicted, doubted, harms, shows
 from .preparation import Prepared, prepare_evidence
 from .residuals import Residuals
 from .rivals import UNKNOWN
+from .scored import Scored
 
 Progress = Callable[[float, str], None]
 HOLD_OUT = 0.35

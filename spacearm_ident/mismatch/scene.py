@@ -207,6 +207,12 @@ class Scene:
     def __len__(self) -> int:
         return len(self.joint)
 
+    def part(self, count: int) -> np.ndarray:
+        """(R,) the part of the time, out of so many equal ones, in which each stacked row is."""
+        lengths = [len(sound) for sound in self.sound]
+        begins = np.concatenate([[0], np.cumsum(lengths)])
+        return np.asarray(count * (begins[self.owner] + self.place) // begins[-1])
+
     def slot(self, joint: int, motion: int) -> slice:
         """Where the rows of one joint in one motion are in the stack."""
         number = joint * len(self.motions) + motion

@@ -1,0 +1,93 @@
+"""A candidate's score: what it explains, less what its freedom costs, and what it says against another's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.effects.effect import Effect
+from .evidence import Candidate
+from .rivals import UNKNOWN
+from .scene import Scene
+
+SHADOW = 1.15
+"""An effect that scores so many times as much and does not stand takes those that it shares a joint with along."""
+TEMPER, TEMPER_SHARE = 10.0, 0.01
+"""Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
+difference of one in the exponent is this much, and this share of the score, together."""
+PARTS, BEST = 12, 2
+"""Of so many equal parts of the time, the best of an effect that are not counted where it is asked whether it lasts."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A candidate beside those accepted.
+
+    Attributes:
+        candidate: Effect and constants.
+        gain: Drop in chi-square on field and reference.
+        unseen: Drop on the recordings not fitted (0 where there are none).
+        score: Both, less the penalty.
+        plausible: Whether its values are such as this physics has.
+    """
+
+    candidate: Candidate
+    gain: float
+    unseen: float
+    score: float
+    plausible: bool
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Where it acts."""
+        return self.candidate.effect.joints
+
+    @property
+    def named(self) -> bool:
+        """Whether it is an effect of the catalogue."""
+        return self.candidate.effect.kind != UNKNOWN
+
+
+def shadow(scored: Scored, refused: Sequence[Scored]) -> bool:
+    """Whether a named effect only takes what another at its joints explains better, which itself does not stand."""
+
+    def better(other: Scored) -> bool:
+        return other.named and other.plausible and other.score > SHADOW * scored.score
+
+    return scored.named and any(better(other) and set(other.joints) & set(scored.joints) for other in refused)
+
+
+def simplest(ranked: Sequence[Scored]) -> Scored:
+    """The best, or one with less freedom that is as good as far as scores can tell."""
+    best = ranked[0]
+    near = [s for s in ranked if best.score - s.score < TEMPER + TEMPER_SHARE * best.score]
+    return min(near, key=lambda s: freedom(s.candidate.effect))
+
+
+def freedom(effect: Effect) -> int:
+    """How many numbers of an effect are fitted."""
+    return sum(parameter.scale != 0.0 for parameter in effect.parameters) + len(effect.anew) + len(effect.constants)
+
+
+def penalty(effect: Effect, rows: int) -> float:
+    """What freedom costs, in chi-square: ln N a parameter (BIC), and as much a constant and its grid."""
+    searched = sum(2 * np.log(len(constant.grid)) for constant in effect.constants)
+    return float(freedom(effect) * np.log(rows) + searched)
+
+
+def plausible(candidate: Candidate, values: FloatArray) -> bool:
+    """Whether values lie within their physical bounds."""
+    for parameter, value in zip(candidate.effect.parameters, values):
+        if not parameter.lower <= value <= parameter.upper or not np.isfinite(value):
+            return False
+    return candidate.effect.plausible(values, candidate.constants)
+
+
+def throughout(scene: Scene, without: FloatArray, beside: FloatArray) -> float:
+    """Drop in chi-square from one residual (R,) to another, less that of the best parts of the time."""
+    part = scene.part(PARTS)
+    drops = np.bincount(part, weights=without**2 - beside**2, minlength=PARTS)
+    return float(np.sort(drops)[:-BEST].sum())
