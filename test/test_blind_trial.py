@@ -43,7 +43,7 @@ def test_a_drawn_arm_is_one_that_can_exist_and_comes_again_from_its_seed():
 
 
 class Fragile:
-    """A trial whose arm shows an inertia of 1 kg m² at 50 times the noise, and bears no more than 0.05."""
+    """A trial whose arm shows an inertia of 1 kg m² at 50 times the noise, and bears less than `strongest`."""
 
     def __init__(self, strongest):
         self.rng, self.floor, self.strongest, self.arm = np.random.default_rng(1), np.ones(6), strongest, None

@@ -16,8 +16,8 @@ import yaml
 from fuzzing import EXAMPLES, ends_well, in_child
 from hypothesis import given
 from hypothesis import strategies as st
+from made_bags import JOINTS
 from small_arm import URDF
-from test_reader import JOINTS
 
 from spacearm_ident import documents
 from spacearm_ident.config import config_path

@@ -9,8 +9,8 @@ import pytest
 from fuzzing import EXAMPLES, ends_well, in_child
 from hypothesis import given
 from hypothesis import strategies as st
+from made_bags import JOINTS, START, bag_bytes, signals, states
 from mcap.writer import CompressionType
-from test_reader import JOINTS, START, bag_bytes, signals, states
 
 from spacearm_ident.recording import cdr, messages, read_recording
 
