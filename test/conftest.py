@@ -23,8 +23,10 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture
 def own_buses(tmp_path, monkeypatch):
-    """Local buses that no other test is on."""
-    monkeypatch.setenv("SPACEARM_RUNTIME_DIR", str(tmp_path / "run"))
+    """Local buses that no other test is on; their folder."""
+    folder = tmp_path / "run"
+    monkeypatch.setenv("SPACEARM_RUNTIME_DIR", str(folder))
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -19,13 +19,7 @@ from spacearm_ident.canbus.open_bus import open_bus
 from spacearm_ident.errors import UserError
 
 WAIT = 5.0
-
-
-@pytest.fixture(autouse=True)
-def private_dir(tmp_path, monkeypatch):
-    folder = tmp_path / "run"
-    monkeypatch.setenv("SPACEARM_RUNTIME_DIR", str(folder))
-    return folder
+pytestmark = pytest.mark.usefixtures("own_buses")
 
 
 @pytest.fixture
@@ -188,7 +182,7 @@ def test_the_last_participant_leaving_is_one_error_frame_after_its_last_words(jo
         a.send(frame(1))
 
 
-def test_a_bus_that_was_shut_down_refuses_and_leaves_no_file(join, private_dir):
+def test_a_bus_that_was_shut_down_refuses_and_leaves_no_file(join, own_buses):
     a, b = join(), join()
     a.shutdown()
     a.shutdown()
@@ -197,7 +191,7 @@ def test_a_bus_that_was_shut_down_refuses_and_leaves_no_file(join, private_dir):
     with pytest.raises(can.CanOperationError):
         a.recv(0.1)
     b.shutdown()
-    assert list(private_dir.iterdir()) == []
+    assert list(own_buses.iterdir()) == []
 
 
 CHILD = """
@@ -229,7 +223,7 @@ def test_frames_go_to_another_process_and_back(join, echo):
     assert [bus.recv(WAIT).arbitration_id for _ in range(200)] == list(range(200))
 
 
-def test_a_killed_process_is_an_error_frame_and_its_file_is_removed(join, echo, private_dir):
+def test_a_killed_process_is_an_error_frame_and_its_file_is_removed(join, echo, own_buses):
     bus = join()
     bus.send(frame(1))
     assert bus.recv(WAIT).arbitration_id == 1
@@ -238,9 +232,9 @@ def test_a_killed_process_is_an_error_frame_and_its_file_is_removed(join, echo, 
     assert bus.recv(WAIT).is_error_frame
     with pytest.raises(can.CanOperationError):
         bus.send(frame(1))
-    assert len(list(private_dir.glob("t/*.sock"))) == 2
+    assert len(list(own_buses.glob("t/*.sock"))) == 2
     newcomer = join()
-    assert len(list(private_dir.glob("t/*.sock"))) == 2
+    assert len(list(own_buses.glob("t/*.sock"))) == 2
     newcomer.send(frame(3))
     assert bus.recv(WAIT).arbitration_id == 3
 
@@ -277,14 +271,14 @@ def test_processes_that_join_at_the_same_moment_all_meet():
         child.join()
 
 
-def test_the_runtime_directory_is_private(private_dir, monkeypatch):
+def test_the_runtime_directory_is_private(own_buses, monkeypatch):
     assert runtime_dir().stat().st_mode & 0o777 == 0o700
-    private_dir.chmod(0o755)
+    own_buses.chmod(0o755)
     with pytest.raises(can.CanInitializationError, match="not a private directory"):
         LocalBus("t")
-    private_dir.chmod(0o700)
-    link = private_dir.parent / "link"
-    link.symlink_to(private_dir)
+    own_buses.chmod(0o700)
+    link = own_buses.parent / "link"
+    link.symlink_to(own_buses)
     monkeypatch.setenv("SPACEARM_RUNTIME_DIR", str(link))
     with pytest.raises(can.CanInitializationError, match="not a private directory"):
         LocalBus("t")

@@ -234,10 +234,7 @@ def simulate_truth(
 
     start = command.q[0]
     warmth = thermal or ThermalParameters(drives.copper_loss)
-    if hidden is None:
-        plant = Plant(parameters, position=start, law=law, thermal=warmth)
-    else:
-        plant = hidden.plant(parameters, start, warmth, law)
+    plant = plant_of(parameters, start, warmth, law, hidden)
     servo = Servo(np.diag(plant.inertia()), drives, tuning, start)
     warm_every = max(1, round(rate_hz / _TEMPERATURE_HZ))
     q, qd, torque, warm, base = _run(plant, servo, command, extra, at[::warm_every], hidden, progress)
@@ -256,6 +253,19 @@ def simulate_truth(
         **_base_truth(base, at, half, rate_hz, plant.parameters.gravity),
     )
     return truth if hidden is None else hidden.reported(truth)
+
+
+def plant_of(
+    parameters: PlantParameters,
+    position: FloatArray,
+    thermal: ThermalParameters,
+    law: JointLaw | None,
+    hidden: HiddenPhysics | None,
+) -> Plant:
+    """The arm at rest at a position (n,), rad, with what is hidden in it."""
+    if hidden is None:
+        return Plant(parameters, position=position, law=law, thermal=thermal)
+    return hidden.plant(parameters, position, thermal, law)
 
 
 def measure(truth: Truth, noise: SensorNoise, seed: int = 0, start_ns: int = 0) -> Recording:

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spacearm_ident.dynamics.arm import Arm
-from spacearm_ident.simulation.closed_loop import HiddenPhysics, SensorNoise
+from spacearm_ident.simulation.closed_loop import HiddenPhysics, SensorNoise, plant_of
 from spacearm_ident.simulation.drives_mechanics import BoolArray
 from spacearm_ident.simulation.joint_law import JointLaw
-from spacearm_ident.simulation.plant import Plant, PlantParameters
+from spacearm_ident.simulation.plant import PlantParameters
 from spacearm_ident.simulation.servo import DriveData, Servo, ServoTuning
 from spacearm_ident.simulation.thermal import ThermalParameters
 
@@ -106,10 +106,7 @@ class LiveArm:
         )
         thermal = ThermalParameters(drives.copper_loss, ambient=ambient)
         start = np.zeros(n) if position is None else np.array(position, dtype=float)
-        if hidden is None:
-            self._plant = Plant(parameters, position=start, law=law, thermal=thermal)
-        else:
-            self._plant = hidden.plant(parameters, start, thermal, law)
+        self._plant = plant_of(parameters, start, thermal, law, hidden)
         self._plant.longest_step_s = 1.0 / tuning.rate_hz
         # A brake is outside of all that may be hidden in the joint.
         self._plant.law = self._law = BrakedLaw(self._plant.law, n)
