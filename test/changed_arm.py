@@ -30,18 +30,7 @@ def ripple(planted):
     return np.outer(0.8 * np.sin(20.0 * planted.q[:, 1] + 0.4), [0.0, 1.0])
 
 
-def more_friction(planted):
-    return np.outer(0.9 * np.sign(planted.qd[:, 0]), [1.0, 0.0])
-
-
-def late(planted):
-    """All recorded torque is 12 ms old."""
-    return np.stack([np.roll(column, 3) - column for column in planted.torque.T], axis=1)
-
-
 HEALTHY = run(1)
-SLOW_ONES = ("joint_elasticity", "backlash", "link_flexibility", "base_flexibility", "floating_base")
-"""Left out where they are not the point, to be quick."""
 
 
 def explained(extra, *excluded):

@@ -13,12 +13,7 @@ from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
 from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.clearance import Clearance
-from spacearm_ident.excitation.constraints import (
-    Requirements,
-    check,
-    limits_for_excitation,
-    require,
-)
+from spacearm_ident.excitation.constraints import Requirements, check, limits_for_excitation, require
 from spacearm_ident.excitation.nominal import nominal_model
 from spacearm_ident.excitation.segments import Chirp, Cruise, MotionLimits, Rest
 from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory

@@ -9,11 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_result import (
-    arm,
-    identified_model,
-    trace,
-)
+from made_result import arm, identified_model, trace
 
 from spacearm_ident.report.figures import joint_signals
 from spacearm_ident.report.friction_curve import friction_curve

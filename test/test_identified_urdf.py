@@ -9,13 +9,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_result import (
-    STRUCTURE,
-    URDF,
-    arm,
-    identified_model,
-    parsed,
-)
+from made_result import STRUCTURE, URDF, arm, identified_model, parsed
 
 from spacearm_ident.dynamics.model import TorqueModel
 from spacearm_ident.errors import UserError

@@ -9,13 +9,7 @@ from simulated_arm import CONFIG, paper_limits
 from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
 from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.run import Brake, Run, check_limits, limits_of, plan_run
-from spacearm_ident.excitation.trajectory import (
-    FourierTrajectory,
-    MotionLimits,
-    Rest,
-    Trajectory,
-    random_feasible,
-)
+from spacearm_ident.excitation.trajectory import FourierTrajectory, MotionLimits, Rest, Trajectory, random_feasible
 
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 LIMITS = paper_limits()
