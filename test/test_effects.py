@@ -129,6 +129,7 @@ def test_a_joint_that_the_arm_does_not_have_is_refused(kind):
         ("torque_ripple", {"at": ["shoulder"]}),
         ("torque_ripple", {"at": [{}]}),
         ("time_delay", {"at": [{}]}),
+        ("time_delay", {"at": [{"joint": "elbow", "early": "no"}]}),
         ("vacuum_friction", {"at": [{"joints": []}]}),
         ("link_flexibility", {"at": [{"joint": "elbow"}]}),
         ("base_flexibility", {"at": [{"axis": [0, 1]}]}),
@@ -265,14 +266,18 @@ def test_scale_and_saturation_are_powers_of_the_models_torque():
         np.testing.assert_allclose(made, only(1, 0.02 * want), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("early", [False, True])
 @pytest.mark.parametrize("delay", [0.0005, 0.004, 0.0133])
-def test_a_late_torque_is_the_same_sine_later(delay):
+def test_a_late_torque_is_the_same_sine_later(delay, early):
     time, omega = np.arange(1000) / RATE, 2 * np.pi * 1.0
     sine = Background.known(np.outer(np.sin(omega * time), np.ones(3)))
-    change = torque(one("time_delay", ARM, joint="elbow"), replace(W), [1.0], [delay], sine)
-    late = np.sin(omega * (time - delay))
-    np.testing.assert_allclose((sine.torque + change)[20:, 2], late[20:], atol=1e-4)
+    effect = one("time_delay", ARM, joint="elbow", early=early)
+    change = torque(effect, replace(W), [1.0], [delay], sine)
+    signed = -delay if early else delay
+    late = np.sin(omega * (time - signed))
+    np.testing.assert_allclose((sine.torque + change)[20:-20, 2], late[20:-20], atol=1e-4)
     assert not change[:, :2].any()
+    assert effect.shown(np.array([1.0, delay])) == {"delay": (signed, "s")}
 
 
 @pytest.mark.parametrize("rate", [250.0, 1000.0])

@@ -81,6 +81,7 @@ def in_one_direction(truth: Truth) -> np.ndarray:
         ("current_offset", THIRD, {"offset": -2.0}, 0.01),
         ("torque_constant", SECOND, {"error": 0.08}, 0.01),
         ("time_delay", ALL, {"share": 1.0, "delay": 0.006}, 0.01),
+        ("time_delay", {**ALL, "early": True}, {"share": 1.0, "delay": 0.006}, 0.01),
         # From here on the two writings differ: in what is small beside the effect, by as much as is said here.
         ("filter_lag", ALL, {"share": 1.0, "lag": 0.006}, 0.02),
         ("filter_lag", ALL, {"share": 1.5, "lag": 0.002}, 0.25),

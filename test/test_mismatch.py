@@ -36,6 +36,11 @@ def late(planted):
     return np.stack([np.roll(column, 3) - column for column in planted.torque.T], axis=1)
 
 
+def early(planted):
+    """All recorded motion is 12 ms old."""
+    return np.stack([np.roll(column, -3) - column for column in planted.torque.T], axis=1)
+
+
 # --- data that cannot carry the question ----------------------------------------------------------------------------
 
 
@@ -148,10 +153,12 @@ def test_what_vanishes_in_vacuum_is_one_finding_and_the_extended_model_lacks_it(
         assert np.sqrt(np.mean(left[sound, joint] ** 2)) < NOISE[joint]
 
 
-def test_torque_that_is_late_is_late_by_so_much():
-    answer = explained(late, *SLOW_ONES)
+@pytest.mark.parametrize(("shifted", "delay", "words"), [(late, 0.012, "torque is late"), (early, -0.012, "motion is")])
+def test_torque_that_is_late_or_early_is_so_by_so_much(shifted, delay, words):
+    answer = explained(shifted, *SLOW_ONES)
     assert [f.effect for f in answer.findings] == ["time_delay"]
-    assert answer.findings[0].parameters["delay"].value == pytest.approx(0.012, rel=0.1)
+    assert answer.findings[0].parameters["delay"].value == pytest.approx(delay, rel=0.1)
+    assert words in answer.findings[0].where
 
 
 def carrying(seed, com):

@@ -12,7 +12,7 @@ recorded motion).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import ClassVar
 
@@ -40,14 +40,23 @@ SHORTEST_M = 0.02
 ALONG = 0.1
 """A joint's axis this near its link's length (sine) turns the link; it cannot bend it."""
 STIFFNESS_GRID = tuple(float(k) for k in np.geomspace(400.0, 120e3, 20))
+MOUNT_GRID = tuple(5.0 * k for k in STIFFNESS_GRID)
+"""A mount carries the whole arm."""
 GAP_GRID = tuple(float(b) for b in np.geomspace(2e-4, 0.02, 22))
 """rad, dense: when the teeth meet again follows from how far apart they are."""
 CONTACT_GRID = (3e4, 1e5, 3e5)
+HORIZONTAL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+"""Of the base frame."""
 
 
 @dataclass(frozen=True)
 class _Compliance(Effect):
     """Something gives way by d(t)."""
+
+    @property
+    def parts(self) -> tuple[_Compliance, ...]:
+        """What gives way on its own; what one part's swing does to another is of second order and left out."""
+        return (self,)
 
     def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
         """About the axis that gives way: the joint's own; others say which."""
@@ -59,23 +68,29 @@ class _Compliance(Effect):
 
     def resonance(self, motion: Motion, constants: Values, background: Background) -> tuple[float, float] | None:
         """Of the link on its spring, with the motor held."""
-        sensitivity = self.sensitivity(motion, background)
-        stiffness = np.maximum(constants[0] + sensitivity.own_gravity, 0.0)
-        frequency = np.sqrt(stiffness / np.maximum(sensitivity.own_inertia, 1e-6)) / (2 * np.pi)
-        return float(frequency.min()), float(frequency.max())
+        frequencies = []
+        for part in self.parts:
+            sensitivity = part.sensitivity(motion, background)
+            stiffness = np.maximum(constants[0] + sensitivity.own_gravity, 0.0)
+            frequencies.append(np.sqrt(stiffness / np.maximum(sensitivity.own_inertia, 1e-6)) / (2 * np.pi))
+        return float(np.min(frequencies)), float(np.max(frequencies))
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the rows of all joints differ by."""
         if background is None or background.arm is None:
             return nothing(motion, range(len(motion.joints)), 1)
-        torque = -self.sensitivity(motion, background).torque(*self.give(motion, constants, background))
+        given_way = [
+            part.sensitivity(motion, background).torque(*part.give(motion, constants, background))
+            for part in self.parts
+        ]
+        torque = -np.sum(given_way, axis=0)
         return each({row: torque[:, [row]] for row in range(torque.shape[1])})
 
 
-def springs(name: str) -> tuple[Constant, Constant]:
+def springs(name: str, grid: tuple[float, ...] = STIFFNESS_GRID) -> tuple[Constant, Constant]:
     """Stiffness, and the damping ratio, which says how long a swing lasts and is refined once the stiffness is near."""
     reach = (LEAST_DAMPING, MOST_DAMPING)
-    stiffness = Constant("stiffness", name, "N m/rad", STIFFNESS_GRID)
+    stiffness = Constant("stiffness", name, "N m/rad", grid)
     return stiffness, Constant("damping_ratio", name, "1", (DAMPING_RATIO,), reach=reach)
 
 
@@ -241,28 +256,37 @@ class BaseFlexibility(_Compliance):
 
     kind: ClassVar[str] = "base_flexibility"
     words: ClassVar[str] = "the base rocks"
-    equation: ClassVar[str] = "-(M d'' + G d) about a horizontal axis at the base"
+    equation: ClassVar[str] = "-(M d'' + G d) about a horizontal axis at the base, or about both alike"
     source: ClassVar[str] = "lumped first mode of the mounting"
     confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "link_flexibility", "floating_base", "base_tilt")
     experiment: ClassVar[str] = "a step of joint 1 with the arm stretched: an accelerometer at the base sees it rock"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """About two axes."""
-        for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]):
-            yield {"axis": axis}
+        """About either horizontal axis, or about both, as a mount that is as soft all round."""
+        yield {}
+        for axis in HORIZONTAL:
+            yield {"axis": list(axis)}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """About `axis` in the base frame."""
-        known_axis(place)
+        """About `axis` in the base frame, or about both horizontal ones alike where none is named."""
+        if "axis" in place:
+            known_axis(place)
         share = Parameter("share", "base", "1", prior=1.0, scale=0.0)
-        return cls((share,), springs("base"), place=place)
+        return cls((share,), springs("base", MOUNT_GRID), place=place)
 
     @property
     def joints(self) -> tuple[str, ...]:
         """None: it is the base."""
         return ()
+
+    @property
+    def parts(self) -> tuple[_Compliance, ...]:
+        """One for each axis."""
+        if "axis" in self.place:
+            return (self,)
+        return tuple(replace(self, place={"axis": list(axis)}) for axis in HORIZONTAL)
 
     def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
         """About a hinge at the base."""

@@ -137,30 +137,58 @@ class _Late(Effect):
 
 @dataclass(frozen=True)
 class TimeDelay(_Late):
-    """The recorded torque is late by a fixed time."""
+    """The recorded torque is late by a fixed time; or, `early`, the motion is."""
 
     kind: ClassVar[str] = "time_delay"
     one_cause: ClassVar[bool] = True
-    words: ClassVar[str] = "the recorded torque is late by a fixed time"
-    equation: ClassVar[str] = "tau(t - d) - tau(t)"
+    words: ClassVar[str] = "the recorded torque is late, or early, by a fixed time"
+    equation: ClassVar[str] = "tau(t - d) - tau(t), d < 0 where the motion is late"
     source: ClassVar[str] = "fieldbus and filter delays; MuJoCo and PACE identification reports"
     confused_with: ClassVar[tuple[str, ...]] = ("filter_lag", "joint_elasticity", "presliding_hysteresis")
     experiment: ClassVar[str] = "a chirp up to the drive's bandwidth: delay turns phase in proportion to frequency"
 
     @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Late torque, or late positions: those come from one clock, for all joints alike."""
+        yield from super().variants(arm)
+        yield {"joints": list(arm.joint_names), "early": True}
+
+    @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At some joints alike."""
         name = known_joints(arm, place)
+        if not isinstance(place.get("early", False), bool):
+            raise ValueError("early is true or false")
         grid = (5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3)
         share = Parameter("share", name, "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("delay", name, "s", grid),), place=place)
 
+    @property
+    def early(self) -> bool:
+        """Whether the torque is ahead of its motion."""
+        return bool(self.place.get("early", False))
+
+    def where(self, values: FloatArray) -> str:
+        """Which of the two is late."""
+        return f"the recorded {'motion' if self.early else 'torque'} is late by a fixed time"
+
+    def shown(self, values: FloatArray) -> Shown:
+        """The delay of the torque: below zero where the motion is late."""
+        return {"delay": (-float(values[1]) if self.early else float(values[1]), "s")}
+
     def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
         """Shifted, interpolated between samples."""
-        whole, part = int(samples), samples - int(samples)
-        padded = np.concatenate([np.repeat(torque[:1], whole + 1, axis=0), torque])
-        shifted = padded[: len(torque) + 1]
-        return np.asarray((1 - part) * shifted[1:] + part * shifted[:-1])
+        if self.early:
+            return _shifted(torque[::-1], samples)[::-1]
+        return _shifted(torque, samples)
+
+
+def _shifted(torque: np.ndarray, samples: float) -> np.ndarray:
+    """(N, k) as it was so many samples before; its first value before the first."""
+    whole, part = int(samples), samples - int(samples)
+    padded = np.concatenate([np.repeat(torque[:1], whole + 1, axis=0), torque])
+    kept = padded[: len(torque) + 1]
+    return np.asarray((1 - part) * kept[1:] + part * kept[:-1])
 
 
 @dataclass(frozen=True)

@@ -230,7 +230,7 @@ def _saturation(found: _Found) -> Values:
 def _delay(found: _Found) -> Values:
     if set(found.joints) != set(found.plant.joints):
         raise found.refused("only a delay of all joints alike is")
-    return {"delay": found.share * found["delay"]}
+    return {"delay": found.share * found["delay"], "law": "early" if found.place.get("early") else "usual"}
 
 
 def _lag(found: _Found) -> Values:
