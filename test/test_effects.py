@@ -296,6 +296,17 @@ def test_a_low_pass_takes_amplitude_and_turns_phase(rate, lag, frequency):
     assert np.angle(found) == pytest.approx(np.angle(want), rel=2e-3)
 
 
+@pytest.mark.parametrize("kind", ["time_delay", "filter_lag"])
+def test_what_a_fit_knows_better_is_what_is_late(kind):
+    level, bump = np.full((1000, 3), 7.0), np.exp(-(((np.arange(1000) - 500) / 20) ** 2))[:, None] * np.ones(3)
+    told, known = Background.known(level), Background.known(level + bump)
+    told.with_whole(level + bump)
+    effect = one(kind, ARM, joint="elbow")
+    made, want = (torque(effect, W, [1.0], [0.004], background) for background in (told, known))
+    np.testing.assert_allclose(made, want, atol=1e-12)
+    assert np.abs(want).max() > 0.02
+
+
 def test_a_constant_torque_is_never_late():
     level = Background.known(np.full((1000, 3), 7.0))
     for kind in ("time_delay", "filter_lag"):

@@ -279,7 +279,9 @@ def test_a_hinge_that_bends_is_the_arm_with_that_joint(kind):
 def test_a_mount_as_soft_all_round_rocks_about_either_axis_as_it_would_about_that_alone():
     moved = wave(ARM.joint_names)
     background, values = background_of(ARM, moved), (4000.0, 0.05)
-    both, *each_way = (one("base_flexibility", ARM, **place) for place in ({}, {"axis": [1, 0, 0]}, {"axis": [0, 1, 0]}))
+    both, *each_way = (
+        one("base_flexibility", ARM, **place) for place in ({}, {"axis": [1, 0, 0]}, {"axis": [0, 1, 0]})
+    )
     alone = [torque(effect, moved, [1.0], values, background) for effect in each_way]
     assert min(np.abs(made).max() for made in alone) > 1e-3
     np.testing.assert_allclose(torque(both, moved, [1.0], values, background), sum(alone), atol=1e-12)

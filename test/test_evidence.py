@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from changed_arm import ARM, HEALTHY, ripple, run
+from changed_arm import ARM, HEALTHY, LAWS, ripple, run
+from planted_arm import two_link_run
 from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.effects import EFFECTS
@@ -254,6 +255,26 @@ def test_a_healthy_arm_leaves_white_noise_of_variance_one(prepared):
     residual = healthy.evidence.residual
     assert np.mean(residual**2) == pytest.approx(1.0, abs=0.35)
     assert np.mean(prepared.evidence.residual**2) > 10.0
+
+
+def dip(planted):
+    """Less friction below some 0.08 rad/s, which no term of the base model is."""
+    return np.outer(-np.sign(planted.qd[:, 0]) * np.exp(-((planted.qd[:, 0] / 0.08) ** 2)), [2.0, 0.0])
+
+
+def test_how_friction_runs_through_a_reversal_is_told_to_the_field_by_the_reference():
+    evidence = prepare_evidence(ARM, [run(1, dip)], [run(2)], [run(3)]).evidence
+    (motion,), (background,) = evidence.field.motions, evidence.field.backgrounds
+    np.testing.assert_array_equal(background.whole, background.torque)
+    evidence.believe_reversals([evidence.field])
+    planted = two_link_run(LAWS, seconds=16.0, rate_hz=250.0, seed=2, speed=1.0)
+    true, speed = planted.torque + dip(planted), np.abs(planted.qd[:, 0])
+    cut = (len(true) - len(motion.velocity)) // 2
+    true, speed = true[cut:-cut, 0], speed[cut:-cut]
+    for rows in ((speed > 0.03) & (speed < 0.06), speed > 0.4):
+        assert rows.sum() > 50
+        plain, told = (np.std((torque[:, 0] - true)[rows]) for torque in (background.torque, background.whole))
+        assert told < 0.03 < plain
 
 
 def test_freedom_costs():

@@ -51,6 +51,15 @@ class Background:
         return self._torque()
 
     @property
+    def whole(self) -> FloatArray:
+        """(N, n) `torque`, or as a later fit has it, with what that found beside the model, N·m."""
+        return np.asarray(self.keep("whole", lambda: self.torque))
+
+    def with_whole(self, torque: FloatArray) -> None:
+        """Take it (N, n) to be this, from a fit that knows it better."""
+        self.kept["whole"] = torque
+
+    @property
     def high_orders(self) -> FloatArray:
         """(N, n) torque of the friction terms of second and third order, whichever form they have, N·m."""
         return np.asarray(self.keep("high_orders", self._high_orders))

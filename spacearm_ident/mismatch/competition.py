@@ -88,6 +88,7 @@ class Competition:
         self.gate = gate
         self._healthy: Evidence | None = None
         self.accepted: list[Candidate] = []
+        evidence.believe_reversals([evidence.field, *([unseen.scene] if unseen else [])])
         if evidence.reference is not None:
             thin, _ = evidence.in_thin_air
             for scene in [evidence.field, *([unseen.scene] if unseen else [])]:

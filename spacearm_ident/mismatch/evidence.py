@@ -16,13 +16,14 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect, direction
 from ..dynamics.friction import bristle_state
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Columns, Values
 from ..identification.prior import make_prior
 from ..recording.motion import Motion
-from .scene import Scene
+from .scene import Scene, quiet
 
 SHARP_DISTANCE = 2e-4
 SHARP_SPEEDS = (2e-3, 8e-3, 0.025, 0.08)
@@ -152,6 +153,24 @@ class Evidence:
         inside = np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ slope
         whole[own] = solve_triangular(self._triangle, inside)[: len(own)]
         return whole, self._squares - float(slope @ inside)
+
+    def believe_reversals(self, scenes: Sequence[Scene]) -> None:
+        """Tell scenes the torque of the healthy arm as it is fitted here, nuisance included, for what delays it.
+
+        From the reference, where there is one: a late torque turns round late, whatever friction does there.
+        """
+        alone = self if self.reference is None else Evidence(self.base, self.reference, None)
+        model, fitted = self.base.model, alone.base_parameters([], np.zeros(0))
+        count = len(model.parameters)
+        held = np.array([parameter.scale == 0.0 for parameter in model.parameters])
+        parameters = np.where(held, self.base.parameters, fitted[:count])
+        nuisance = fitted[count : count + self.nuisance].reshape(-1, NUISANCE)
+        healthy = tuple(kind for kind in model.structure if kind not in EFFECTS)
+        for scene in scenes:
+            for motion, background in zip(scene.motions, scene.backgrounds):
+                sharp = [_sharpness(motion)[row][1] @ own for row, own in enumerate(nuisance)]
+                torque = model.torque(quiet(motion), parameters, self.base.constants, healthy)
+                background.with_whole(torque + np.stack(sharp, axis=1))
 
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect in the field; its columns may be known from elsewhere."""

@@ -130,7 +130,7 @@ class _Late(Effect):
         rows = [motion.joints.index(joint) for joint in self.joints]
         if background is None:
             return nothing(motion, rows, 1)
-        torque = background.torque[:, rows]
+        torque = background.whole[:, rows]
         change = self.late(torque, constants[0] * motion.rate_hz) - torque
         return each({row: change[:, [k]] for k, row in enumerate(rows)})
 
