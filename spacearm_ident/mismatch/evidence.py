@@ -168,7 +168,7 @@ class Evidence:
         healthy = tuple(kind for kind in model.structure if kind not in EFFECTS)
         for scene in scenes:
             for motion, background in zip(scene.motions, scene.backgrounds):
-                sharp = [_sharpness(motion)[row][1] @ own for row, own in enumerate(nuisance)]
+                sharp = [made @ own for (_, made), own in zip(_sharpness(motion).values(), nuisance)]
                 torque = model.torque(quiet(motion), parameters, self.base.constants, healthy)
                 background.with_whole(torque + np.stack(sharp, axis=1))
 
