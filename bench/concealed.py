@@ -1,7 +1,7 @@
 """A blind trial of `spacearm mismatch` on simulated arms with concealed physics.
 
     python bench/concealed.py draw --seed 7 --out DIR [--effect torque_ripple] [--multiple 5]
-    python bench/concealed.py run --trials 200 --out DIR [--jobs 2] [--first 1] [--keep]
+    python bench/concealed.py run --trials 200 --out DIR [--jobs 2] [--first 1] [--keep] [--healthy]
     python bench/concealed.py score --out DIR
 
 `draw` writes one trial: DIR/bags (all the tool may see) and DIR/sealed/answer.json. `run` draws trial after trial,
@@ -30,6 +30,7 @@ from concealed_arm import FORMS
 from concealed_draw import ABSENT, KNOWN, MULTIPLES, NEEDS_WEIGHT, WEIGHTLESS_ONLY, draw_trial
 from concealed_score import load_trials, report
 
+HEALTHY: dict[str, Any] = {"kind": "healthy", "effects": None, "multiple": None}
 BLOCK = ("healthy",) * 4 + ("two",) * 3 + ("absent",) * 2 + ("one",) * 11
 LONGEST_S = 900.0
 
@@ -51,6 +52,7 @@ def main() -> int:
     run.add_argument("--jobs", type=int, default=2)
     run.add_argument("--seed", type=int, default=0, help="of the whole series")
     run.add_argument("--form", choices=FORMS, help="of all motions")
+    run.add_argument("--healthy", action="store_true", help="conceal nothing in any: how often is a false alarm?")
     run.add_argument("--keep", action="store_true", help="keep the bags of finished trials")
     run.add_argument("--draw-only", action="store_true", help="write trials, do not call the tool")
     score = commands.add_parser("score", help="open the answers")
@@ -79,7 +81,7 @@ def plan(series: int, number: int) -> dict[str, Any]:
     multiple = MULTIPLES[int(np.random.default_rng([series, block, 2]).permutation(len(BLOCK))[turn]) % len(MULTIPLES)]
     before = sum(name == kind for name in BLOCK[:turn]) + block * BLOCK.count(kind)
     if kind == "healthy":
-        return {"kind": kind, "effects": None, "multiple": None}
+        return HEALTHY
     if kind == "two":
         rng = np.random.default_rng([series, block, turn, 3])
         while True:
@@ -99,10 +101,7 @@ def run_trials(options: argparse.Namespace) -> None:
     todo = [n for n in numbers if n not in finished]
     print(f"{len(finished)} trials finished, {len(todo)} to do", flush=True)
     with ProcessPoolExecutor(options.jobs) as pool:
-        jobs = [
-            pool.submit(one_trial, options.out, n, options.seed, options.form, options.keep, options.draw_only)
-            for n in todo
-        ]
+        jobs = [pool.submit(one_trial, options, n) for n in todo]
         for done, job in enumerate(as_completed(jobs), start=1):
             print(f"[{done}/{len(todo)}] {job.result()}", flush=True)
 
@@ -117,19 +116,20 @@ def went_well(place: Path) -> bool:
     return note.exists() and json.loads(note.read_text(encoding="utf-8"))["exit"] in (0, 1)
 
 
-def one_trial(out: Path, number: int, series: int, form: str | None, keep: bool, draw_only: bool) -> str:
-    place, sealed = folder(out, number), out / "sealed" / f"{number:04}"
+def one_trial(options: argparse.Namespace, number: int) -> str:
+    place, sealed = folder(options.out, number), options.out / "sealed" / f"{number:04}"
     bags = place / "bags"
     begin = time.perf_counter()
     if not (sealed / "answer.json").exists() or not (bags / "field_validation.mcap").exists():
-        draw_trial(series * 100_000 + number, bags, sealed, form=form, **plan(series, number))
+        concealed = HEALTHY if options.healthy else plan(options.seed, number)
+        draw_trial(options.seed * 100_000 + number, bags, sealed, form=options.form, **concealed)
     drawn = time.perf_counter() - begin
-    if draw_only:
+    if options.draw_only:
         return f"trial {number}: drawn in {drawn:.0f} s"
     seconds, code, error = call_tool(bags, place / "result")
     note = {"seconds": seconds, "exit": code, "error": error}
     (place / "finished.json").write_text(json.dumps(note), encoding="utf-8")
-    if not keep and went_well(place):
+    if not options.keep and went_well(place):
         shutil.rmtree(bags)
     return f"trial {number}: drawn in {drawn:.0f} s, tool {seconds:.0f} s, exit {code} {error}"
 

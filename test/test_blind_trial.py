@@ -1,5 +1,6 @@
 """The blind trial of concealed physics: its plan, its arms, its score."""
 
+import argparse
 import json
 import sys
 from pathlib import Path
@@ -29,6 +30,17 @@ def test_trials_come_in_the_shares_and_in_turn():
     assert {plan["multiple"] for plan in plans} == {None, 2.0, 5.0, 10.0}
     assert plans[:40] == [blind.plan(0, number) for number in range(1, 41)] != [blind.plan(1, n) for n in range(1, 41)]
     assert all(not EFFECTS[plan["effects"][0]].known for plan in plans if plan["kind"] == "absent")
+
+
+@pytest.mark.parametrize("healthy", [False, True])
+def test_a_series_of_healthy_arms_conceals_nothing_in_any(tmp_path, monkeypatch, healthy):
+    drawn = []
+    monkeypatch.setattr(blind, "draw_trial", lambda seed, *places, **concealed: drawn.append((seed, concealed["kind"])))
+    options = argparse.Namespace(out=tmp_path, seed=3, form=None, healthy=healthy, draw_only=True)
+    for number in range(1, 21):
+        blind.one_trial(options, number)
+    assert [seed for seed, _ in drawn] == list(range(300_001, 300_021))
+    assert sum(kind == "healthy" for _, kind in drawn) == (20 if healthy else 4)
 
 
 def test_a_drawn_arm_is_one_that_can_exist_and_comes_again_from_its_seed():
@@ -125,6 +137,13 @@ def test_the_score_counts_what_was_said(tmp_path):
     assert "payload.mass" in text and "12.500" in line("seconds a case")
     assert "payload                  payload 2, nothing 2, base_tilt 1" in text
     assert "   4 payload(usual) joint_6 x5.1: base_tilt joint_6" in text
+
+
+def test_a_score_of_healthy_arms_alone_is_their_rate_of_false_alarms(tmp_path):
+    for number in range(1, 5):
+        write_case(tmp_path, number, "healthy", [], [finding("stribeck")] if number == 3 else [])
+    text = concealed_score.report(concealed_score.load_trials(tmp_path))
+    assert "25.0 %  1 of 4" in text and "4 trials" in text
 
 
 def test_an_efficiency_is_compared_by_what_is_lost():

@@ -16,7 +16,7 @@ from spacearm_ident.mismatch.finding import Alternative
 from spacearm_ident.mismatch.judgement import contradicted, doubted, shows
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
-from spacearm_ident.mismatch.scored import Scored, shadow, simplest
+from spacearm_ident.mismatch.scored import Scored, shadow, simplest, sleeps
 
 
 @pytest.mark.parametrize(
@@ -50,11 +50,20 @@ def test_a_name_by_itself_must_explain_more_than_one_of_several(rippled, explain
     assert shows(0, [finding, other], {"shoulder": 0.1, "elbow": 0.1}) == good
 
 
-@pytest.mark.parametrize("gain, good", [(5000.0, True), (115.0, False)])
-def test_what_the_unseen_data_do_not_show_must_be_sure_in_the_field(rippled, gain, good):
+@pytest.mark.parametrize("gain, asleep, good", [(5000.0, True, True), (115.0, True, False), (5000.0, False, False)])
+def test_what_the_unseen_data_do_not_show_must_be_sure_in_the_field_and_asleep_there(rippled, gain, asleep, good):
     (finding,) = rippled.findings
-    asleep = replace(finding, gain=gain, unseen_gain=0.05 * gain, explained=0.2)
-    assert shows(0, [asleep], {"shoulder": 0.1, "elbow": 0.1}) == good
+    quiet = replace(finding, gain=gain, unseen_gain=0.05 * gain, explained=0.2, asleep=asleep)
+    assert shows(0, [quiet], {"shoulder": 0.1, "elbow": 0.1}) == good
+
+
+@pytest.mark.parametrize(
+    ("loud", "drop", "foretold", "asleep"),
+    [(4.0, 20.0, 20.0, True), (4.0, -1.0, 1.0, True), (4.0, 100.0, 300.0, False), (4.0, 0.0, 100.0, False),
+     (0.3, 20.0, 20.0, False)],
+)  # fmt: skip
+def test_only_what_its_own_law_says_is_asleep_and_the_field_shows_plainly_is(loud, drop, foretold, asleep):
+    assert sleeps(1.0, loud, drop, foretold, 1000) == asleep
 
 
 def test_what_was_below_the_noise_needs_no_explanation(rippled):
@@ -139,7 +148,7 @@ def test_what_shows_in_one_moment_alone_is_no_lasting_effect(extra, lasts):
     scored = competition._scored(
         prepared.evidence.candidate(EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"}), [20.0]),
         prepared.evidence.refit([]),
-        competition._unseen_squares([], np.zeros(0)),
+        competition._on_unseen([], np.zeros(0)),
     )
     assert scored.score > GATE
     assert competition._lasts(scored) == lasts

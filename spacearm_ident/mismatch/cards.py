@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from .competition import Outcome
+from .competition import FELT, Outcome
 from .evidence import Evidence, Stacked, stacked_effect
 from .finding import Alternative, Finding, Quantity
 from .residuals import Residuals
@@ -55,6 +55,7 @@ class Cards:
             alternatives=tuple(_alternative(winner, other) for other in rivals[:MOST]),
             gain=winner.gain,
             unseen_gain=winner.unseen,
+            asleep=winner.asleep,
             visibility=self._visibility(number),
             before_Nm=before,
             after_Nm=after,
@@ -122,7 +123,7 @@ class Cards:
         joint = self.evidence.field.joint[candidate.stacked.rows]
         energy = np.array([np.sum(torque[joint == j] ** 2) for j in range(len(self.floor))])
         strongest = np.argsort(-energy)
-        return [int(j) for j in strongest if energy[j] > 0.05 * energy.max()]
+        return [int(j) for j in strongest if energy[j] > FELT * energy.max()]
 
     def _quantities(self, number: int, values: FloatArray) -> dict[str, Quantity]:
         """What the effect shows of its values, with intervals from their covariance."""

@@ -20,7 +20,7 @@ from ..dynamics.effects.effect import Effect
 from .constants import grid_points, is_event, polish, refine, search
 from .evidence import Candidate, Evidence, Refit, Unseen
 from .rivals import UNKNOWN, Rival, rivals
-from .scored import Scored, penalty, plausible, shadow, simplest, throughout
+from .scored import Scored, penalty, plausible, shadow, simplest, sleeps, throughout
 
 GATE = 60.0
 """Score an effect must have. The largest on healthy arms is what sets it (bench/concealed.py)."""
@@ -37,11 +37,13 @@ MINOR_UNKNOWN = 0.05
 """The same for a dependence without a name, which has the freedom to follow any such difference."""
 SEEN_AGAIN = 0.1
 """Share of its drop on the fitted rows that an effect must show, row for row, on unseen ones. A large named one may
-be asleep there (another motion need not excite it); then it only must do no harm."""
+be asleep there (`scored.sleeps`)."""
 CLEARS_UP = 0.5
 """What an effect that is asleep in the unseen data must explain of its joints' residual in the field."""
 NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
+FELT = 0.05
+"""A joint feels an effect that adds this share of the energy there that it does at the joint that feels it most."""
 LASTS = 0.5
 """An effect must score this share of the gate without its best moments: what shows in one alone is an accident."""
 MOST = 8
@@ -163,11 +165,11 @@ class Competition:
         if named[0].gain + named[0].unseen >= enough:
             return named[0]
         before = self.evidence.refit(self.accepted)
-        unseen_before = self._unseen_squares(self.accepted, before.values)
+        unseen_before = _squares(self._on_unseen(self.accepted, before.values))
         for one, other in combinations([s for s in named if s.candidate.effect.joints == generic.joints][:6], 2):
             both = [*self.accepted, one.candidate, other.candidate]
             together = self.evidence.refit(both)
-            gain = together.gain - before.gain + unseen_before - self._unseen_squares(both, together.values)
+            gain = together.gain - before.gain + unseen_before - _squares(self._on_unseen(both, together.values))
             if gain > NAMED_PAIR * (generic.gain + generic.unseen):
                 return one
         return generic
@@ -184,14 +186,14 @@ class Competition:
             return False
         values = self._values_of(scored)
         mine = self._energy([scored.candidate], values)
-        felt = mine > 0.05 * mine.max()
+        felt = mine > FELT * mine.max()
         share = scored.gain / max(float(self._excess()[felt].sum()), 1e-9)
         if scored.named and share < NAMES_ENOUGH:
             return False
         lasting = not is_event(scored.candidate.effect)
         if self.unseen is not None and lasting:
             again = scored.unseen / len(self.unseen.scene) / (scored.gain / self.evidence.rows)
-            asleep = scored.named and share > CLEARS_UP and again >= 0.0
+            asleep = scored.named and share > CLEARS_UP and scored.asleep
             if again < SEEN_AGAIN and not asleep:
                 return False
         if not self.accepted:
@@ -287,7 +289,7 @@ class Competition:
     def _ranked(self) -> list[Scored]:
         """The best of every effect at every place, best first."""
         beside = self.evidence.refit(self.accepted)
-        unseen_before = self._unseen_squares(self.accepted, beside.values)
+        unseen_before = self._on_unseen(self.accepted, beside.values)
         rough: list[tuple[float, int, Candidate]] = []
         for effect in self._pool:
             best = max((self._gain(c, beside), k) for k, c in enumerate(self._grid(effect)))
@@ -323,20 +325,29 @@ class Competition:
         candidate = search(polish, scored.candidate, self.evidence, lambda trial: self._gain(trial, beside))
         if candidate is scored.candidate:
             return scored
-        return self._scored(candidate, beside, self._unseen_squares(self.accepted, beside.values))
+        return self._scored(candidate, beside, self._on_unseen(self.accepted, beside.values))
 
-    def _scored(self, candidate: Candidate, beside: Refit, unseen_before: float) -> Scored:
+    def _scored(self, candidate: Candidate, beside: Refit, unseen_before: FloatArray) -> Scored:
         together = self.evidence.refit([*self.accepted, candidate])
         gain = together.gain - beside.gain
-        unseen = unseen_before - self._unseen_squares([*self.accepted, candidate], together.values)
+        unseen_after = self._on_unseen([*self.accepted, candidate], together.values)
+        unseen = _squares(unseen_before) - _squares(unseen_after)
         values = together.values[len(beside.values) :]
         score = gain + unseen - penalty(candidate.effect, self.evidence.rows)
-        return Scored(candidate, gain, unseen, score, plausible(candidate, values))
+        foretold, count = _squares(unseen_before - unseen_after), len(unseen_after)
+        asleep = sleeps(gain / self.evidence.rows, gain / self._rows_of(candidate, values), unseen, foretold, count)
+        return Scored(candidate, gain, unseen, score, plausible(candidate, values), asleep)
 
-    def _unseen_squares(self, candidates: Sequence[Candidate], values: FloatArray) -> float:
-        if self.unseen is None:
-            return 0.0
-        return float(np.sum(self.unseen.residual(candidates, values) ** 2))
+    def _rows_of(self, candidate: Candidate, values: FloatArray) -> int:
+        """How many rows of the field feel an effect, at the joints that feel it most."""
+        energy = self._energy([candidate], values)
+        joint = self.evidence.field.joint[candidate.stacked.rows]
+        acts = np.any(candidate.stacked.columns != 0.0, axis=1)
+        return max(int(np.sum(acts & (energy > FELT * energy.max())[joint])), 1)
+
+    def _on_unseen(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
+        """(V,) whitened residual of the unseen rows with these effects; empty where there are none."""
+        return np.zeros(0) if self.unseen is None else self.unseen.residual(candidates, values)
 
     def _without_the_idle(self, rounds: list[Round]) -> list[Round]:
         """Drop what later effects have made idle."""
@@ -348,3 +359,7 @@ class Competition:
                 self.accepted = others
                 return self._without_the_idle([r for number, r in enumerate(rounds) if number != k])
         return rounds
+
+
+def _squares(residual: FloatArray) -> float:
+    return float(residual @ residual)

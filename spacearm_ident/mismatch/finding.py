@@ -60,6 +60,7 @@ class Finding:
         beside_Nm: By joint, `after_Nm` less what swings near the effect's own resonance: an encoder's noise makes a
             link ring there, in the model alone.
         against: What its own values say against its name, in words that follow "whose".
+        asleep: Whether the unseen data need not show it, by its own law.
     """
 
     effect: str
@@ -78,6 +79,7 @@ class Finding:
     explained: float
     beside_Nm: dict[str, float] = field(default_factory=dict)
     against: str = ""
+    asleep: bool = False
 
 
 def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:

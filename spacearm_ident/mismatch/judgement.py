@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ..dynamics.effects.body import ExternalContact
 from ..dynamics.effects.effect import Effect
-from .competition import GATE, SEEN_AGAIN
+from .competition import GATE
 from .finding import Alternative, Finding
 from .rivals import UNKNOWN
 
@@ -46,7 +46,7 @@ def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) 
     finding, first = findings[number], number == 0
     if finding.effect == ExternalContact.kind:
         return True
-    if first and finding.unseen_gain < SEEN_AGAIN * finding.gain and finding.gain > SURE * GATE:
+    if first and finding.asleep and finding.gain > SURE * GATE:
         return True
     # What is below the noise to begin with needs no explanation.
     matters = any(

@@ -18,6 +18,9 @@ SHADOW = 1.15
 TEMPER, TEMPER_SHARE = 10.0, 0.01
 """Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
 difference of one in the exponent is this much, and this share of the score, together."""
+ASLEEP, HALF, PLAIN = 0.2, 0.5, 1.0
+"""What is asleep in unseen rows should change them by less than this share of what it does in the field, does show half
+of that or nearly, and is as large in the field as the noise: another motion need not excite it."""
 PARTS, BEST = 12, 2
 """Of so many equal parts of the time, the best of an effect that are not counted where it is asked whether it lasts."""
 
@@ -32,6 +35,7 @@ class Scored:
         unseen: Drop on the recordings not fitted (0 where there are none).
         score: Both, less the penalty.
         plausible: Whether its values are such as this physics has.
+        asleep: Whether the recordings not fitted need not show it.
     """
 
     candidate: Candidate
@@ -39,6 +43,7 @@ class Scored:
     unseen: float
     score: float
     plausible: bool
+    asleep: bool = False
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -84,6 +89,21 @@ def plausible(candidate: Candidate, values: FloatArray) -> bool:
         if not parameter.lower <= value <= parameter.upper or not np.isfinite(value):
             return False
     return candidate.effect.plausible(values, candidate.constants)
+
+
+def sleeps(gain: float, loud: float, drop: float, foretold: float, rows: int) -> bool:
+    """Whether unseen rows need not show an effect: its own law says so, they agree, and in the field it is plain.
+
+    Args:
+        gain: Drop in chi-square a field row.
+        loud: The same, of those rows alone in which it acts.
+        drop: Drop in chi-square of all unseen rows.
+        foretold: What it would be, were the law right with these values: a change e of the whitened torque lowers
+            chi-square by e^2 then, give or take 2 |e|.
+        rows: How many unseen ones.
+    """
+    agrees = drop >= HALF * foretold - 2.0 * np.sqrt(foretold)
+    return bool(foretold < ASLEEP * gain * rows and agrees and loud > PLAIN)
 
 
 def throughout(scene: Scene, without: FloatArray, beside: FloatArray) -> float:
