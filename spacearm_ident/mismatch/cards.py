@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from .competition import FELT, Outcome
+from .competition import Outcome
 from .evidence import Evidence, Stacked, stacked_effect
 from .finding import Alternative, Finding, Quantity
 from .residuals import Residuals
 from .rivals import UNKNOWN
-from .scored import TEMPER, TEMPER_SHARE, Scored
+from .scored import TEMPER, TEMPER_SHARE, Scored, feels
 
 STEP = 1e-3
 """Relative step of a constant for its derivative."""
@@ -122,8 +122,8 @@ class Cards:
         torque = candidate.stacked.columns @ values
         joint = self.evidence.field.joint[candidate.stacked.rows]
         energy = np.array([np.sum(torque[joint == j] ** 2) for j in range(len(self.floor))])
-        strongest = np.argsort(-energy)
-        return [int(j) for j in strongest if energy[j] > FELT * energy.max()]
+        felt = feels(energy)
+        return [int(j) for j in np.argsort(-energy) if felt[j]]
 
     def _quantities(self, number: int, values: FloatArray) -> dict[str, Quantity]:
         """What the effect shows of its values, with intervals from their covariance."""

@@ -20,7 +20,7 @@ from ..dynamics.effects.effect import Effect
 from .constants import grid_points, is_event, polish, refine, search
 from .evidence import Candidate, Evidence, Refit, Unseen
 from .rivals import UNKNOWN, Rival, rivals
-from .scored import Scored, penalty, plausible, shadow, simplest, sleeps, throughout
+from .scored import Scored, feels, penalty, plausible, shadow, simplest, sleeps, throughout
 
 GATE = 60.0
 """Score an effect must have. The largest on healthy arms is what sets it (bench/concealed.py)."""
@@ -42,8 +42,6 @@ CLEARS_UP = 0.5
 """What an effect that is asleep in the unseen data must explain of its joints' residual in the field."""
 NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
-FELT = 0.05
-"""A joint feels an effect that adds this share of the energy there that it does at the joint that feels it most."""
 LASTS = 0.5
 """An effect must score this share of the gate without its best moments: what shows in one alone is an accident."""
 MOST = 8
@@ -88,12 +86,12 @@ class Competition:
         self.evidence = evidence
         self.unseen = unseen
         self.gate = gate
-        self._healthy: Evidence | None = None
         self.accepted: list[Candidate] = []
-        evidence.believe_reversals([evidence.field, *([unseen.scene] if unseen else [])])
+        scenes = [evidence.field, *([unseen.scene] if unseen else [])]
+        evidence.believe_reversals(scenes)
         if evidence.reference is not None:
             thin, _ = evidence.in_thin_air
-            for scene in [evidence.field, *([unseen.scene] if unseen else [])]:
+            for scene in scenes:
                 scene.believe_high_orders(thin)
         self._pool = list(self._candidates(excluded))
         self._grids: dict[int, list[Candidate]] = {}
@@ -186,7 +184,7 @@ class Competition:
             return False
         values = self._values_of(scored)
         mine = self._energy([scored.candidate], values)
-        felt = mine > FELT * mine.max()
+        felt = feels(mine)
         share = scored.gain / max(float(self._excess()[felt].sum()), 1e-9)
         if scored.named and share < NAMES_ENOUGH:
             return False
@@ -263,11 +261,9 @@ class Competition:
         reference = self.evidence.reference
         if reference is None:
             return False
-        if self._healthy is None:
-            self._healthy = Evidence(self.evidence.base, reference, None, self.evidence.common)
-        effect = winner.candidate.effect
-        alone = self._healthy.candidate(effect, winner.candidate.constants)
-        gain = self._healthy.refit([alone]).gain - penalty(effect, len(reference))
+        effect, healthy = winner.candidate.effect, self.evidence.healthy
+        alone = healthy.candidate(effect, winner.candidate.constants)
+        gain = healthy.refit([alone]).gain - penalty(effect, len(reference))
         return gain / len(reference) > SHARED * winner.gain / self.evidence.rows and gain > 0.5 * self.gate
 
     def _take_into_base(self, winner: Scored) -> None:
@@ -278,7 +274,6 @@ class Competition:
         self.evidence = Evidence(old.base, old.field, old.reference, shared)
         if self.unseen is not None:
             self.unseen = Unseen(self.evidence, self.unseen.scene)
-        self._healthy = None
         renew = self._renewed
         self.accepted = [renew(candidate) for candidate in self.accepted]
         self._grids = {key: [renew(c) for c in grid] for key, grid in self._grids.items()}
@@ -340,10 +335,9 @@ class Competition:
 
     def _rows_of(self, candidate: Candidate, values: FloatArray) -> int:
         """How many rows of the field feel an effect, at the joints that feel it most."""
-        energy = self._energy([candidate], values)
         joint = self.evidence.field.joint[candidate.stacked.rows]
         acts = np.any(candidate.stacked.columns != 0.0, axis=1)
-        return max(int(np.sum(acts & (energy > FELT * energy.max())[joint])), 1)
+        return max(int(np.sum(acts & feels(self._energy([candidate], values))[joint])), 1)
 
     def _on_unseen(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(V,) whitened residual of the unseen rows with these effects; empty where there are none."""

@@ -16,7 +16,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from ..dynamics.arm import FloatArray
-from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect, direction
 from ..dynamics.friction import bristle_state
 from ..dynamics.model import IdentifiedModel
@@ -134,6 +133,11 @@ class Evidence:
         self.residual = torque[: self.rows] - self._basis @ self._inside
 
     @cached_property
+    def healthy(self) -> Evidence:
+        """The reference alone, with what it shares with the field; where there is none, the field itself."""
+        return self if self.reference is None else Evidence(self.base, self.reference, None, self.common)
+
+    @cached_property
     def in_thin_air(self) -> tuple[FloatArray, float]:
         """Base parameters (p,), were there no friction of second and third order in the field, and the squares left.
 
@@ -159,18 +163,16 @@ class Evidence:
 
         From the reference, where there is one: a late torque turns round late, whatever friction does there.
         """
-        alone = self if self.reference is None else Evidence(self.base, self.reference, None)
-        model, fitted = self.base.model, alone.base_parameters([], np.zeros(0))
+        model, fitted = self.base.model, self.healthy.base_parameters([], np.zeros(0))
         count = len(model.parameters)
         held = np.array([parameter.scale == 0.0 for parameter in model.parameters])
         parameters = np.where(held, self.base.parameters, fitted[:count])
         nuisance = fitted[count : count + self.nuisance].reshape(-1, NUISANCE)
-        healthy = tuple(kind for kind in model.structure if kind not in EFFECTS)
         for scene in scenes:
             for motion, background in zip(scene.motions, scene.backgrounds):
                 sharp = [made @ own for (_, made), own in zip(_sharpness(motion).values(), nuisance)]
-                torque = model.torque(quiet(motion), parameters, self.base.constants, healthy)
-                background.with_whole(torque + np.stack(sharp, axis=1))
+                refit = model.background(quiet(motion), parameters, self.base.constants)
+                background.with_whole(refit.torque + np.stack(sharp, axis=1))
 
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect in the field; its columns may be known from elsewhere."""

@@ -156,7 +156,7 @@ def _healthy(evidence: Evidence, prepared: Prepared) -> tuple[FloatArray, FloatA
     noise = prepared.noise_floor_Nm
     if evidence.reference is None:
         return evidence.base_parameters([], np.zeros(0)), noise
-    alone = Evidence(evidence.base, evidence.reference, None, evidence.common)
+    alone = evidence.healthy
     parameters = alone.base_parameters([], np.zeros(0))
     if prepared.modelled:
         return parameters, noise

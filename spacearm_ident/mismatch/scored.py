@@ -18,6 +18,8 @@ SHADOW = 1.15
 TEMPER, TEMPER_SHARE = 10.0, 0.01
 """Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
 difference of one in the exponent is this much, and this share of the score, together."""
+FELT = 0.05
+"""A joint feels an effect that adds this share of the energy there that it does at the joint that feels it most."""
 ASLEEP, HALF, PLAIN = 0.2, 0.5, 1.0
 """What is asleep in unseen rows should change them by less than this share of what it does in the field, does show half
 of that or nearly, and is as large in the field as the noise: another motion need not excite it."""
@@ -89,6 +91,11 @@ def plausible(candidate: Candidate, values: FloatArray) -> bool:
         if not parameter.lower <= value <= parameter.upper or not np.isfinite(value):
             return False
     return candidate.effect.plausible(values, candidate.constants)
+
+
+def feels(energy: FloatArray) -> np.ndarray:
+    """(n,) whether a joint feels an effect of this energy (n,) by joint."""
+    return np.asarray(energy > FELT * energy.max())
 
 
 def sleeps(gain: float, loud: float, drop: float, foretold: float, rows: int) -> bool:

@@ -178,17 +178,9 @@ class TimeDelay(_Late):
 
     def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
         """Shifted, interpolated between samples."""
-        if self.early:
-            return _shifted(torque[::-1], samples)[::-1]
-        return _shifted(torque, samples)
-
-
-def _shifted(torque: np.ndarray, samples: float) -> np.ndarray:
-    """(N, k) as it was so many samples before; its first value before the first."""
-    whole, part = int(samples), samples - int(samples)
-    padded = np.concatenate([np.repeat(torque[:1], whole + 1, axis=0), torque])
-    kept = padded[: len(torque) + 1]
-    return np.asarray((1 - part) * kept[1:] + part * kept[:-1])
+        place = np.arange(len(torque))
+        wanted = place + samples if self.early else place - samples
+        return np.column_stack([np.interp(wanted, place, column) for column in torque.T])
 
 
 @dataclass(frozen=True)
