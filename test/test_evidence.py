@@ -19,6 +19,7 @@ from spacearm_ident.mismatch.rivals import Rival, rivals
 from spacearm_ident.mismatch.scene import (
     LARGEST_ROOT,
     NEAR,
+    SLOW,
     Scene,
     Whitener,
     coarse,
@@ -82,9 +83,25 @@ def test_noise_without_end_is_taken_for_noise_that_forgets(coefficients):
 
 
 def test_slow_rows_and_rows_after_a_reversal_count_for_less():
-    whitener = Whitener(np.zeros(0), 1.0, (16.0, 4.0, 1.0, 1.0, 1.0), (100.0, 1.0, 1.0, 1.0, 1.0))
+    loud = np.ones((len(SLOW) + 1, len(NEAR) + 1))
+    loud[0], loud[1], loud[:, 0] = 16.0, 4.0, 100.0
+    whitener = Whitener(np.zeros(0), 1.0, loud)
     speed, gone = np.array([0.001, -0.004, 0.01, 1.0, 0.001]), np.array([1.0, 1.0, 1.0, 1e-4, 1e-4])
-    np.testing.assert_allclose(whitener.weight(speed, gone), [0.25, 0.5, 1.0, 0.1, 0.025])
+    np.testing.assert_allclose(whitener.weight(speed, gone), [0.25, 0.5, 1.0, 0.1, 0.1])
+
+
+def test_creeping_far_from_a_reversal_counts_for_less_where_the_reference_shows_it():
+    """However much rows count for that are as slow beside a reversal; and slower still is no better known."""
+    base = prepare_evidence(ARM, [HEALTHY], [run(2)], []).base
+    (motion,), _ = prepare([HEALTHY], ARM.joint_names, 40.0, average=False)
+    scene = Scene(base, [coarse(motion, 20.0)], [Whitener(np.zeros(0), 1.0)] * 2)
+    creeping = (np.abs(scene.speed) < SLOW[-1]) & (scene.gone > NEAR[-1])
+    assert 5 < creeping[scene.joint == 1].sum() < 0.2 * (scene.joint == 1).sum()
+    noise = np.random.default_rng(3).standard_normal(len(scene))
+    found = louder(scene.whiteners[1], scene, np.where(creeping, 10.0, 1.0) * noise, 1)
+    assert found.loud[len(SLOW) - 1, -1] > 30.0
+    assert np.all(found.loud[: len(SLOW), :] >= found.loud[len(SLOW) - 1, -1])
+    assert np.all(found.loud[-1] < 3.0)
 
 
 def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
@@ -96,8 +113,8 @@ def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
     near = scene.gone < NEAR[-1]
     assert 20 < near[scene.joint == 1].sum() < 0.5 * (scene.joint == 1).sum()
     found = louder(scene.whiteners[1], scene, np.where(near, 10.0, 1.0) * rng.standard_normal(len(scene)), 1)
-    assert 50.0 < found.near[-1] <= found.near[0] < 400.0
-    assert max(found.loud) < 3.0
+    assert 50.0 < found.loud[-1, -2] <= found.loud[-1, 0] < 400.0
+    assert max(found.loud[:, -1]) < 3.0
 
 
 def test_travel_starts_anew_at_every_reversal():

@@ -7,7 +7,7 @@ joint by joint into one vector. After that all noise is white with variance one,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -95,14 +95,13 @@ class Whitener:
     Attributes:
         coefficients: (p,) a.
         sigma_Nm: Standard deviation of what drives it, N·m.
-        loud: (s,) how many times larger the variance is at the slow speeds of `SLOW`, at least 1 each.
-        near: (s,) the same as near a reversal as `NEAR` says; both multiply.
+        loud: (s + 1, d + 1) how many times larger the variance is at the speeds that `SLOW` divides, as near a reversal
+            as `NEAR` does: 1 at the last, and no less the slower and the nearer.
     """
 
     coefficients: FloatArray
     sigma_Nm: float
-    loud: tuple[float, ...] = (1.0,) * len(SLOW)
-    near: tuple[float, ...] = (1.0,) * len(NEAR)
+    loud: FloatArray = field(default_factory=lambda: np.ones((len(SLOW) + 1, len(NEAR) + 1)))
 
     @property
     def order(self) -> int:
@@ -143,8 +142,7 @@ class Whitener:
 
     def weight(self, speed: FloatArray, gone: FloatArray) -> FloatArray:
         """(M,) what rows at these speeds, rad/s, so far from a reversal, rad, count for."""
-        slow = np.array([*self.loud, 1.0])[np.searchsorted(SLOW, np.abs(speed))]
-        return np.asarray(1.0 / np.sqrt(slow * np.array([*self.near, 1.0])[np.searchsorted(NEAR, gone)]))
+        return np.asarray(1.0 / np.sqrt(self.loud[_cell(speed, gone)]))
 
 
 def stretch(sound: np.ndarray) -> np.ndarray:
@@ -306,22 +304,21 @@ def louder(whitener: Whitener, scene: Scene, residual: FloatArray, joint: int) -
     """The whitener with what slow rows and rows near a reversal count for, from the joint's residual (R,)."""
     mine = scene.joint == joint
     squares = (residual[mine] / scene.weight[mine]) ** 2
-    number = np.searchsorted(NEAR, scene.gone[mine])
-    near = _loudness(squares, number, len(NEAR))
-    squares = squares / np.array([*near, 1.0])[number]
-    return replace(
-        whitener, near=near, loud=_loudness(squares, np.searchsorted(SLOW, np.abs(scene.speed[mine])), len(SLOW))
-    )
+    slow, near = _cell(scene.speed[mine], scene.gone[mine])
+    total, count = np.zeros_like(whitener.loud), np.zeros_like(whitener.loud)
+    np.add.at(total, (slow, near), squares)
+    np.add.at(count, (slow, near), 1.0)
+    usual = total[-1, -1] / count[-1, -1] if count[-1, -1] else 1.0
+    loud = np.ones_like(total)
+    for row, column in reversed(list(np.ndindex(*total.shape))):
+        # The faster ones, and those farther from a reversal.
+        beyond = float(loud[row:, column:].max())
+        # A belief of one row as loud as those keeps a single row from deciding.
+        mean = float((total[row, column] / max(usual, 1e-12) + beyond) / (count[row, column] + 1.0))
+        loud[row, column] = max(beyond, mean)
+    return replace(whitener, loud=loud)
 
 
-def _loudness(squares: FloatArray, number: np.ndarray, bins: int) -> tuple[float, ...]:
-    """How many times larger than in the last bin the mean square is in those before; non-increasing, 1 at least."""
-    usual = float(np.mean(squares[number == bins])) if (number == bins).any() else 1.0
-    loud = [1.0] * bins
-    for k in reversed(range(bins)):
-        here = squares[number == k]
-        beyond = loud[k + 1] if k + 1 < bins else 1.0
-        # A belief of one row as loud as the next ones keeps a single row from deciding.
-        mean = (float(here.sum()) / max(usual, 1e-12) + beyond) / (len(here) + 1)
-        loud[k] = max(beyond, mean)
-    return tuple(loud)
+def _cell(speed: FloatArray, gone: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rows of these speeds, rad/s, so far from a reversal, rad, are among `SLOW` and `NEAR`: (M,) each."""
+    return np.searchsorted(SLOW, np.abs(speed)), np.searchsorted(NEAR, gone)

@@ -98,12 +98,7 @@ class LiveArm:
         self._noise = SensorNoise() if noise is None else noise
         tuning = ServoTuning(rate_hz=LOOP_HZ) if tuning is None else tuning
         limit = np.array([joint.effort_limit for joint in arm.joints])
-        drives = DriveData.plain(
-            n,
-            gear_ratio=[joint.gear_ratio for joint in arm.joints],
-            torque_constant=[joint.torque_constant for joint in arm.joints],
-            torque_limit=PEAK * limit,
-        )
+        drives = _drives(arm, PEAK * limit)
         thermal = ThermalParameters(drives.copper_loss, ambient=ambient)
         start = np.zeros(n) if position is None else np.array(position, dtype=float)
         self._plant = plant_of(parameters, start, thermal, law, hidden)
@@ -169,3 +164,13 @@ class LiveArm:
         self._coloured = keep * self._coloured + np.sqrt(1.0 - keep * keep) * drive
         error: FloatArray = self._scale * (noise.effort_white * white + noise.effort_coloured * self._coloured)
         return error
+
+
+def _drives(arm: Arm, torque_limit: FloatArray) -> DriveData:
+    """What servo and windings know of the drives; torque limits (n,) N·m on the output side."""
+    return DriveData.plain(
+        len(arm.joints),
+        gear_ratio=[joint.gear_ratio for joint in arm.joints],
+        torque_constant=[joint.torque_constant for joint in arm.joints],
+        torque_limit=torque_limit,
+    )

@@ -42,7 +42,7 @@ ALONG = 0.1
 STIFFNESS_GRID = tuple(float(k) for k in np.geomspace(400.0, 120e3, 20))
 MOUNT_GRID = tuple(5.0 * k for k in STIFFNESS_GRID)
 """A mount carries the whole arm."""
-GAP_GRID = tuple(float(b) for b in np.geomspace(2e-4, 0.02, 22))
+GAP_GRID = tuple(float(b) for b in np.geomspace(8e-5, 0.02, 26))
 """rad, dense: when the teeth meet again follows from how far apart they are."""
 CONTACT_GRID = (3e4, 1e5, 3e5)
 HORIZONTAL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
