@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.identification.prior import make_prior
 from spacearm_ident.mismatch.evidence import NUISANCE, base_columns, stacked_effect
-from spacearm_ident.mismatch.preparation import prepare_evidence
+from spacearm_ident.mismatch.preparation import banded, prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
 from spacearm_ident.mismatch.rivals import Rival, rivals
 from spacearm_ident.mismatch.scene import (
@@ -31,6 +31,7 @@ from spacearm_ident.mismatch.scene import (
     travel,
 )
 from spacearm_ident.mismatch.scored import BEST, PARTS, penalty, throughout
+from spacearm_ident.recording.recording import Recording
 from spacearm_ident.recording.signals import prepare
 
 # --- rows -----------------------------------------------------------------------------------------------------------
@@ -98,7 +99,7 @@ def test_creeping_far_from_a_reversal_counts_for_less_where_the_reference_shows_
     creeping = (np.abs(scene.speed) < SLOW[-1]) & (scene.gone > NEAR[-1])
     assert 5 < creeping[scene.joint == 1].sum() < 0.2 * (scene.joint == 1).sum()
     noise = np.random.default_rng(3).standard_normal(len(scene))
-    found = louder(scene.whiteners[1], scene, np.where(creeping, 10.0, 1.0) * noise, 1)
+    found = louder(scene.whiteners, scene, np.where(creeping, 10.0, 1.0) * noise)[1]
     assert found.loud[len(SLOW) - 1, -1] > 30.0
     assert np.all(found.loud[: len(SLOW), :] >= found.loud[len(SLOW) - 1, -1])
     assert np.all(found.loud[-1] < 3.0)
@@ -112,9 +113,22 @@ def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
     rng = np.random.default_rng(3)
     near = scene.gone < NEAR[-1]
     assert 20 < near[scene.joint == 1].sum() < 0.5 * (scene.joint == 1).sum()
-    found = louder(scene.whiteners[1], scene, np.where(near, 10.0, 1.0) * rng.standard_normal(len(scene)), 1)
+    found = louder(scene.whiteners, scene, np.where(near, 10.0, 1.0) * rng.standard_normal(len(scene)))[1]
     assert 50.0 < found.loud[-1, -2] <= found.loud[-1, 0] < 400.0
     assert max(found.loud[:, -1]) < 3.0
+
+
+def test_a_jolt_goes_through_the_same_low_passes_as_torque_and_as_acceleration():
+    """Of a unit inertia that shakes at 12 Hz, but for what the low-pass of positions takes of that."""
+    time = np.arange(8000) / 1000.0
+    turns = 2 * np.pi * np.array([0.5, 12.0])[:, None] * time
+    shaken = (np.array([0.5, 1e-3])[:, None] * np.sin(turns)).sum(axis=0)
+    effort = -(np.array([0.5 * np.pi**2, 1e-3 * (24 * np.pi) ** 2])[:, None] * np.sin(turns)).sum(axis=0)
+    recording = Recording(("only",), time, shaken[:, None], None, effort[:, None], (slice(0, len(time)),))
+    (motion,) = banded([recording], ("only",), 20.0, 80.0)
+    jolt = 1e-3 * (24 * np.pi) ** 2
+    assert np.abs(motion.torque_rows).max() > 4.0 + 0.4 * jolt
+    assert np.abs(motion.reduce(motion.acceleration) - motion.torque_rows).max() < 0.03 * jolt
 
 
 def test_travel_starts_anew_at_every_reversal():

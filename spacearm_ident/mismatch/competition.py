@@ -8,7 +8,7 @@ and so on until nothing scores above the gate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -121,7 +121,8 @@ class Competition:
             ranked = self._ranked()
             stands = [self._stands(scored) for scored in ranked]
             refused = [scored for scored, good in zip(ranked, stands) if not good]
-            winner = self._choose([s for s, good in zip(ranked, stands) if good and not shadow(s, refused)])
+            sound = [scored for scored, good in zip(ranked, stands) if good]
+            winner = self._choose([s for s in sound if not shadow(s, refused, self._acts_on(s))])
             if winner is None:
                 left = ranked[0] if ranked else None
                 left_values = self._values_of(left) if left else left_values
@@ -177,6 +178,13 @@ class Competition:
         count = len(scored.candidate.effect.parameters)
         values = self.evidence.refit([*self.accepted, scored.candidate]).values[-count:]
         return np.concatenate([values, scored.candidate.constants])
+
+    def _acts_on(self, scored: Scored) -> Set[str]:
+        """Names of the joints where an effect acts; of an event, of those that feel it."""
+        if not is_event(scored.candidate.effect):
+            return set(scored.joints)
+        felt = feels(self._energy([scored.candidate], self._values_of(scored)))
+        return {name for name, feeling in zip(self.evidence.base.model.arm.joint_names, felt) if feeling}
 
     def _stands(self, scored: Scored) -> bool:
         """Whether an effect explains enough, shows on unseen rows too, and is no crumb of a larger one beside it."""

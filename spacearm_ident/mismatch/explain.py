@@ -115,7 +115,9 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     rms_before, rms_after = residuals.rms(before), residuals.rms(after)
-    findings = findings or _unnamed(joints, rms_before, rms_after, floor)
+    if not findings:
+        lasting = np.minimum(residuals.rms_throughout(before), residuals.rms_throughout(after))
+        findings = _unnamed(joints, lasting, rms_before, rms_after, floor)
     words, effect, where = _next(findings)
     return Explanation(
         verdict=MISMATCH if findings else NO_MISMATCH,
@@ -170,13 +172,14 @@ def _words(scored: Scored) -> str:
     return f"{effect.words} ({effect.kind}) at {', '.join(effect.joints) or 'the base'}"
 
 
-def _unnamed(joints: Sequence[str], before: FloatArray, after: FloatArray, floor: FloatArray) -> tuple[Finding, ...]:
-    """Where nothing was found, and the residual is clearly more than noise all the same: something, without a name.
+def _unnamed(
+    joints: Sequence[str], lasting: FloatArray, before: FloatArray, after: FloatArray, floor: FloatArray
+) -> tuple[Finding, ...]:
+    """Where nothing was found, and what lasts is clearly more than noise all the same: something, without a name.
 
     Of the reference's model, and of that refitted with the field: the latter alone may fail on a motion of its own.
     """
-    least = np.minimum(before, after)
-    where = [k for k, rms in enumerate(least) if np.isfinite(rms) and rms**2 > UNNAMED * floor[k] ** 2]
+    where = [k for k, rms in enumerate(lasting) if np.isfinite(rms) and rms**2 > UNNAMED * floor[k] ** 2]
     if not where:
         return ()
     where.sort(key=lambda k: -after[k] / floor[k])

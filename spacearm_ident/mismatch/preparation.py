@@ -28,7 +28,8 @@ CUTOFF_HZ = 20.0
 WIDER = 4.0
 """Positions are filtered this many times as wide."""
 QUIET = 2.0
-"""Accelerations this many times: their noise grows with the square of the frequency, and leaks into the band."""
+"""A second low-pass of torque and columns: the noise of accelerations grows with the square of the frequency, and one
+lets some through. (Were it theirs alone, a tenth of what a neighbour's reversal does to a joint would be lost.)"""
 ORDER = 6
 """Of the noise's autoregressive model: it covers the length of the low-pass."""
 IN_FULL = 0.8
@@ -91,14 +92,8 @@ def prepare_evidence(
         base = known
     base = replace(base, cutoff_hz=cutoff)
 
-    def motions(recordings: Sequence[Recording]) -> list[Motion]:
-        if not recordings:
-            return []
-        wide = min(WIDER * cutoff, 0.35 * min(rates))
-        slow = [coarse(m, cutoff) for m in prepare(recordings, arm.joint_names, wide, average=False)[0]]
-        return [replace(m, acceleration=m.smoothed(m.acceleration, QUIET * cutoff)) for m in slow]
-
-    referred, examined, judged = motions(healthy), motions(field), motions(validation)
+    wide = min(WIDER * cutoff, 0.35 * min(rates))
+    referred, examined, judged = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field, validation))
     whiteners, plain = _whiteners(base, referred or examined)
     if known is not None:
         # A model pins itself down as a recording of the healthy arm on the same motion would.
@@ -116,6 +111,16 @@ def prepare_evidence(
             base, evidence = other, in_other_form
     unseen = Unseen(evidence, Scene(base, judged, whiteners)) if judged else None
     return Prepared(base, evidence, unseen, plain, _floor(whiteners), cutoff, known is not None)
+
+
+def banded(recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float, wide_hz: float) -> list[Motion]:
+    """Recordings as motions whose torque and columns go through the same low-passes; positions before, up to `wide_hz`.
+
+    Raises:
+        UnfitDataError: There are too few samples, or they do not last.
+    """
+    motions = prepare(recordings, joints, wide_hz, average=False)[0] if recordings else []
+    return [replace(coarse(motion, cutoff_hz), further_hz=(QUIET * cutoff_hz,)) for motion in motions]
 
 
 def _form_is_open(choices: Sequence[Choice]) -> bool:
@@ -147,8 +152,7 @@ def _louder(base: IdentifiedModel, motions: Sequence[Motion], whiteners: list[Wh
     """What rows count for, found by fitting the base with it again and again."""
     for _ in range(times):
         scene = Scene(base, motions, whiteners)
-        residual = Evidence(base, scene, None).residual
-        whiteners = [louder(whitener, scene, residual, j) for j, whitener in enumerate(whiteners)]
+        whiteners = louder(whiteners, scene, Evidence(base, scene, None).residual)
     return whiteners
 
 

@@ -15,6 +15,7 @@ from ..dynamics.arm import FloatArray
 from .evidence import Candidate, Evidence, base_columns, stacked_effect, without_effects
 from .finding import Trace
 from .scene import Scene, Whitener
+from .scored import BEST, PARTS
 
 HIGHEST = 0.45
 """Of the sampling rate: where a filter's band ends at the latest."""
@@ -53,6 +54,19 @@ class Residuals:
         joints = len(self.scene.whiteners)
         squares = np.bincount(self.scene.joint, self._information * residual**2, joints)
         information = np.bincount(self.scene.joint, self._information, joints)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(squares / information))
+
+    def rms_throughout(self, residual: FloatArray) -> FloatArray:
+        """The same without each joint's loudest parts of the time: what shows there alone is an accident."""
+        parts = self.scene.part(PARTS)
+        shape = len(self.scene.whiteners), PARTS
+        squares, information = np.zeros(shape), np.zeros(shape)
+        np.add.at(squares, (self.scene.joint, parts), self._information * residual**2)
+        np.add.at(information, (self.scene.joint, parts), self._information)
+        mean = np.divide(squares, information, out=np.zeros(shape), where=information > 0.0)
+        kept = np.argsort(mean, axis=1)[:, :-BEST]
+        squares, information = (np.take_along_axis(x, kept, axis=1).sum(axis=1) for x in (squares, information))
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(squares / information))
 

@@ -53,6 +53,8 @@ SLOW = (0.003, 0.006, 0.012, 0.025, 0.05)
 as the reference shows."""
 NEAR = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3)
 """rad since the last reversal. There friction builds up by no law known to the last N m: rows count for less too."""
+ALIKE = 4.0
+"""Rows that what all joints show together is worth: a joint may have none as slow or as near a reversal."""
 LARGEST_ROOT = 0.995
 """Of an autoregressive model: noise that remembers two hundred rows is a base model's error, and has no variance."""
 OUTLIER = 6.0
@@ -300,23 +302,28 @@ def stable(coefficients: FloatArray) -> FloatArray:
     return np.asarray(coefficients * shrink ** np.arange(1, len(coefficients) + 1))
 
 
-def louder(whitener: Whitener, scene: Scene, residual: FloatArray, joint: int) -> Whitener:
-    """The whitener with what slow rows and rows near a reversal count for, from the joint's residual (R,)."""
-    mine = scene.joint == joint
-    squares = (residual[mine] / scene.weight[mine]) ** 2
-    slow, near = _cell(scene.speed[mine], scene.gone[mine])
-    total, count = np.zeros_like(whitener.loud), np.zeros_like(whitener.loud)
-    np.add.at(total, (slow, near), squares)
-    np.add.at(count, (slow, near), 1.0)
-    usual = total[-1, -1] / count[-1, -1] if count[-1, -1] else 1.0
+def louder(whiteners: Sequence[Whitener], scene: Scene, residual: FloatArray) -> list[Whitener]:
+    """The whiteners with what slow rows and rows near a reversal count for, from the residual (R,) of all joints."""
+    shape = len(whiteners), len(SLOW) + 1, len(NEAR) + 1
+    total, count = np.zeros(shape), np.zeros(shape)
+    where = scene.joint, *_cell(scene.speed, scene.gone)
+    np.add.at(total, where, (residual / scene.weight) ** 2)
+    np.add.at(count, where, 1.0)
+    usual = total[:, -1, -1] / np.maximum(count[:, -1, -1], 1.0)
+    total /= np.where(usual > 0.0, usual, 1.0)[:, None, None]
+    together = _loudness(total.sum(axis=0), count.sum(axis=0), np.ones(shape[1:]))
+    own = (_loudness(total[j], count[j], together) for j in range(len(whiteners)))
+    return [replace(whitener, loud=loud) for whitener, loud in zip(whiteners, own)]
+
+
+def _loudness(total: FloatArray, count: FloatArray, likely: FloatArray) -> FloatArray:
+    """Mean squares by cell, no less the slower and the nearer a reversal; what is likely counts as `ALIKE` rows."""
     loud = np.ones_like(total)
     for row, column in reversed(list(np.ndindex(*total.shape))):
-        # The faster ones, and those farther from a reversal.
         beyond = float(loud[row:, column:].max())
-        # A belief of one row as loud as those keeps a single row from deciding.
-        mean = float((total[row, column] / max(usual, 1e-12) + beyond) / (count[row, column] + 1.0))
-        loud[row, column] = max(beyond, mean)
-    return replace(whitener, loud=loud)
+        prior = ALIKE * max(beyond, float(likely[row, column]))
+        loud[row, column] = max(beyond, float((total[row, column] + prior) / (count[row, column] + ALIKE)))
+    return loud
 
 
 def _cell(speed: FloatArray, gone: FloatArray) -> tuple[np.ndarray, np.ndarray]:

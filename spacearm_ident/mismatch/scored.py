@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,13 +58,13 @@ class Scored:
         return self.candidate.effect.kind != UNKNOWN
 
 
-def shadow(scored: Scored, refused: Sequence[Scored]) -> bool:
+def shadow(scored: Scored, refused: Sequence[Scored], joints: Set[str]) -> bool:
     """Whether a named effect only takes what another at its joints explains better, which itself does not stand."""
 
     def better(other: Scored) -> bool:
         return other.named and other.plausible and other.score > SHADOW * scored.score
 
-    return scored.named and any(better(other) and set(other.joints) & set(scored.joints) for other in refused)
+    return scored.named and any(better(other) and joints & set(other.joints) for other in refused)
 
 
 def simplest(ranked: Sequence[Scored]) -> Scored:
