@@ -341,6 +341,19 @@ def test_a_band_is_taken_out_of_a_residual_and_the_rest_stays(prepared):
     np.testing.assert_array_equal(residuals.without_band(swing, [None]), swing)
 
 
+def test_what_is_loud_in_a_moment_alone_is_not_loud_throughout(prepared):
+    residuals = Residuals(prepared.evidence, prepared.evidence.field, prepared.plain)
+    scene = residuals.scene
+    part, elbow = scene.part(PARTS), scene.joint == 1
+    even = np.where(elbow, 2.0, 1.0)
+    np.testing.assert_allclose(residuals.rms_throughout(even), [1.0, 2.0])
+    moment = even + 100.0 * (elbow & (part >= PARTS - BEST))
+    np.testing.assert_allclose(residuals.rms_throughout(moment), [1.0, 2.0])
+    assert residuals.rms(moment)[1] > 20.0
+    longer = even + 100.0 * (elbow & (part >= PARTS - BEST - 1))
+    assert residuals.rms_throughout(longer)[1] > 20.0
+
+
 def test_a_drop_is_counted_without_its_best_parts(prepared):
     scene = prepared.evidence.field
     part = scene.part(PARTS)

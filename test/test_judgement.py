@@ -80,9 +80,22 @@ def contender(kind, score, joint="elbow"):
 def test_what_another_explains_better_and_does_not_stand_is_no_finding():
     """An effect that fits by chance takes weaker ones at its joints along; those at other joints stay."""
     ripple, drift = contender("torque_ripple", 300.0), contender("friction_drift", 100.0)
-    assert shadow(drift, [ripple]) and not shadow(ripple, [drift])
-    assert not shadow(contender("friction_drift", 100.0, "shoulder"), [ripple])
-    assert not shadow(drift, [replace(ripple, plausible=False)])
+    assert shadow(drift, [ripple], {"elbow"}) and not shadow(ripple, [drift], {"elbow"})
+    assert not shadow(drift, [ripple], {"shoulder"})
+    assert not shadow(drift, [replace(ripple, plausible=False)], {"elbow"})
+
+
+def test_a_contact_acts_on_the_joints_that_feel_it():
+    """A push on the last link, whose own joint it hardly turns, if at all; what is no event acts where it is."""
+    prepared = prepare_evidence(ARM, [HEALTHY], [run(2)], [run(3)])
+    competition = Competition(prepared.evidence, prepared.unseen)
+
+    def acts_on(kind, constants):
+        candidate = prepared.evidence.candidate(EFFECTS[kind].at(ARM, {"joint": "elbow"}), constants)
+        return competition._acts_on(Scored(candidate, 0.0, 0.0, 0.0, plausible=True))
+
+    assert acts_on("external_contact", (5.0, 3.0)) >= {"shoulder"}
+    assert acts_on("torque_ripple", (20.0,)) == {"elbow"}
 
 
 def test_of_two_that_score_alike_the_one_with_less_freedom_is_taken():
