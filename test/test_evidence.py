@@ -118,7 +118,7 @@ def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
     assert max(found.loud[:, -1]) < 3.0
 
 
-def test_a_jolt_goes_through_the_same_low_passes_as_torque_and_as_acceleration():
+def test_a_jolt_goes_through_the_same_low_pass_as_torque_and_as_acceleration():
     """Of a unit inertia that shakes at 12 Hz, but for what the low-pass of positions takes of that."""
     time = np.arange(8000) / 1000.0
     turns = 2 * np.pi * np.array([0.5, 12.0])[:, None] * time

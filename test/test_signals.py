@@ -281,16 +281,6 @@ class TestReduction:
             passed = motion.reduce(np.sin(2 * np.pi * frequency * time))
             assert passed.std() * np.sqrt(2) == pytest.approx(gain, abs=0.02)
 
-    def test_low_passes_in_series_are_one_after_the_other(self):
-        rng = np.random.default_rng(5)
-        one = motion_of(np.ones(2000), cutoff=5.0, block=1, stride=1)
-        both = replace(one, further_hz=(12.0,))
-        signal = rng.standard_normal((2000, 2))
-        again = one.reduce(one.smoothed(signal, 12.0))
-        kept = np.isin(np.round(one.time, 9), np.round(both.time, 9))
-        assert kept.sum() == len(both.time) > 1900
-        np.testing.assert_allclose(both.reduce(signal), again[kept], atol=1e-12)
-
     def test_of_a_cycle_it_wraps_around(self):
         time = np.arange(1000) / 200.0
         motion = motion_of(np.ones(1000), periods=3, block=1, stride=5)

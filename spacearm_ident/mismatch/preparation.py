@@ -27,9 +27,6 @@ from .scene import Scene, Whitener, coarse, fit_whitener, louder
 CUTOFF_HZ = 20.0
 WIDER = 4.0
 """Positions are filtered this many times as wide."""
-QUIET = 2.0
-"""A second low-pass of torque and columns: the noise of accelerations grows with the square of the frequency, and one
-lets some through. (Were it theirs alone, a tenth of what a neighbour's reversal does to a joint would be lost.)"""
 ORDER = 6
 """Of the noise's autoregressive model: it covers the length of the low-pass."""
 IN_FULL = 0.8
@@ -114,13 +111,16 @@ def prepare_evidence(
 
 
 def banded(recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float, wide_hz: float) -> list[Motion]:
-    """Recordings as motions whose torque and columns go through the same low-passes; positions before, up to `wide_hz`.
+    """Recordings as motions: torque and columns are to go through one low-pass, positions before it up to `wide_hz`.
+
+    Accelerations go through no other. Their noise would be less; but so would the jolt that a neighbour's reversal
+    gives a joint, which the torque shows in full: by a tenth, or eleven standard deviations.
 
     Raises:
         UnfitDataError: There are too few samples, or they do not last.
     """
     motions = prepare(recordings, joints, wide_hz, average=False)[0] if recordings else []
-    return [replace(coarse(motion, cutoff_hz), further_hz=(QUIET * cutoff_hz,)) for motion in motions]
+    return [coarse(motion, cutoff_hz) for motion in motions]
 
 
 def _form_is_open(choices: Sequence[Choice]) -> bool:

@@ -46,7 +46,6 @@ class Motion:
         resolved_speed: (n,) speeds that the low-pass blurs a reversal over: acceleration over bandwidth, rad/s.
         block: Full-rate samples averaged into one row before filtering.
         cutoff_hz: Low-pass of `reduce`.
-        further_hz: Cut-offs of more of its kind after it.
         stride: Filtered blocks a row.
         periods: How many periods were averaged; 1 where nothing repeats.
         noise_Nm: (n,) standard deviation of a reduced torque row's pure error, from period-to-period scatter.
@@ -66,7 +65,6 @@ class Motion:
     resolved_speed: FloatArray
     block: int = 1
     cutoff_hz: float = 20.0
-    further_hz: tuple[float, ...] = ()
     stride: int = 1
     periods: int = 1
     noise_Nm: FloatArray | None = None
@@ -89,15 +87,13 @@ class Motion:
     @cached_property
     def _half_length(self) -> int:
         """Half the length of the low-pass, in blocks."""
-        return len(self._taps) // 2
+        return int(np.ceil(HALF_LENGTH / self.cutoff_hz * self.rate_hz / self.block))
 
     @cached_property
     def _taps(self) -> FloatArray:
         """Weights of the low-pass, by block."""
-        taps = np.ones(1)
-        for cutoff in (self.cutoff_hz, *self.further_hz):
-            taps = np.convolve(taps, _hann(cutoff, self.rate_hz / self.block))
-        return taps
+        taps = hann(2 * self._half_length + 3)[1:-1]
+        return np.asarray(taps / taps.sum())
 
     @cached_property
     def white_correlation(self) -> FloatArray:
@@ -137,8 +133,9 @@ class Motion:
 
     def smoothed(self, signal: FloatArray, cutoff_hz: float) -> FloatArray:
         """A full-rate signal (N, k) through a low-pass of the same kind, at full rate; it stays where it is."""
-        taps = _hann(cutoff_hz, self.rate_hz)
-        return np.asarray(convolve1d(signal, taps, axis=0, mode="wrap" if self.cyclic else "nearest"))
+        half = max(1, int(np.ceil(HALF_LENGTH / cutoff_hz * self.rate_hz)))
+        taps = hann(2 * half + 3)[1:-1]
+        return np.asarray(convolve1d(signal, taps / taps.sum(), axis=0, mode="wrap" if self.cyclic else "nearest"))
 
     def __getitem__(self, part: slice) -> Motion:
         """The full-rate samples of `part` (start and stop given, no step)."""
@@ -206,9 +203,3 @@ class Motion:
     def row_rate_hz(self) -> float:
         """Rate of the regression's rows."""
         return self.rate_hz / (self.block * self.stride)
-
-
-def _hann(cutoff_hz: float, rate_hz: float) -> FloatArray:
-    """Weights of a low-pass, which sum to one."""
-    taps = hann(2 * max(1, int(np.ceil(HALF_LENGTH / cutoff_hz * rate_hz))) + 3)[1:-1]
-    return np.asarray(taps / taps.sum())
