@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -116,6 +117,21 @@ def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
     found = louder(scene.whiteners, scene, np.where(near, 10.0, 1.0) * rng.standard_normal(len(scene)))[1]
     assert 50.0 < found.loud[-1, -2] <= found.loud[-1, 0] < 400.0
     assert max(found.loud[:, -1]) < 3.0
+
+
+def test_of_rows_a_joint_never_had_the_others_tell():
+    """The first joint never crept; the second did, ten times as loud. Where no joint is louder, none is."""
+    speed = np.concatenate([np.full(1000, 0.5), np.full(50, 0.01)])
+    residual = np.concatenate([np.random.default_rng(6).standard_normal(1000), np.full(50, 10.0)])
+    joint = np.repeat([0, 1, 1], [500, 500, 50])
+    scene = SimpleNamespace(joint=joint, speed=speed, gone=np.full(1050, 0.1), weight=np.ones(1050))
+    never, did = louder([Whitener(np.zeros(0), 1.0)] * 2, scene, residual)
+    creeping = int(np.searchsorted(SLOW, 0.01))
+    assert never.loud[creeping, -1] == pytest.approx(100.0, rel=0.2)
+    assert did.loud[creeping, -1] == pytest.approx(100.0, rel=0.2)
+    np.testing.assert_array_equal(never.loud[-1, -1], 1.0)
+    even = louder([Whitener(np.zeros(0), 1.0)] * 2, scene, np.where(np.arange(1050) < 1000, residual, 1.0))[0]
+    assert even.loud[creeping, -1] < 1.5
 
 
 def test_a_jolt_goes_through_the_same_low_pass_as_torque_and_as_acceleration():
