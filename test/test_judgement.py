@@ -81,7 +81,7 @@ def test_what_another_explains_better_and_does_not_stand_is_no_finding():
     """An effect that fits by chance takes weaker ones at its joints along; those at other joints stay."""
     ripple, drift = contender("torque_ripple", 300.0), contender("friction_drift", 100.0)
     assert shadow(drift, [ripple], {"elbow"}) and not shadow(ripple, [drift], {"elbow"})
-    assert not shadow(drift, [ripple], {"shoulder"})
+    assert not shadow(contender("friction_drift", 100.0, "shoulder"), [ripple], {"shoulder"})
     assert not shadow(drift, [replace(ripple, plausible=False)], {"elbow"})
 
 
