@@ -55,6 +55,15 @@ COMPARED: dict[str, tuple[str, Callable[[Entry, Entry], float]] | None] = {
 
 
 @dataclass(frozen=True)
+class Compared:
+    """A found parameter beside the true one: which, its relative error, and whether the truth is in its interval."""
+
+    key: str
+    error: float
+    inside: bool
+
+
+@dataclass(frozen=True)
 class Scored:
     """One trial: the answer and what the tool said."""
 
@@ -117,8 +126,8 @@ class Scored:
                     return True
         return False
 
-    def amplitude_error(self) -> tuple[str, float] | None:
-        """Compared parameter, and its relative error, where the first finding is right."""
+    def compared(self) -> Compared | None:
+        """The compared parameter as it was found and as it is, where the first finding is right."""
         effects = {effect["effect"]: effect for effect in self.answer["effects"]}
         parameters = self.findings[0].get("parameters") if self.findings else None
         if self.first not in effects or not parameters:
@@ -133,10 +142,10 @@ class Scored:
             true = effect["parameters"].get(key, effect["parameters"][effect["comparable"]])
         if key not in parameters:
             return None
-        value = parameters[key]["value"] if isinstance(parameters[key], dict) else parameters[key]
+        value, (low, high) = float(parameters[key]["value"]), parameters[key]["ci95"]
         healthy = 1.0 if effect["comparable"] in FROM_ONE else 0.0
-        size, true_size = abs(float(value) - healthy), abs(float(true) - healthy)
-        return f"{self.first}.{key}", abs(size / true_size - 1.0)
+        size, true_size = abs(value - healthy), abs(float(true) - healthy)
+        return Compared(f"{self.first}.{key}", abs(size / true_size - 1.0), abs(size - true_size) <= (high - low) / 2)
 
 
 def named(finding: Entry) -> set[str]:
@@ -211,18 +220,21 @@ def _singles(singles: list[Scored]) -> list[str]:
 def _quality(trials: list[Scored]) -> list[str]:
     right = [t for t in trials if t.right(False)]
     explained = [t.findings[0].get("validation", {}).get("explained_fraction") for t in right]
-    errors = [error for error in (t.amplitude_error() for t in right) if error is not None]
+    compared = [one for one in (t.compared() for t in right) if one is not None]
     lines = [
         _median("explained fraction on unseen data, right ones", [float(e) for e in explained if e is not None]),
-        _median("relative error of the compared parameter", [error for _, error in errors]),
+        _median("relative error of the compared parameter", [one.error for one in compared]),
+        share("truth in the 95 % interval of that parameter", (one.inside for one in compared)),
         _median("seconds a case", [t.seconds for t in trials]),
         f"{'longest':52} {max(t.seconds for t in trials):.1f}",
         "compared:",
     ]
-    by_key = defaultdict(list)
-    for key, error in errors:
-        by_key[key].append(error)
-    lines += [f"  {key:50} {np.median(e):.3f}  ({len(e)})" for key, e in sorted(by_key.items())]
+    by_key: dict[str, list[Compared]] = defaultdict(list)
+    for one in compared:
+        by_key[one.key].append(one)
+    for key, ones in sorted(by_key.items()):
+        error, inside = np.median([one.error for one in ones]), sum(one.inside for one in ones)
+        lines.append(f"  {key:50} {error:.3f}  ({len(ones)}, in the interval {inside})")
     return lines
 
 

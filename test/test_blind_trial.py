@@ -81,7 +81,7 @@ def hidden_effect(name="payload", joint="joint_6", **more):
 
 
 def finding(name="payload", joint="joint_6", value=0.55, **more):
-    parameters = {"mass": {"value": value, "unit": "kg", "ci95": [0, 1]}}
+    parameters = {"mass": {"value": value, "unit": "kg", "ci95": [value - 0.1, value + 0.1]}}
     base = {"effect": name, "joints": [joint], "parameters": parameters, "confidence": 0.9, "alternatives": []}
     return base | {"validation": {"explained_fraction": 0.95}} | more
 
@@ -134,7 +134,8 @@ def test_the_score_counts_what_was_said(tmp_path):
     assert "1 of 2" in line("two effects: both named, strict")
     assert "1 of 2" in line("absent effect: unknown or nothing")
     assert "0.950" in line("explained fraction")
-    assert "payload.mass" in text and "12.500" in line("seconds a case")
+    assert "  payload.mass" in text and "12.500" in line("seconds a case")
+    assert "3 of 4" in line("truth in the 95 % interval")
     assert "payload                  payload 2, nothing 2, base_tilt 1" in text
     assert "   4 payload(usual) joint_6 x5.1: base_tilt joint_6" in text
 
@@ -148,9 +149,9 @@ def test_a_score_of_healthy_arms_alone_is_their_rate_of_false_alarms(tmp_path):
 
 def test_an_efficiency_is_compared_by_what_is_lost():
     truth = hidden_effect("gear_efficiency", parameters={"efficiency": 0.9}, comparable="efficiency")
-    said = finding("gear_efficiency", parameters={"efficiency": {"value": 0.88}})
+    said = finding("gear_efficiency", parameters={"efficiency": {"value": 0.88, "ci95": [0.85, 0.91]}})
     scored = concealed_score.Scored(1, {"kind": "one", "effects": [truth]}, [said], False, 1.0)
-    assert scored.amplitude_error() == ("gear_efficiency.efficiency", pytest.approx(0.2))
+    assert scored.compared() == concealed_score.Compared("gear_efficiency.efficiency", pytest.approx(0.2), True)
 
 
 def test_wilsons_interval_is_printed():

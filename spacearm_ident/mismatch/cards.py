@@ -8,14 +8,13 @@ import numpy as np
 
 from ..dynamics.arm import FloatArray
 from .competition import Outcome
-from .evidence import Evidence, Stacked, stacked_effect
+from .evidence import Evidence
 from .finding import Alternative, Finding, Quantity
+from .intervals import STEP, Intervals
 from .residuals import Residuals
 from .rivals import UNKNOWN
 from .scored import TEMPER, TEMPER_SHARE, Scored, feels
 
-STEP = 1e-3
-"""Relative step of a constant for its derivative."""
 NEAR_RESONANCE = 1.2
 """A link with little damping answers the noise of an encoder, and any error of its inertia, this near its resonance."""
 NEAR = 0.25
@@ -34,7 +33,7 @@ class Cards:
         self.accepted = list(outcome.accepted)
         counts = [len(candidate.effect.parameters) for candidate in self.accepted]
         self._starts = np.concatenate([[0], np.cumsum(counts)]).astype(int)
-        self._spread = self._covariance()
+        self._intervals = Intervals(evidence, self.accepted, outcome.refit.values)
 
     def finding(self, number: int) -> Finding:
         """The card of one accepted effect."""
@@ -117,17 +116,14 @@ class Cards:
 
     def _felt_at(self, number: int) -> list[int]:
         """The rows in which an effect moves torque, the strongest first."""
-        candidate = self.accepted[number]
         values = self.outcome.refit.values[self._starts[number] : self._starts[number + 1]]
-        torque = candidate.stacked.columns @ values
-        joint = self.evidence.field.joint[candidate.stacked.rows]
-        energy = np.array([np.sum(torque[joint == j] ** 2) for j in range(len(self.floor))])
+        energy = self.evidence.field.by_joint(self.evidence.added([self.accepted[number]], values) ** 2)
         felt = feels(energy)
         return [int(j) for j in np.argsort(-energy) if felt[j]]
 
     def _quantities(self, number: int, values: FloatArray) -> dict[str, Quantity]:
         """What the effect shows of its values, with intervals from their covariance."""
-        effect, spread = self.accepted[number].effect, self._spread[number]
+        effect = self.accepted[number].effect
         if effect.kind == UNKNOWN:
             return {}
         shown = effect.shown(values)
@@ -139,46 +135,9 @@ class Cards:
                 moved = values.copy()
                 moved[k] += step
                 slope[k] = (effect.shown(moved)[name][0] - value) / step
-            half = 1.96 * float(np.sqrt(max(float(slope @ spread @ slope), 0.0)))
+            half = self._intervals.half_width(number, slope)
             quantities[name] = Quantity(value, unit, value - half, value + half)
         return quantities
-
-    def _covariance(self) -> list[FloatArray]:
-        """By effect, covariance of its parameters and constants, all effects and the base free together."""
-        stacked: list[Stacked] = []
-        free: list[bool] = []
-        for number, candidate in enumerate(self.accepted):
-            values = self._values(number)[: len(candidate.effect.parameters)]
-            held = candidate.held
-            for k in range(len(held)):
-                stacked.append(Stacked(candidate.stacked.rows, candidate.stacked.columns[:, [k]]))
-                free.append(not held[k])
-            for k, constant in enumerate(candidate.constants):
-                step = max(abs(constant) * STEP, 1e-9)
-                moved = [*candidate.constants[:k], constant + step, *candidate.constants[k + 1 :]]
-                there = stacked_effect(self.evidence.field, candidate.effect, moved)
-                change = (there.columns - candidate.stacked.columns) @ values / step
-                stacked.append(Stacked(candidate.stacked.rows, change[:, None]))
-                free.append(True)
-        if not stacked:
-            return []
-        covariance = _inverse(self.evidence.gram(stacked), np.array(free))
-        blocks, first = [], 0
-        for candidate in self.accepted:
-            count = len(candidate.held) + len(candidate.constants)
-            blocks.append(covariance[first : first + count, first : first + count])
-            first += count
-        return blocks
-
-
-def _inverse(gram: FloatArray, free: np.ndarray) -> FloatArray:
-    """Inverse of a Gram matrix, zero where not free."""
-    where = np.flatnonzero(free & (np.diag(gram) > 0))
-    unit = np.sqrt(np.diag(gram)[where])
-    inverse = np.linalg.pinv(gram[np.ix_(where, where)] / np.outer(unit, unit), rcond=1e-8, hermitian=True)
-    whole = np.zeros_like(gram)
-    whole[np.ix_(where, where)] = inverse / np.outer(unit, unit)
-    return whole
 
 
 def _others(winner: Scored, others: Sequence[Scored]) -> list[Scored]:

@@ -228,25 +228,16 @@ class Competition:
     def _excess(self) -> FloatArray:
         """(n,) chi-square of each joint's field rows above what noise would leave, beside what is accepted."""
         residual = self.evidence.residual_beside(self.accepted)
-        joint, count = self.evidence.field.joint, len(self.evidence.base.model.arm.joints)
-        squares = np.bincount(joint, weights=residual**2, minlength=count)
-        return np.asarray(np.maximum(squares - np.bincount(joint, minlength=count), 0.0))
+        return np.maximum(self.evidence.field.by_joint(residual**2 - 1.0), 0.0)
 
     def _energy(self, candidates: Sequence[Candidate], values: FloatArray, event: Scored | None = None) -> FloatArray:
         """(n,) sum of squares by joint of what effects add to the torque, in all rows or in those of an event."""
-        joint = self.evidence.field.joint
-        torque = np.zeros(len(joint))
-        first = 0
-        for candidate in candidates:
-            count = len(candidate.effect.parameters)
-            torque[candidate.stacked.rows] += candidate.stacked.columns @ values[first : first + count]
-            first += count
+        torque = self.evidence.added(candidates, values)
         if event is not None:
-            during = np.zeros(len(joint), dtype=bool)
+            during = np.zeros(len(torque), dtype=bool)
             during[event.candidate.stacked.rows] = np.any(event.candidate.stacked.columns != 0.0, axis=1)
             torque = np.where(during, torque, 0.0)
-        joints = len(self.evidence.base.model.arm.joints)
-        return np.asarray(np.bincount(joint, weights=torque**2, minlength=joints), dtype=float)
+        return self.evidence.field.by_joint(torque**2)
 
     def _renew_pool(self, effect: Effect) -> None:
         """What is accepted competes no more; a further one of its kind may."""

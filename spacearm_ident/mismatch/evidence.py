@@ -130,7 +130,7 @@ class Evidence:
         self._basis = basis[: self.rows]
         self._inside = basis.T @ torque
         self._squares = float(torque @ torque)
-        self.residual = torque[: self.rows] - self._basis @ self._inside
+        self.residual: FloatArray = torque[: self.rows] - self._basis @ self._inside
 
     @cached_property
     def healthy(self) -> Evidence:
@@ -183,16 +183,9 @@ class Evidence:
         slope = columns.T @ self.residual[rows]
         return Candidate(effect, tuple(float(c) for c in constants), stacked, inside, gram, slope)
 
-    def gram(self, stacked: Sequence[Stacked]) -> FloatArray:
-        """Inner products of some columns less what the base can take over of them."""
-        columns = np.concatenate([self._whole(one) for one in stacked], axis=1)
-        inside = self._basis.T @ columns
-        return np.asarray(columns.T @ columns - inside.T @ inside)
-
-    def _whole(self, stacked: Stacked) -> FloatArray:
-        whole = np.zeros((self.rows, stacked.columns.shape[1]))
-        whole[stacked.rows] = stacked.columns
-        return whole
+    def beyond_base(self, columns: FloatArray) -> FloatArray:
+        """(F, k) field columns less what the base can take over; columns.T times that is their Gram matrix."""
+        return np.asarray(columns - self._basis @ (self._basis.T @ columns))
 
     @property
     def nuisance(self) -> int:
@@ -237,14 +230,21 @@ class Evidence:
 
     def residual_beside(self, candidates: Sequence[Candidate]) -> FloatArray:
         """(F,) field residual with some effects and the base fitted together."""
-        residual = self.residual.copy()
-        values, first = self.refit(candidates).values, 0
+        if not candidates:
+            return self.residual
+        values = self.refit(candidates).values
+        taken_over = np.concatenate([c.inside for c in candidates], axis=1) @ values
+        return np.asarray(self.residual - self.added(candidates, values) + self._basis @ taken_over)
+
+    def added(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
+        """(F,) what effects of these values add to the whitened torque in the field, the base as it was."""
+        torque: FloatArray = np.zeros(self.rows)
+        first = 0
         for candidate in candidates:
             own = values[first : first + len(candidate.effect.parameters)]
             first += len(own)
-            residual[candidate.stacked.rows] -= candidate.stacked.columns @ own
-            residual += self._basis @ (candidate.inside @ own)
-        return np.asarray(residual)
+            torque[candidate.stacked.rows] += candidate.stacked.columns @ own
+        return torque
 
     def base_parameters(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """Parameters of the base (nuisance and common effects last) when these effects stand beside it."""

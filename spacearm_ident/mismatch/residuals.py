@@ -51,9 +51,8 @@ class Residuals:
 
     def rms(self, residual: FloatArray) -> FloatArray:
         """(n,) weighted RMS by joint; NaN where a joint has no rows."""
-        joints = len(self.scene.whiteners)
-        squares = np.bincount(self.scene.joint, self._information * residual**2, joints)
-        information = np.bincount(self.scene.joint, self._information, joints)
+        squares = self.scene.by_joint(self._information * residual**2)
+        information = self.scene.by_joint(self._information)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(squares / information))
 

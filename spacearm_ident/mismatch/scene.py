@@ -213,6 +213,10 @@ class Scene:
         begins = np.concatenate([[0], np.cumsum(lengths)])
         return np.asarray(count * (begins[self.owner] + self.place) // begins[-1])
 
+    def by_joint(self, values: FloatArray) -> FloatArray:
+        """(n,) sums of stacked values (R,) by joint."""
+        return np.asarray(np.bincount(self.joint, weights=values, minlength=len(self.whiteners)), dtype=float)
+
     def slot(self, joint: int, motion: int) -> slice:
         """Where the rows of one joint in one motion are in the stack."""
         number = joint * len(self.motions) + motion

@@ -1,0 +1,98 @@
+"""How sure an accepted effect's values are: intervals that parts of the time may widen.
+
+The whitened fit says how far noise alone moves a value. No law is quite the catalogue's, though, and what it leaves
+is no noise: what one part of the time says of the value and what another does may differ by more. A value's variance
+is the larger of the two: the fit's, and that of the parts' scores (the sandwich of Liang and Zeger 1986, with parts
+as clusters). An error that is the same all the time, in a length that was given say, shows in neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import norm, t
+
+from ..dynamics.arm import FloatArray
+from .evidence import Candidate, Evidence, stacked_effect
+from .scored import PARTS
+
+STEP = 1e-3
+"""Relative step of a constant for its derivative."""
+SURE = 0.975
+PER_FIT, PER_PARTS = float(norm.ppf(SURE)), float(t.ppf(SURE, PARTS - 1))
+"""Standard errors to either side: of the fit, and of a few parts."""
+
+
+class Intervals:
+    """95 % intervals of effects that were fitted together with the base.
+
+    Attributes:
+        fit: By effect, (k, k) covariance of its parameters and constants by the whitened fit.
+        parts: The same by what parts of the time disagree.
+    """
+
+    def __init__(self, evidence: Evidence, accepted: Sequence[Candidate], values: FloatArray) -> None:
+        """Take effects and their parameters, one after the other (k,)."""
+        self.fit: list[FloatArray] = []
+        self.parts: list[FloatArray] = []
+        if not accepted:
+            return
+        changes, free = _tangents(evidence, accepted, values)
+        beyond = evidence.beyond_base(changes)
+        inverse = _inverse(changes.T @ beyond, free)
+        blame = _scores(beyond * evidence.residual_beside(accepted)[:, None], evidence.field.part(PARTS))
+        # What the reference says of the base is not in these rows; there the fit is believed.
+        elsewhere = changes.T @ beyond - beyond.T @ beyond
+        sandwich = inverse @ (blame.T @ blame + elsewhere) @ inverse
+        first = 0
+        for candidate in accepted:
+            own = slice(first, first + len(candidate.held) + len(candidate.constants))
+            self.fit.append(inverse[own, own])
+            self.parts.append(sandwich[own, own])
+            first = own.stop
+
+    def half_width(self, number: int, slope: FloatArray) -> float:
+        """Half the 95 % interval of what changes by `slope` (k,) with parameters and constants of one effect."""
+        errors = [np.sqrt(max(float(slope @ c[number] @ slope), 0.0)) for c in (self.fit, self.parts)]
+        return float(max(PER_FIT * errors[0], PER_PARTS * errors[1]))
+
+
+def _tangents(evidence: Evidence, accepted: Sequence[Candidate], values: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """(F, k) change of the whitened torque with each parameter and constant, and (k,) whether it is free."""
+    changes: list[FloatArray] = []
+    free: list[bool] = []
+    first = 0
+    for candidate in accepted:
+        rows, columns = candidate.stacked.rows, candidate.stacked.columns
+        own = values[first : first + columns.shape[1]]
+        first += len(own)
+        blocks = [columns]
+        for k, constant in enumerate(candidate.constants):
+            step = max(abs(constant) * STEP, 1e-9)
+            moved = [*candidate.constants[:k], constant + step, *candidate.constants[k + 1 :]]
+            there = stacked_effect(evidence.field, candidate.effect, moved).columns
+            blocks.append(((there - columns) @ own / step)[:, None])
+        change = np.concatenate(blocks, axis=1)
+        whole = np.zeros((evidence.rows, change.shape[1]))
+        whole[rows] = change
+        changes.append(whole)
+        free += [*~candidate.held, *(True for _ in candidate.constants)]
+    return np.concatenate(changes, axis=1), np.array(free)
+
+
+def _scores(rows: FloatArray, part: np.ndarray) -> FloatArray:
+    """(PARTS, k) sums of rows (F, k) by part of the time."""
+    sums = np.zeros((PARTS, rows.shape[1]))
+    np.add.at(sums, part, rows)
+    return sums
+
+
+def _inverse(gram: FloatArray, free: np.ndarray) -> FloatArray:
+    """Inverse of a Gram matrix, zero where not free."""
+    where = np.flatnonzero(free & (np.diag(gram) > 0))
+    unit = np.sqrt(np.diag(gram)[where])
+    inverse = np.linalg.pinv(gram[np.ix_(where, where)] / np.outer(unit, unit), rcond=1e-8, hermitian=True)
+    whole = np.zeros_like(gram)
+    whole[np.ix_(where, where)] = inverse / np.outer(unit, unit)
+    return whole
