@@ -28,6 +28,8 @@ from effect_torque import (
 from planted_arm import THREE_LINKS, TWO_LINKS, Link, urdf_of
 
 from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.dynamics.effects.compliance import spring
+from spacearm_ident.dynamics.effects.linearised import Sensitivity
 
 # --- bodies: against Pinocchio --------------------------------------------------------------------------------------
 
@@ -220,6 +222,32 @@ def test_below_its_resonance_a_link_is_heavier_and_above_it_is_gone(ratio, dampi
     found = fitted((rigid + made)[late], time[late], omega) / fitted(rigid[late], time[late], omega)
     spring = 1 + 2j * damping * ratio
     assert found == pytest.approx(spring / (spring - ratio**2), abs=0.01)
+
+
+@pytest.mark.parametrize("natural_hz", [3.0, 10.0, 20.0])
+def test_a_link_that_is_let_go_rings_at_its_own_frequency(natural_hz):
+    """And as long as its damping says, about where it comes to rest."""
+    time, inertia, load, damping = np.arange(0.0, 3.0, 1 / RATE), 2.0, 30.0, 0.01
+    omega, ones = 2 * np.pi * natural_hz, np.ones_like(time)
+    freely = Sensitivity(
+        RATE, inertia * ones[:, None], 0 * ones[:, None], inertia * ones, 0 * ones, load * (time >= 1.0)
+    )
+    give, acceleration = spring(freely, inertia * omega**2, damping)
+    swing = give * inertia * omega**2 / load - 1.0
+    up = np.flatnonzero((swing[:-1] < 0.0) & (swing[1:] >= 0.0) & (time[1:] > 1.0))
+    crossing = time[up] - swing[up] / (swing[up + 1] - swing[up]) / RATE
+    frequency = np.sqrt(1 - damping**2) * omega
+    assert np.mean(np.diff(crossing)) == pytest.approx(2 * np.pi / frequency, rel=5e-4)
+    late = time > 1.5
+    parts = (
+        np.stack([np.cos(frequency * time), np.sin(frequency * time)], axis=1)
+        * np.exp(-damping * omega * time)[:, None]
+    )
+    fit = np.linalg.lstsq(parts[late], swing[late], rcond=None)[0]
+    assert np.hypot(*fit) * np.exp(-damping * omega) == pytest.approx(1.0, abs=0.05)
+    np.testing.assert_allclose(
+        acceleration[late], -(omega**2) * (give[late] - load / inertia / omega**2), atol=0.06 * load
+    )
 
 
 def test_play_under_a_load_that_stays_on_one_side_is_half_the_gap():
