@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from spacearm_ident.dynamics.term import Constant
 from spacearm_ident.mismatch import intervals
 from spacearm_ident.mismatch.evidence import Stacked
 from spacearm_ident.mismatch.intervals import PER_FIT, PER_PARTS, Intervals
@@ -15,6 +16,9 @@ from spacearm_ident.mismatch.scored import PARTS
 ROWS = 1200
 TIME = np.linspace(0.0, 1.0, ROWS, endpoint=False)
 LEVEL, WAVE = np.ones(ROWS), np.sin(40.0 * TIME)
+
+
+RATE = Constant("rate", "hip", "rad/s", (10.0, 90.0))
 
 
 def fitted(torque, columns, base=LEVEL, held=(), constants=()):
@@ -32,7 +36,12 @@ def fitted(torque, columns, base=LEVEL, held=(), constants=()):
         residual_beside=lambda accepted: residual,
         beyond_base=lambda whole: whole - basis @ (basis.T @ whole),
     )
-    candidate = SimpleNamespace(effect=None, constants=constants, held=~free, stacked=Stacked(slice(0, ROWS), columns))
+    candidate = SimpleNamespace(
+        effect=SimpleNamespace(constants=[RATE] * len(constants)),
+        constants=constants,
+        held=~free,
+        stacked=Stacked(slice(0, ROWS), columns),
+    )
     return values, Intervals(evidence, [candidate], values)
 
 
@@ -83,6 +92,12 @@ def test_a_constant_is_as_sure_as_its_derivative_is_large(monkeypatch):
     jacobian = np.stack([WAVE, 3.0 * TIME * np.cos(40.0 * TIME)], axis=1)
     jacobian -= jacobian.mean(axis=0)
     np.testing.assert_allclose(made.fit[0], np.linalg.inv(jacobian.T @ jacobian), rtol=0.1, atol=1e-4)
+
+
+def test_a_constant_that_moves_nothing_is_anywhere_within_its_bounds(monkeypatch):
+    monkeypatch.setattr(intervals, "stacked_effect", lambda *_: Stacked(slice(0, ROWS), WAVE[:, None]))
+    _, made = fitted(3.0 * WAVE, [WAVE], constants=(40.0,))
+    assert made.half_width(0, np.array([0.0, 1.0])) == pytest.approx(80.0 / 2, rel=0.3)
 
 
 def test_nothing_accepted_is_nothing_to_be_sure_of():

@@ -80,6 +80,11 @@ class Constant:
         """Unique name in a model: `v_b[joint_1]`."""
         return f"{self.symbol}[{self.joint}]"
 
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Lowest and highest value that is looked at."""
+        return self.reach or (self.grid[0], self.grid[-1])
+
 
 @dataclass(frozen=True)
 class Term(ABC):

@@ -77,8 +77,7 @@ def polish(effect: Effect, constants: Values, gain: Gain, best: float) -> Values
     """All constants together, by the simplex of Nelder and Mead 1965: one after the other they may end in a valley."""
     if len(constants) < 2 or is_event(effect):
         return constants
-    ends = [constant.reach or (constant.grid[0], constant.grid[-1]) for constant in effect.constants]
-    low, high = np.array(ends).T
+    low, high = np.array([constant.bounds for constant in effect.constants]).T
     begin = np.array(constants)
     inward = np.where(begin - low < high - begin, 1.0, -1.0)
     steps = inward * np.minimum(POLISH_STEP * np.maximum(np.abs(begin), POLISH_STEP * high), 0.5 * (high - low))

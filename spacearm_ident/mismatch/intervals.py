@@ -40,10 +40,11 @@ class Intervals:
             return
         changes, free = _tangents(evidence, accepted, values)
         beyond = evidence.beyond_base(changes)
-        inverse = _inverse(changes.T @ beyond, free)
+        information = changes.T @ beyond + np.diag(_known_before(accepted))
+        inverse = _inverse(information, free)
         blame = _scores(beyond * evidence.residual_beside(accepted)[:, None], evidence.field.part(PARTS))
         # What the reference says of the base is not in these rows; there the fit is believed.
-        elsewhere = changes.T @ beyond - beyond.T @ beyond
+        elsewhere = information - beyond.T @ beyond
         sandwich = inverse @ (blame.T @ blame + elsewhere) @ inverse
         first = 0
         for candidate in accepted:
@@ -79,6 +80,17 @@ def _tangents(evidence: Evidence, accepted: Sequence[Candidate], values: FloatAr
         changes.append(whole)
         free += [*~candidate.held, *(True for _ in candidate.constants)]
     return np.concatenate(changes, axis=1), np.array(free)
+
+
+def _known_before(accepted: Sequence[Candidate]) -> list[float]:
+    """(k,) information: a constant is as likely anywhere within its bounds; of a parameter nothing is known."""
+    known: list[float] = []
+    for candidate in accepted:
+        known += [0.0] * len(candidate.held)
+        for constant in candidate.effect.constants:
+            low, high = constant.bounds
+            known.append(12.0 / (high - low) ** 2 if high > low else 0.0)
+    return known
 
 
 def _scores(rows: FloatArray, part: np.ndarray) -> FloatArray:
