@@ -22,7 +22,7 @@ from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Columns, Values
 from ..identification.prior import make_prior
 from ..recording.motion import Motion
-from .scene import Scene, quiet
+from .scene import Scene, quiet, through_standstill
 
 SHARP_DISTANCE = 2e-4
 SHARP_SPEEDS = (2e-3, 8e-3, 0.025, 0.08)
@@ -161,7 +161,8 @@ class Evidence:
     def believe_reversals(self, scenes: Sequence[Scene]) -> None:
         """Tell scenes the torque of the healthy arm as it is fitted here, nuisance included, for what delays it.
 
-        From the reference, where there is one: a late torque turns round late, whatever friction does there.
+        From the reference, where there is one: a late torque turns round late, whatever friction does there. It turns
+        round while the joint stands still: taken to jump as it moves on, it would look less late than it is.
         """
         model, fitted = self.base.model, self.healthy.base_parameters([], np.zeros(0))
         count = len(model.parameters)
@@ -172,7 +173,8 @@ class Evidence:
             for motion, background in zip(scene.motions, scene.backgrounds):
                 sharp = [made @ own for (_, made), own in zip(_sharpness(motion).values(), nuisance)]
                 refit = model.background(quiet(motion), parameters, self.base.constants)
-                background.with_whole(refit.torque + np.stack(sharp, axis=1))
+                friction = refit.torque - refit.load + np.stack(sharp, axis=1)
+                background.with_whole(refit.load + through_standstill(motion, friction))
 
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect in the field; its columns may be known from elsewhere."""
