@@ -29,7 +29,6 @@ from spacearm_ident.mismatch.scene import (
     one_way,
     stable,
     stretch,
-    through_standstill,
     travel,
 )
 from spacearm_ident.mismatch.scored import BEST, PARTS, penalty, throughout
@@ -162,19 +161,6 @@ def test_travel_starts_anew_at_every_reversal():
         position[first : second + 1].min() if position[middle] > position[first] else position[first : second + 1].max()
     )
     assert gone[middle] == pytest.approx(abs(position[middle] - start), abs=0.02)
-
-
-def test_while_a_joint_stands_friction_goes_from_what_it_was_to_what_moves_it_on():
-    """First slowly, for the drive asks for little at first; before the first motion and after the last it stays."""
-    speed = np.array([0, -1, -1, 0, 0, 0, 0, 1, 1, 0, 0, 1, 0], float)
-    moved = SimpleNamespace(velocity=np.stack([speed, 0 * speed], axis=1), speed_noise=np.array([0.1, 0.1]))
-    friction = np.stack([3.0 * np.sign(speed), 7.0 + speed], axis=1)
-    held = through_standstill(moved, friction)
-    turning = held[2:8, 0]
-    np.testing.assert_allclose(turning[[0, -1]], [-3.0, 3.0])
-    assert (np.diff(turning, 2) > 0.0).all() and (np.diff(turning) > 0.0).all()
-    np.testing.assert_array_equal(held[[0, 1, 8, 9, 10, 11, 12], 0], [-3.0, -3.0, 3.0, 3.0, 3.0, 3.0, 3.0])
-    np.testing.assert_array_equal(held[:, 1], friction[:, 1], "a joint that never moves")
 
 
 def test_a_coarse_motion_is_the_mean_of_its_samples_at_their_middle():

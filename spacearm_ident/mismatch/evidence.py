@@ -22,7 +22,8 @@ from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Columns, Values
 from ..identification.prior import make_prior
 from ..recording.motion import Motion
-from .scene import Scene, quiet, through_standstill
+from .scene import Scene, quiet
+from .turning import learnt
 
 SHARP_DISTANCE = 2e-4
 SHARP_SPEEDS = (2e-3, 8e-3, 0.025, 0.08)
@@ -161,20 +162,26 @@ class Evidence:
     def believe_reversals(self, scenes: Sequence[Scene]) -> None:
         """Tell scenes the torque of the healthy arm as it is fitted here, nuisance included, for what delays it.
 
-        From the reference, where there is one: a late torque turns round late, whatever friction does there. It turns
-        round while the joint stands still: taken to jump as it moves on, it would look less late than it is.
+        From the reference, where there is one: a late torque turns round late, whatever friction does there.
         """
         model, fitted = self.base.model, self.healthy.base_parameters([], np.zeros(0))
         count = len(model.parameters)
         held = np.array([parameter.scale == 0.0 for parameter in model.parameters])
         parameters = np.where(held, self.base.parameters, fitted[:count])
         nuisance = fitted[count : count + self.nuisance].reshape(-1, NUISANCE)
+
+        def load_and_friction(motion: Motion) -> tuple[FloatArray, FloatArray]:
+            sharp = [made @ own for (_, made), own in zip(_sharpness(motion).values(), nuisance)]
+            refit = model.background(quiet(motion), parameters, self.base.constants)
+            return refit.load, refit.torque - refit.load + np.stack(sharp, axis=1)
+
+        healthy = self.healthy.field.motions
+        ways = learnt(healthy, [load_and_friction(motion) for motion in healthy])
         for scene in scenes:
             for motion, background in zip(scene.motions, scene.backgrounds):
-                sharp = [made @ own for (_, made), own in zip(_sharpness(motion).values(), nuisance)]
-                refit = model.background(quiet(motion), parameters, self.base.constants)
-                friction = refit.torque - refit.load + np.stack(sharp, axis=1)
-                background.with_whole(refit.load + through_standstill(motion, friction))
+                load, friction = load_and_friction(motion)
+                rows = [way(motion, row, friction[:, row]) for row, way in enumerate(ways)]
+                background.with_whole(load + np.stack(rows, axis=1))
 
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect in the field; its columns may be known from elsewhere."""

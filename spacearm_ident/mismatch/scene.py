@@ -55,8 +55,6 @@ NEAR = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3)
 """rad since the last reversal. There friction builds up by no law known to the last N m: rows count for less too."""
 ALIKE = 4.0
 """Rows that what all joints show together is worth: a joint may have none as slow or as near a reversal."""
-ASKED = 1.5
-"""Power of the time that a drive asks for torque with while friction holds the joint."""
 LARGEST_ROOT = 0.995
 """Of an autoregressive model: noise that remembers two hundred rows is a base model's error, and has no variance."""
 OUTLIER = 6.0
@@ -81,25 +79,6 @@ def one_way(motion: Motion) -> np.ndarray:
     """(M, n) rows that are free of standstill and reversal."""
     signs = np.stack([direction(motion, row) for row in range(len(motion.joints))], axis=1)
     return motion.moving & (np.abs(motion.reduce(signs)) > ONE_WAY)
-
-
-def through_standstill(motion: Motion, friction: FloatArray) -> FloatArray:
-    """Friction (N, n) that goes, while a joint stands still, from what it was to what it takes to move on.
-
-    It holds against whatever the drive asks for meanwhile: that grows with the time since the set-point left, or, if
-    it only turned round there, with its square. What is taken is between.
-    """
-    held = friction.copy()
-    for row in range(friction.shape[1]):
-        moves = np.flatnonzero(direction(motion, row))
-        still = np.flatnonzero(direction(motion, row) == 0.0)
-        if len(moves) == 0:
-            continue
-        end = np.minimum(np.searchsorted(moves, still), len(moves) - 1)
-        before, after = moves[np.maximum(end - 1, 0)], moves[end]
-        gone = np.clip((still - before) / np.maximum(after - before, 1), 0.0, 1.0) ** ASKED
-        held[still, row] = friction[before, row] + gone * (friction[after, row] - friction[before, row])
-    return held
 
 
 def quiet(motion: Motion) -> Motion:

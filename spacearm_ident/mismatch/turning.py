@@ -1,0 +1,99 @@
+"""How friction turns round with the motion: in time or over a distance, as the healthy arm's own reversals show.
+
+At a reversal friction goes from one side to the other. Where teeth and bearings hold the joint it does so while the
+drive asks for more, and the joint moves on when it is there; where they give way it does so over a distance that the
+position shows, while the speed is still within its noise. A model that takes friction to jump where the speed is
+believed again is tens of milliseconds late: all that there is to a delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.effects.effect import direction
+from ..dynamics.friction import bristle_state
+from ..recording.motion import Motion
+
+POWERS = (1.0, 1.5, 2.0)
+"""Of the time at standstill: a drive asks for more with the time since its set-point left or, where that turned round
+just then, with its square."""
+DISTANCES = tuple(float(distance) for distance in np.geomspace(2e-5, 4e-4, 12))
+"""rad, of an exponential."""
+TURNED_RAD = 1e-3
+"""So far from where it turned round, if it does so over a distance, a joint's friction is the model's."""
+AROUND_S = 0.1
+"""Before and after a standstill, where ways to turn round are compared."""
+PLAINLY = 0.5
+"""A joint gives way where that leaves less than this share of the squares: where it does, it is a few percent."""
+Way = Callable[[Motion, int, FloatArray], FloatArray]
+"""Of a motion, a joint and its friction (N,) by the model, N·m: friction (N,) that turns round in this way."""
+
+
+def in_time(power: float) -> Way:
+    """Friction that goes from one side to the other, or back, with a power of the time at standstill."""
+
+    def way(motion: Motion, row: int, friction: FloatArray) -> FloatArray:
+        sign = direction(motion, row)
+        moves, still = np.flatnonzero(sign), np.flatnonzero(sign == 0.0)
+        if len(moves) == 0:
+            return friction
+        end = np.minimum(np.searchsorted(moves, still), len(moves) - 1)
+        before, after = moves[np.maximum(end - 1, 0)], moves[end]
+        gone = np.clip((still - before) / np.maximum(after - before, 1), 0.0, 1.0) ** power
+        turned = friction.copy()
+        turned[still] = friction[before] + gone * (friction[after] - friction[before])
+        return turned
+
+    return way
+
+
+def over_distance(distance: float) -> Way:
+    """Friction that goes over a distance, rad, small speeds believed: noise goes to and fro, and so does friction."""
+
+    def way(motion: Motion, row: int, friction: FloatArray) -> FloatArray:
+        velocity, sign = motion.velocity[:, row], direction(motion, row)
+        travel = np.abs(velocity) / motion.rate_hz
+        path, turns = np.cumsum(travel), np.concatenate([[True], sign[1:] != sign[:-1]])
+        gone = path - np.maximum.accumulate(np.where(turns, path, 0.0))
+        known = (sign != 0.0) & (gone > TURNED_RAD)
+        if not known.any():
+            return friction
+        place = np.arange(len(sign))
+        level = np.interp(place, place[known], (friction * sign)[known])
+        state = bristle_state(np.sign(velocity)[:, None], travel, distance, motion.cyclic)[:, 0]
+        return np.where(known, friction, level * state)
+
+    return way
+
+
+IN_TIME = tuple(map(in_time, POWERS))
+OVER_DISTANCE = tuple(map(over_distance, DISTANCES))
+
+
+def learnt(motions: Sequence[Motion], parts: Sequence[tuple[FloatArray, FloatArray]]) -> list[Way]:
+    """By joint, the way that leaves least of the torque that was measured around standstill.
+
+    Args:
+        motions: Of the healthy arm.
+        parts: Load and friction (N, n) of each, by the model, N·m.
+    """
+    ways = []
+    for row in range(len(motions[0].joints)):
+        left = np.zeros(len(IN_TIME + OVER_DISTANCE))
+        for motion, (load, friction) in zip(motions, parts):
+            measured, near = motion.torque[:, row] - load[:, row], _around(motion, row)
+            turned = (way(motion, row, friction[:, row]) for way in IN_TIME + OVER_DISTANCE)
+            left += [np.sum((measured - one)[near] ** 2) for one in turned]
+        held, given = left[: len(IN_TIME)], left[len(IN_TIME) :]
+        gives_way = given.min() < PLAINLY * held.min()
+        ways.append(OVER_DISTANCE[int(np.argmin(given))] if gives_way else IN_TIME[int(np.argmin(held))])
+    return ways
+
+
+def _around(motion: Motion, row: int) -> np.ndarray:
+    """(N,) whether a sample is near a standstill."""
+    wide = np.ones(2 * int(AROUND_S * motion.rate_hz) + 1)
+    return np.asarray(np.convolve(direction(motion, row) == 0.0, wide, mode="same") > 0.5)
