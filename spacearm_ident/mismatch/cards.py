@@ -10,7 +10,7 @@ from ..dynamics.arm import FloatArray
 from .competition import Outcome
 from .evidence import Evidence
 from .finding import Alternative, Finding, Quantity
-from .intervals import STEP, Intervals
+from .intervals import Intervals, step_of
 from .residuals import Residuals
 from .rivals import UNKNOWN
 from .scored import TEMPER, TEMPER_SHARE, Scored, feels
@@ -131,7 +131,7 @@ class Cards:
         for name, (value, unit) in shown.items():
             slope = np.zeros(len(values))
             for k in range(len(values)):
-                step = max(abs(values[k]) * STEP, 1e-9)
+                step = step_of(values[k])
                 moved = values.copy()
                 moved[k] += step
                 slope[k] = (effect.shown(moved)[name][0] - value) / step

@@ -8,7 +8,7 @@ chi-square. Nothing of that needs a row again: Gram matrices of a few columns do
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -248,10 +248,7 @@ class Evidence:
     def added(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(F,) what effects of these values add to the whitened torque in the field, the base as it was."""
         torque: FloatArray = np.zeros(self.rows)
-        first = 0
-        for candidate in candidates:
-            own = values[first : first + len(candidate.effect.parameters)]
-            first += len(own)
+        for candidate, own in with_own(candidates, values):
             torque[candidate.stacked.rows] += candidate.stacked.columns @ own
         return torque
 
@@ -325,6 +322,15 @@ class Unseen:
         return self._kept[key][1]
 
 
+def with_own(candidates: Sequence[Candidate], values: FloatArray) -> Iterator[tuple[Candidate, FloatArray]]:
+    """Each candidate with its own parameters out of those of all, one after the other (k,)."""
+    first = 0
+    for candidate in candidates:
+        last = first + len(candidate.effect.parameters)
+        yield candidate, values[first:last]
+        first = last
+
+
 def without_effects(
     residual: FloatArray,
     candidates: Sequence[Candidate],
@@ -334,15 +340,12 @@ def without_effects(
     """A residual (V,) less what effects of these values add; what belongs to a recording is fitted to this one."""
     residual = residual.copy()
     stacks = [stack(candidate) for candidate in candidates]
-    first = 0
-    for candidate, stacked in zip(candidates, stacks):
-        count = len(candidate.effect.parameters)
-        residual[stacked.rows] -= stacked.columns @ values[first : first + count]
-        first += count
+    for stacked, (_, own) in zip(stacks, with_own(candidates, values)):
+        residual[stacked.rows] -= stacked.columns @ own
     for candidate, stacked in zip(candidates, stacks):
         if candidate.effect.anew:
-            own = stacked.columns[:, candidate.effect.anew]
-            residual[stacked.rows] -= own @ np.linalg.lstsq(own, residual[stacked.rows], rcond=1e-9)[0]
+            anew = stacked.columns[:, candidate.effect.anew]
+            residual[stacked.rows] -= anew @ np.linalg.lstsq(anew, residual[stacked.rows], rcond=1e-9)[0]
     return residual
 
 

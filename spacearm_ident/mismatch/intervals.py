@@ -14,11 +14,11 @@ import numpy as np
 from scipy.stats import norm, t
 
 from ..dynamics.arm import FloatArray
-from .evidence import Candidate, Evidence, stacked_effect
+from .evidence import Candidate, Evidence, stacked_effect, with_own
 from .scored import PARTS
 
 STEP = 1e-3
-"""Relative step of a constant for its derivative."""
+"""Relative step of a value for a derivative."""
 SURE = 0.975
 PER_FIT, PER_PARTS = float(norm.ppf(SURE)), float(t.ppf(SURE, PARTS - 1))
 """Standard errors to either side: of the fit, and of a few parts."""
@@ -59,18 +59,20 @@ class Intervals:
         return float(max(PER_FIT * errors[0], PER_PARTS * errors[1]))
 
 
+def step_of(value: float) -> float:
+    """By how much a value is moved for a derivative."""
+    return max(abs(value) * STEP, 1e-9)
+
+
 def _tangents(evidence: Evidence, accepted: Sequence[Candidate], values: FloatArray) -> tuple[FloatArray, np.ndarray]:
     """(F, k) change of the whitened torque with each parameter and constant, and (k,) whether it is free."""
     changes: list[FloatArray] = []
     free: list[bool] = []
-    first = 0
-    for candidate in accepted:
+    for candidate, own in with_own(accepted, values):
         rows, columns = candidate.stacked.rows, candidate.stacked.columns
-        own = values[first : first + columns.shape[1]]
-        first += len(own)
         blocks = [columns]
         for k, constant in enumerate(candidate.constants):
-            step = max(abs(constant) * STEP, 1e-9)
+            step = step_of(constant)
             moved = [*candidate.constants[:k], constant + step, *candidate.constants[k + 1 :]]
             there = stacked_effect(evidence.field, candidate.effect, moved).columns
             blocks.append(((there - columns) @ own / step)[:, None])

@@ -66,13 +66,15 @@ round moves all of its friction by so much: no row with a reversal in it is know
 
 def travel(motion: Motion) -> FloatArray:
     """(M, n) rad that each joint went since it last turned round or stood still."""
-    gone = np.empty_like(motion.velocity)
-    for row in range(len(motion.joints)):
-        sign = direction(motion, row)
-        path = np.cumsum(np.abs(motion.velocity[:, row])) / motion.rate_hz
-        turned = np.concatenate([[True], sign[1:] != sign[:-1]])
-        gone[:, row] = path - np.maximum.accumulate(np.where(turned, path, 0.0))
-    return motion.reduce(gone)
+    return motion.reduce(np.stack([since_reversal(motion, row) for row in range(len(motion.joints))], axis=1))
+
+
+def since_reversal(motion: Motion, row: int) -> FloatArray:
+    """(N,) rad that one joint went since it last turned round or stood still."""
+    sign = direction(motion, row)
+    path = np.cumsum(np.abs(motion.velocity[:, row])) / motion.rate_hz
+    turned = np.concatenate([[True], sign[1:] != sign[:-1]])
+    return np.asarray(path - np.maximum.accumulate(np.where(turned, path, 0.0)))
 
 
 def one_way(motion: Motion) -> np.ndarray:

@@ -16,6 +16,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.effects.effect import direction
 from ..dynamics.friction import bristle_state
 from ..recording.motion import Motion
+from .scene import since_reversal
 
 POWERS = (1.0, 1.5, 2.0)
 """Of the time at standstill: a drive asks for more with the time since its set-point left or, where that turned round
@@ -55,14 +56,12 @@ def over_distance(distance: float) -> Way:
 
     def way(motion: Motion, row: int, friction: FloatArray) -> FloatArray:
         velocity, sign = motion.velocity[:, row], direction(motion, row)
-        travel = np.abs(velocity) / motion.rate_hz
-        path, turns = np.cumsum(travel), np.concatenate([[True], sign[1:] != sign[:-1]])
-        gone = path - np.maximum.accumulate(np.where(turns, path, 0.0))
-        known = (sign != 0.0) & (gone > TURNED_RAD)
+        known = (sign != 0.0) & (since_reversal(motion, row) > TURNED_RAD)
         if not known.any():
             return friction
         place = np.arange(len(sign))
         level = np.interp(place, place[known], (friction * sign)[known])
+        travel = np.abs(velocity) / motion.rate_hz
         state = bristle_state(np.sign(velocity)[:, None], travel, distance, motion.cyclic)[:, 0]
         return np.where(known, friction, level * state)
 
