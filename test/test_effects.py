@@ -162,6 +162,7 @@ S = np.sign(V)
         ("friction_drift", {"of": ["f_c", "k_v1"]}, [0.7, -0.2], [], 0.7 * S - 0.2 * V),
         ("friction_drift", {"of": ["f_c", "creep"]}, [0.7, 0.1], [], (0.7 + 0.1 * np.arange(len(Q)) / RATE) * S),
         ("position_friction", {"cycles": 2}, [0.6, 0.8], [], np.sin(2 * Q + np.arctan2(0.8, 0.6)) * S),
+        ("position_friction", {"spot": True}, [2.0], [0.4, 0.3], 2.0 * np.exp(-(((Q - 0.4) / 0.3) ** 2)) * S),
         ("asymmetric_friction", {"of": ["level", "viscous"]}, [0.5, 0.3], [], 0.5 + 0.3 * np.abs(V)),
         ("stribeck", {}, [2.0], [0.1], 2.0 * np.exp(-(V**2) / 0.01) * S),
         ("current_offset", {}, [-1.5], [], np.full_like(Q, -1.5)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +27,7 @@ from effect_torque import (
     wave,
 )
 from planted_arm import THREE_LINKS, TWO_LINKS, Link, urdf_of
+from scipy.special import ellipk
 
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.effects.compliance import spring
@@ -232,7 +234,9 @@ def test_a_link_that_is_let_go_rings_at_its_own_frequency(natural_hz):
     freely = Sensitivity(
         RATE, inertia * ones[:, None], 0 * ones[:, None], inertia * ones, 0 * ones, load * (time >= 1.0)
     )
-    give, acceleration = spring(freely, inertia * omega**2, damping)
+    give, acceleration = (
+        signal[:, 0, 0] for signal in spring([freely], np.array([inertia * omega**2]), np.array([damping]))
+    )
     swing = give * inertia * omega**2 / load - 1.0
     up = np.flatnonzero((swing[:-1] < 0.0) & (swing[1:] >= 0.0) & (time[1:] > 1.0))
     crossing = time[up] - swing[up] / (swing[up + 1] - swing[up]) / RATE
@@ -250,6 +254,22 @@ def test_a_link_that_is_let_go_rings_at_its_own_frequency(natural_hz):
     )
 
 
+@pytest.mark.parametrize("wound_up", [0.1, 1.0, 3.0])
+def test_a_link_on_a_spring_that_hardens_swings_the_faster_the_further_it_was_wound_up(wound_up):
+    """Let go at rest it is Duffing's oscillator, whose period is an elliptic integral."""
+    time, inertia, omega, doubles_at = np.arange(0.0, 6.0, 1 / RATE), 2.0, 2 * np.pi * 1.5, 2e-3
+    ones, stiffness, bent = np.ones_like(time), inertia * omega**2, wound_up**2
+    load = stiffness * doubles_at * wound_up * (1.0 + bent) * (time < 1.0)
+    link = Sensitivity(RATE, inertia * ones[:, None], 0 * ones[:, None], inertia * ones, 0 * ones, load)
+    give, _ = spring([link], np.array([stiffness]), np.zeros(1), np.array([doubles_at]))
+    twist = give[:, 0, 0]
+    np.testing.assert_allclose(twist[time < 0.99], wound_up * doubles_at, rtol=1e-6)
+    up = np.flatnonzero((twist[:-1] < 0.0) & (twist[1:] >= 0.0))
+    crossing = time[up] - twist[up] / (twist[up + 1] - twist[up]) / RATE
+    period = 4.0 * ellipk(bent / (2.0 * (1.0 + bent))) / (omega * np.sqrt(1.0 + bent))
+    assert np.mean(np.diff(crossing)) == pytest.approx(period, rel=5e-3)
+
+
 def test_play_under_a_load_that_stays_on_one_side_is_half_the_gap():
     slow, width, arm = swing(0.4, 0.3, 20.0, centre=0.9), 0.02, arm_of(PENDULUM)
     stiff = 1e9  # as stiff as teeth may be
@@ -259,11 +279,12 @@ def test_play_under_a_load_that_stays_on_one_side_is_half_the_gap():
     np.testing.assert_allclose(made, want, atol=0.05 * np.abs(want).max())
 
 
-def test_play_is_the_same_alone_and_among_the_grid():
+@pytest.mark.parametrize(("kind", "place"), [("backlash", {}), ("joint_elasticity", {"hardens": True})])
+def test_what_is_not_linear_is_the_same_alone_and_among_the_grid(kind, place):
     moved, arm = swing(0.8, 0.5, 20.0), arm_of(PENDULUM)
-    effect, background = one("backlash", arm, joint="hip"), background_of(arm, moved)
-    gap, contact = (constant.grid for constant in effect.constants)
-    for point in ((gap[3], contact[0]), (gap[10], contact[2])):
+    effect, background = one(kind, arm, joint="hip", **place), background_of(arm, moved)
+    points = list(product(*(constant.grid for constant in effect.constants)))
+    for point in (points[3 * len(points) // 26], points[5 * len(points) // 13]):
         among = torque(effect, moved, [1.0], point, background)
         alone = torque(effect, moved, [1.0], np.nextafter(point, 1), background)
         np.testing.assert_allclose(among, alone, atol=1e-3 * np.abs(alone).max())

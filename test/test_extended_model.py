@@ -68,6 +68,12 @@ def in_one_direction(truth: Truth) -> np.ndarray:
         ("torque_ripple", THIRD, {"sin": 0.8, "cos": -0.6, "cycles": 12.0}, 0.01),
         ("torque_ripple", {**THIRD, "number": 2}, {"sin_2": -0.2, "cos_2": 0.6, "cycles_2": 20.0}, 0.01),
         ("position_friction", {**SECOND, "cycles": 2}, {"sin_2": 1.0, "cos_2": 0.7}, 0.01),
+        (
+            "position_friction",
+            {**SECOND, "spot": True},
+            {"spot": 3.0, "centre": 1.25, "width": 0.1},
+            0.02,
+        ),
         ("friction_drift", {**SECOND, "of": BOTH}, {"df_c": 3.0, "dk_v1": 2.0}, 0.01),
         ("friction_drift", {**SECOND, "of": ["k_v1"]}, {"dk_v1": -2.0}, 0.01),
         ("friction_drift", {**SECOND, "of": ["creep"]}, {"creep": 0.3}, 0.01),
@@ -141,6 +147,12 @@ def test_friction_falls_with_temperature_as_the_term_says():
     ("kind", "place", "values", "share"),
     [
         ("joint_elasticity", THIRD, {"share": 1.0, "stiffness": 8e3, "damping_ratio": 0.05}, 0.15),
+        (
+            "joint_elasticity",
+            {**THIRD, "hardens": True},
+            {"share": 1.0, "stiffness": 4e3, "damping_ratio": 0.05, "doubles_at": 2e-3},
+            0.15,
+        ),
         ("backlash", THIRD, {"share": 1.0, "gap": 0.01, "stiffness": 3e4}, 0.25),
         ("encoder_eccentricity", {**THIRD, "cycles": 1}, {"sin": 0.01, "cos": -0.005}, 0.1),
         ("encoder_eccentricity", {**THIRD, "cycles": 2}, {"sin": 0.003, "cos": 0.008}, 0.1),

@@ -242,7 +242,7 @@ class Competition:
     def _renew_pool(self, effect: Effect) -> None:
         """What is accepted competes no more; a further one of its kind may."""
         again = effect.again(self.evidence.base.model.arm)
-        self._pool = [other for other in self._pool if other is not effect] + ([again] if again else [])
+        self._pool = [other for other in self._pool if not effect.replaces(other)] + ([again] if again else [])
 
     def without(self, outcome: Outcome, dropped: Sequence[int]) -> Outcome:
         """An outcome less some of its effects, refitted."""
@@ -286,9 +286,10 @@ class Competition:
         unseen_before = self._on_unseen(self.accepted, beside.values)
         rough: list[tuple[float, int, Candidate]] = []
         for effect in self._pool:
-            best = max((self._gain(c, beside), k) for k, c in enumerate(self._grid(effect)))
-            candidate = self._grid(effect)[best[1]]
-            rough.append((best[0] - penalty(effect, self.evidence.rows), len(rough), candidate))
+            # Where none of its places was passed there is none to try.
+            if grid := self._grid(effect):
+                gain, best = max((self._gain(candidate, beside), k) for k, candidate in enumerate(grid))
+                rough.append((gain - penalty(effect, self.evidence.rows), len(rough), grid[best]))
         rough.sort(key=lambda item: -item[0])
         scored = []
         named = [item for item in rough if item[2].effect.kind != UNKNOWN][:REFINED]

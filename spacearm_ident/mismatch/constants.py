@@ -31,12 +31,19 @@ def _begins(constant: Constant) -> bool:
 
 
 def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[float, ...]]:
-    """Every point of its constants' grids; an event begins while something was recorded."""
+    """Every point of its constants' grids; an event begins while something was recorded, a spot was passed."""
     begin = min(motion.start_s for motion in motions)
     end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in motions)
     grids = []
     for constant in effect.constants:
-        grids.append([value for value in constant.grid if not _begins(constant) or begin <= value < end])
+        low, high = -np.inf, np.inf
+        if _begins(constant):
+            low, high = begin, end
+        elif constant.symbol == "centre":
+            row = motions[0].joints.index(constant.joint)
+            low = min(motion.position[:, row].min() for motion in motions)
+            high = max(motion.position[:, row].max() for motion in motions)
+        grids.append([value for value in constant.grid if low <= value < high])
     return product(*grids)
 
 

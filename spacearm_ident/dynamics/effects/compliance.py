@@ -3,7 +3,7 @@
 The motor's encoder says q; the link is at q - d, because the gear (or the link, or the base) has given way by d under
 the torque it carries. d follows from the link side alone, driven by the rigid arm's load along the recording:
 
-    M d'' + c d' + s(d) + G d = load,     s(d) = K d, or K times what is beyond the gap.
+    M d'' + c d' + s(d) + G d = load,     s(d) = K d (1 + (d / d_2)^2), or K times what is beyond the gap.
 
 Recorded torque then differs from the rigid model's by -(M[:, a] d'' + G[:, a] d) (Spong 1987, linearised about the
 recorded motion).
@@ -11,12 +11,13 @@ recorded motion).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import ClassVar
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
@@ -32,6 +33,8 @@ CONTACT_HZ = 40.0
 """Gear teeth in contact are no stiffer than makes the link swing at this frequency: above what is looked at."""
 CONTACT_DAMPING = 0.35
 """More than teeth have (0.03 to 0.17; Kasuba and Evans 1981): how long a bounce rings cannot be told from its start."""
+NEWTONS, SETTLED = 3, 30
+"""Steps of Newton's method a sample, for a spring that hardens; and for where it stands at first."""
 STEPS = 2
 """A sample: a swing at `CONTACT_HZ` then advances by half a radian."""
 PREWARPED = 1.0
@@ -47,8 +50,17 @@ MOUNT_GRID = tuple(5.0 * k for k in STIFFNESS_GRID)
 GAP_GRID = tuple(float(b) for b in np.geomspace(8e-5, 0.02, 26))
 """rad, dense: when the teeth meet again follows from how far apart they are."""
 CONTACT_GRID = (3e4, 1e5, 3e5)
+HARDENING_GRID = STIFFNESS_GRID[:14]
+"""A spring that hardens within these twists, and is stiffer than that to begin with, winds up by a part of them."""
+DOUBLES_GRID = tuple(float(d) for d in np.geomspace(8e-4, 5e-3, 5))
+"""rad: strain-wave gears double their torque over the linear one's within a few thousandths (Tuttle 1992)."""
 HORIZONTAL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 """Of the base frame."""
+
+NEVER = np.array([np.inf])
+FloatArrays = tuple[FloatArray, FloatArray]
+Swing = Callable[..., FloatArrays]
+"""Links, and numbers of p springs or gaps, to d and d'' (N, n, p)."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +76,26 @@ class _Compliance(Effect):
         """About the axis that gives way: the joint's own; others say which."""
         return by_position(motion, background, motion.joints.index(self.place["joint"]))
 
-    def give(self, motion: Motion, constants: Values, background: Background) -> tuple[FloatArray, FloatArray]:
+    def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of a link on a spring; others say what is different."""
-        return spring(self.sensitivity(motion, background), *constants)
+        give, acceleration = spring([self.sensitivity(motion, background)], *np.array([constants]).T)
+        return give[:, 0, 0], acceleration[:, 0, 0]
+
+    def _of_grid(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
+        """(N,) d and d'' of the joint's own link; those of the whole grid, at all joints, are computed at once."""
+        points = list(product(*(constant.grid for constant in self.constants)))
+        if tuple(constants) not in points:
+            give, acceleration = swing([self.sensitivity(motion, background)], *np.array([constants]).T)
+            return give[:, 0, 0], acceleration[:, 0, 0]
+        joints = range(len(motion.joints))
+
+        def compute() -> list[FloatArray]:
+            links = [by_position(motion, background, joint) for joint in joints]
+            return [x.astype(np.float32) for x in swing(links, *np.array(points).T)]
+
+        at = np.s_[:, motion.joints.index(self.place["joint"]), points.index(tuple(constants))]
+        give, acceleration = background.keep(swing.__name__, compute)
+        return give[at].astype(float), acceleration[at].astype(float)
 
     def resonance(self, motion: Motion, constants: Values, background: Background) -> tuple[float, float] | None:
         """Of the link on its spring, with the motor held."""
@@ -96,33 +125,61 @@ def springs(name: str, grid: tuple[float, ...] = STIFFNESS_GRID) -> tuple[Consta
     return stiffness, Constant("damping_ratio", name, "1", (DAMPING_RATIO,), reach=reach)
 
 
-def spring(sensitivity: Sensitivity, stiffness: float, damping_ratio: float) -> tuple[FloatArray, FloatArray]:
-    """D (N,) rad and d'' of a link on a spring, by the average-acceleration method of Newmark 1959 (always stable).
+def spring(
+    links: Sequence[Sensitivity], stiffness: FloatArray, damping_ratio: FloatArray, doubles_at: FloatArray = NEVER
+) -> FloatArrays:
+    """D (N, n, p) rad and d'' of n links on springs, by Newmark's average-acceleration method (1959; always stable).
 
-    That swings late by (omega h)^2 / 12; a link as much lighter (`prewarping`) swings at its own frequency.
+    That swings late by (omega h)^2 / 12; a link as much lighter (`PREWARPED`) swings at its own frequency.
+
+    Args:
+        links: What swings.
+        stiffness: (p,) of a spring that is not wound up, N·m/rad.
+        damping_ratio: (p,) of critical.
+        doubles_at: (p,) rad at which its torque is twice K d: K d (1 + (d / d_2)^2).
     """
-    step = max(1, int(sensitivity.rate_hz / COARSE_HZ))
-    inertia = np.maximum(sensitivity.own_inertia[::step], 1e-6)
-    gravity, load = sensitivity.own_gravity[::step], sensitivity.load[::step]
-    h = step / sensitivity.rate_hz
-    rate = stiffness + gravity
-    damping = 2 * damping_ratio * np.sqrt(stiffness * inertia)
+    step = max(1, int(links[0].rate_hz / COARSE_HZ))
+    inertia, gravity, load = (
+        np.stack([signal[::step] for signal in signals], axis=1)[:, :, None]
+        for signals in zip(*((link.own_inertia, link.own_gravity, link.load) for link in links))
+    )
+    h = step / links[0].rate_hz
+    inertia = np.maximum(inertia, 1e-6)
+    rate, damping = stiffness + gravity, 2 * damping_ratio * np.sqrt(stiffness * inertia)
     swung = np.clip(0.5 * h * np.sqrt(np.maximum(rate, 0.0) / inertia), 1e-6, PREWARPED)
     lighter = (swung / np.tan(swung)) ** 2
-    inertia = lighter * inertia
-    divisor = inertia + 0.5 * h * damping + 0.25 * h**2 * rate
-    d, v, a = load[0] / rate[0], 0.0, 0.0
-    give, acceleration = np.empty_like(load), np.empty_like(load)
-    columns = zip(load.tolist(), rate.tolist(), damping.tolist(), divisor.tolist())
-    for k, (force, stiff, damp, divide) in enumerate(columns):
-        guess_d, guess_v = d + h * v + 0.25 * h * h * a, v + 0.5 * h * a
-        a = (force - damp * guess_v - stiff * guess_d) / divide
-        d, v = guess_d + 0.25 * h * h * a, guess_v + 0.5 * h * a
+    load = np.broadcast_to(load, rate.shape)
+    give, acceleration = _swing(lighter * inertia, damping, rate, stiffness / doubles_at**2, load, h)
+    return _finer(give, step, len(links[0].load)), _finer(lighter * acceleration, step, len(links[0].load))
+
+
+def _swing(
+    inertia: FloatArray, damping: FloatArray, rate: FloatArray, cubic: FloatArray, load: FloatArray, h: float
+) -> FloatArrays:
+    """D (N, ...) and d'' at steps of h seconds: M d'' + c d' + rate d + cubic d^3 = load, from where it stands."""
+    ahead = 0.25 * h**2
+    signals = [load, rate, damping, inertia + 0.5 * h * damping + ahead * rate]
+    one = load[0].size == 1
+    columns = [signal.ravel().tolist() for signal in signals] if one else signals
+    hard = cubic.item() if one else cubic
+    d, v, a = columns[0][0] / columns[1][0], 0.0, 0.0
+    for _ in range(SETTLED):
+        d = d - (columns[1][0] * d + hard * d**3 - columns[0][0]) / (columns[1][0] + 3.0 * hard * d**2)
+    newtons = NEWTONS if np.any(cubic) else 1
+    give, acceleration = np.empty((2, *load.shape))
+    for k, (force, stiff, damp, divide) in enumerate(zip(*columns)):
+        guess_d, guess_v = d + h * v + ahead * a, v + 0.5 * h * a
+        short = damp * guess_v + stiff * guess_d - force
+        for _ in range(newtons):
+            twist = guess_d + ahead * a
+            harder = hard * twist * twist
+            a = a - (divide * a + short + harder * twist) / (divide + 3.0 * ahead * harder)
+        d, v = guess_d + ahead * a, guess_v + 0.5 * h * a
         give[k], acceleration[k] = d, a
-    return _finer(give, lighter * acceleration, step, len(sensitivity.load))
+    return give, acceleration
 
 
-def gap(links: Sequence[Sensitivity], width: FloatArray, stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
+def gap(links: Sequence[Sensitivity], width: FloatArray, stiffness: FloatArray) -> FloatArrays:
     """D (N, n, p) rad and d'' of n links between two stops: p pairs of width, rad, and contact stiffness, N·m/rad."""
     inertia = np.maximum(np.stack([link.own_inertia for link in links], axis=1), 1e-6)[:, :, None]
     load = np.stack([link.load for link in links], axis=1)[:, :, None]
@@ -147,10 +204,12 @@ def gap(links: Sequence[Sensitivity], width: FloatArray, stiffness: FloatArray) 
     return give, acceleration
 
 
-def _finer(give: FloatArray, acceleration: FloatArray, step: int, samples: int) -> tuple[FloatArray, FloatArray]:
-    """From every `step`-th sample to all."""
-    coarse, fine = np.arange(len(give)) * step, np.arange(samples)
-    return np.interp(fine, coarse, give), np.interp(fine, coarse, acceleration)
+def _finer(signal: FloatArray, step: int, samples: int) -> FloatArray:
+    """From every `step`-th sample to all, with straight lines between them."""
+    if step == 1:
+        return signal
+    coarse = step * np.arange(len(signal))
+    return np.asarray(make_interp_spline(coarse, signal, k=1)(np.minimum(np.arange(samples), coarse[-1])))
 
 
 @dataclass(frozen=True)
@@ -159,17 +218,41 @@ class JointElasticity(_Compliance):
 
     kind: ClassVar[str] = "joint_elasticity"
     words: ClassVar[str] = "the gear gives way like a spring"
-    equation: ClassVar[str] = "-(M d'' + G d), M d'' + K d + G d = tau_load"
-    source: ClassVar[str] = "Spong 1987"
+    equation: ClassVar[str] = "-(M d'' + G d), M d'' + K d (1 + (d/d_2)^2) + G d = tau_load"
+    source: ClassVar[str] = "Spong 1987; hardening: Tuttle 1992"
     confused_with: ClassVar[tuple[str, ...]] = ("link_flexibility", "base_flexibility", "backlash", "payload")
     experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Each joint, on a spring that is linear or hardens."""
+        for joint in arm.joint_names:
+            yield {"joint": joint}
+            yield {"joint": joint, "hardens": True}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
-        return cls((share,), springs(joint), place=place)
+        if not place.get("hardens"):
+            return cls((share,), springs(joint), place=place)
+        doubles_at = Constant("doubles_at", joint, "rad", DOUBLES_GRID)
+        return cls((share,), (*springs(joint, HARDENING_GRID), doubles_at), place=place)
+
+    def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
+        """Of the joint's link."""
+        if not self.place.get("hardens"):
+            return super().give(motion, constants, background)
+        return self._of_grid(spring, motion, constants, background)
+
+    def replaces(self, other: Effect) -> bool:
+        """A gear is one spring."""
+        return isinstance(other, JointElasticity) and other.joints == self.joints
+
+    def where(self, values: FloatArray) -> str:
+        """Whether it hardens."""
+        return f"{self.words} that hardens" if self.place.get("hardens") else self.words
 
 
 @dataclass(frozen=True)
@@ -195,21 +278,9 @@ class Backlash(_Compliance):
         """None: how fast teeth bounce depends on how hard they meet."""
         return None
 
-    def give(self, motion: Motion, constants: Values, background: Background) -> tuple[FloatArray, FloatArray]:
-        """Of a gap; those of the whole grid, at all joints, are computed at once."""
-        points = list(product(*(constant.grid for constant in self.constants)))
-        if tuple(constants) not in points:
-            give, acceleration = gap([self.sensitivity(motion, background)], *np.array([constants]).T)
-            return give[:, 0, 0], acceleration[:, 0, 0]
-        joints = range(len(motion.joints))
-
-        def compute() -> list[FloatArray]:
-            links = [by_position(motion, background, joint) for joint in joints]
-            return [x.astype(np.float32) for x in gap(links, *np.array(points).T)]
-
-        at = np.s_[:, motion.joints.index(self.place["joint"]), points.index(tuple(constants))]
-        give, acceleration = (x[at].astype(float) for x in background.keep("gap", compute))
-        return give, acceleration
+    def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
+        """Of a gap."""
+        return self._of_grid(gap, motion, constants, background)
 
 
 def _square_to(length: FloatArray, axis: FloatArray) -> list[tuple[float, ...]]:

@@ -98,6 +98,10 @@ class Effect(Term):
         """A further one of the same kind at the same place (another harmonic), once this one is known."""
         return None
 
+    def replaces(self, other: Effect) -> bool:
+        """Whether another says the same of the same place in another form, and is no candidate once this is known."""
+        return other is self
+
     def shown(self, values: FloatArray) -> Shown:
         """What a person wants to know of its values: parameters, then constants, in its own order."""
         shown = {}

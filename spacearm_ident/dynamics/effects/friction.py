@@ -17,6 +17,11 @@ from .effect import Effect, Options, direction, each, known_joint, known_joints,
 
 BETWEEN = 1.05
 """A constant nearer to the end of its grid than this ratio is at its end."""
+SPOT_GRID = tuple(float(q) for q in np.linspace(-3.2, 3.2, 33))
+WIDTH_GRID = (0.1, 0.2, 0.4, 0.8)
+"""rad: a dent in a race or a seal that pinches, to a part of the range that is worn."""
+BELL = 4.0
+"""Widths from its centre beyond which a spot is not felt."""
 
 
 @dataclass(frozen=True)
@@ -210,40 +215,52 @@ class PositionFriction(_Friction):
     kind: ClassVar[str] = "position_friction"
     follows: ClassVar[str] = "friction_position"
     words: ClassVar[str] = "friction depends on the joint's position"
-    equation: ClassVar[str] = "[a sin(n q) + b cos(n q)] sgn(qd)"
+    equation: ClassVar[str] = "[a sin(n q) + b cos(n q)] sgn(qd), or a exp(-((q - q_0)/w)^2) sgn(qd)"
     source: ClassVar[str] = "Simoni et al. 2017"
     confused_with: ClassVar[tuple[str, ...]] = ("torque_ripple", "harness_spring", "load_friction")
     experiment: ClassVar[str] = "slow constant speed over the whole range in both directions (--for ripple)"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """One to six cycles a turn."""
+        """One to six cycles a turn, or a spot."""
         for joint in arm.joint_names:
             for cycles in range(1, 7):
                 yield {"joint": joint, "cycles": cycles}
+            yield {"joint": joint, "spot": True}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """At one joint, with `cycles` a turn."""
-        joint, cycles = known_joint(arm, place), float(place["cycles"])
-        symbols = (f"sin_{cycles:g}", f"cos_{cycles:g}")
+        """At one joint, with `cycles` a turn, or at a `spot`."""
+        joint = known_joint(arm, place)
+        if place.get("spot"):
+            constants = Constant("centre", joint, "rad", SPOT_GRID), Constant("width", joint, "rad", WIDTH_GRID)
+            return cls((Parameter("spot", joint, "N m"),), constants, place=place)
+        symbols = (f"sin_{float(place['cycles']):g}", f"cos_{float(place['cycles']):g}")
         return cls(tuple(Parameter(symbol, joint, "N m") for symbol in symbols), place=place)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """Sine and cosine times direction."""
+        """Sine and cosine, or a bell, times direction."""
         row = self.row(motion)
-        angle, moving = float(self.place["cycles"]) * motion.position[:, row], direction(motion, row)
+        position, moving = motion.position[:, row], direction(motion, row)
+        if self.place.get("spot"):
+            away = (position - constants[0]) / constants[1]
+            return own(row, np.where(np.abs(away) < BELL, np.exp(-(away**2)), 0.0) * moving)
+        angle = float(self.place["cycles"]) * position
         return own(row, np.sin(angle) * moving, np.cos(angle) * moving)
 
     def shown(self, values: FloatArray) -> dict[str, tuple[float, str]]:
-        """Amplitude and phase."""
+        """Amplitude and phase, or how much, where and how wide."""
+        if self.place.get("spot"):
+            return dict(zip(("amplitude", "centre", "width"), zip(map(float, values), ("N m", "rad", "rad"))))
         return {
             "amplitude": (float(np.hypot(*values[:2])), "N m"),
             "phase": (float(np.arctan2(values[1], values[0])), "rad"),
         }
 
     def where(self, values: FloatArray) -> str:
-        """With its number of cycles."""
+        """With its number of cycles, or where."""
+        if self.place.get("spot"):
+            return f"{'tight' if values[0] > 0 else 'easy'} about {values[1]:.2g} rad, times the direction of motion"
         return f"{self.place['cycles']} cycles a joint revolution, times the direction of motion"
 
 

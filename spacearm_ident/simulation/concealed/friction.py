@@ -89,13 +89,16 @@ class PositionFriction(Effect):
         "amplitude": Parameter("N m", 0.1, 5.0),
         "cycles": Parameter("1/rev", 1.0, 4.0, 1.0),
         "phase": Parameter("rad", -np.pi, np.pi, 0.0),
+        "width": Parameter("rad", 0.02, 2.0, np.nan),
     }
     laws = ("usual", "bump")
 
     def level(self, state: State, level: FloatArray) -> FloatArray:
-        """Wave round the joint; law `bump`: one tight spot as wide as a quarter wave."""
+        """Wave round the joint; law `bump`: a tight spot a cycle, as wide as a quarter wave or as `width` says."""
         angle = self.values["cycles"] * state.q[self.joints] + self.values["phase"]
-        wave = np.sin(angle) if self.law == "usual" else np.exp(4.0 * (np.cos(angle) - 1.0))
+        sharp = 2.0 / (self.values["cycles"] * self.values["width"]) ** 2
+        sharp = np.where(np.isnan(sharp), 4.0, sharp)
+        wave = np.sin(angle) if self.law == "usual" else np.exp(sharp * (np.cos(angle) - 1.0))
         level = level.copy()
         level[self.joints] += self.values["amplitude"] * wave
         return level

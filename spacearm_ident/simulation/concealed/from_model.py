@@ -144,6 +144,9 @@ def _ripple(found: _Found) -> Values:
 
 
 def _position_friction(found: _Found) -> Values:
+    if found.place.get("spot"):
+        # Near its centre the simulated spot is that bell: away from it, to a few per cent where it is widest.
+        return {"amplitude": found["spot"], "phase": -found["centre"], "width": found["width"], "law": "bump"}
     cycles = float(found.place["cycles"])
     return _wave(found[f"sin_{cycles:g}"], found[f"cos_{cycles:g}"], cycles)
 
@@ -249,7 +252,10 @@ def _friction_drift(found: _Found) -> Values:
 def _elasticity(found: _Found) -> Values:
     stiffness = found["stiffness"] / found.share
     link = found.inertia(found.joints[0]) - found.of_joint("rotor_inertia")
-    return {"stiffness": stiffness, "damping": 2.0 * DAMPING_RATIO * float(np.sqrt(stiffness * link))}
+    values: Values = {"stiffness": stiffness, "damping": 2.0 * DAMPING_RATIO * float(np.sqrt(stiffness * link))}
+    if found["doubles_at"]:
+        values |= {"doubles_at": found["doubles_at"] * found.share, "law": "hardening"}
+    return values
 
 
 def _harness(found: _Found) -> Values:

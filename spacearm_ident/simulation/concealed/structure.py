@@ -51,25 +51,26 @@ class BaseTilt(Effect):
 class JointElasticity(Effect):
     """Motor and link are two inertias with a spring between; friction is at the motor, and so is the encoder.
 
-    Law `hardening`: three times the stiffness at 2 mrad.
+    Law `hardening`: three times the stiffness at 2 mrad, or twice that at the twist that `doubles_at` says.
     """
 
     name = "joint_elasticity"
     parameters: ClassVar = {
         "stiffness": Parameter("N m/rad", 2.5e3, 4e4),
         "damping": Parameter("N m s/rad", 0.5, 40.0, 8.0),
+        "doubles_at": Parameter("rad", 5e-4, 2e-2, float(2e-3 / np.sqrt(2.0))),
     }
     laws = ("usual", "hardening")
 
     def build(self, structure: Structure) -> None:
         """A spring at each joint."""
         for i, joint in enumerate(self.joints):
-            stiffness, damping = float(self.values["stiffness"][i]), float(self.values["damping"][i])
-            structure.add_spring(int(joint), self._spring(stiffness, damping, 2.0 * (self.law == "hardening")))
+            stiffness, damping, twist = (float(self.values[name][i]) for name in self.parameters)
+            cubic = stiffness / twist**2 if self.law == "hardening" else 0.0
+            structure.add_spring(int(joint), self._spring(stiffness, damping, cubic))
 
     @staticmethod
-    def _spring(stiffness: float, damping: float, harder: float) -> Spring:
-        cubic = harder * stiffness / 2e-3**2
+    def _spring(stiffness: float, damping: float, cubic: float) -> Spring:
         return lambda twist, rate: twist * (stiffness + cubic * twist * twist) + damping * rate
 
 
