@@ -270,6 +270,21 @@ def test_a_link_on_a_spring_that_hardens_swings_the_faster_the_further_it_was_wo
     assert np.mean(np.diff(crossing)) == pytest.approx(period, rel=5e-3)
 
 
+@pytest.mark.parametrize("inertia", [-0.1, 1e-6, 1e-3])
+@pytest.mark.parametrize("gravity", [-500.0, 0.0])
+def test_a_link_without_inertia_follows_its_spring_however_it_is_loaded(inertia, gravity):
+    """Fitted models may have such links; a twist that runs away is no number, and a ranking with it none either."""
+    load = 300.0 * np.sign(np.random.default_rng(1).standard_normal(2000)).repeat(5)
+    ones = np.ones_like(load)
+    link = Sensitivity(RATE, ones[:, None], ones[:, None], inertia * ones, gravity * ones, load)
+    stiffness, doubles_at = np.array([400.0, 2e3]), np.array([8e-4, 5e-3])
+    for k in range(2):
+        alone, _ = spring([link], stiffness[[k]], np.array([0.05]), doubles_at[[k]])
+        assert np.abs(alone).max() < 4.0 * np.abs(np.cbrt(300.0 * doubles_at[k] ** 2 / stiffness[k]))
+    both, acceleration = spring([link], stiffness, np.full(2, 0.05), doubles_at)
+    assert np.isfinite(both).all() and np.isfinite(acceleration).all()
+
+
 def test_play_under_a_load_that_stays_on_one_side_is_half_the_gap():
     slow, width, arm = swing(0.4, 0.3, 20.0, centre=0.9), 0.02, arm_of(PENDULUM)
     stiff = 1e9  # as stiff as teeth may be

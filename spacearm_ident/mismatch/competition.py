@@ -310,9 +310,8 @@ class Competition:
     def _gain(self, candidate: Candidate, beside: Refit) -> float:
         together = self.evidence.refit([*self.accepted, candidate])
         values = together.values[len(beside.values) :]
-        if not plausible(candidate, values):
-            return -np.inf
-        return together.gain - beside.gain
+        gain = together.gain - beside.gain
+        return gain if np.isfinite(gain) and plausible(candidate, values) else -np.inf
 
     def _polished(self, scored: Scored) -> Scored:
         """The winner with its constants searched together."""

@@ -11,10 +11,11 @@ recorded motion).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -33,12 +34,12 @@ CONTACT_HZ = 40.0
 """Gear teeth in contact are no stiffer than makes the link swing at this frequency: above what is looked at."""
 CONTACT_DAMPING = 0.35
 """More than teeth have (0.03 to 0.17; Kasuba and Evans 1981): how long a bounce rings cannot be told from its start."""
-NEWTONS, SETTLED = 3, 30
-"""Steps of Newton's method a sample, for a spring that hardens; and for where it stands at first."""
 STEPS = 2
 """A sample: a swing at `CONTACT_HZ` then advances by half a radian."""
 PREWARPED = 1.0
 """rad that a link swings in half a step up to which its frequency is kept: beyond, it is far above what is seen."""
+LEAST_INERTIA = 1e-6
+"""kg m^2: what is fitted may be less than nothing."""
 HALFWAY = 0.5
 SHORTEST_M = 0.02
 """A shorter link is a block, not a beam."""
@@ -103,7 +104,7 @@ class _Compliance(Effect):
         for part in self.parts:
             sensitivity = part.sensitivity(motion, background)
             stiffness = np.maximum(constants[0] + sensitivity.own_gravity, 0.0)
-            frequencies.append(np.sqrt(stiffness / np.maximum(sensitivity.own_inertia, 1e-6)) / (2 * np.pi))
+            frequencies.append(np.sqrt(stiffness / np.maximum(sensitivity.own_inertia, LEAST_INERTIA)) / (2 * np.pi))
         return float(np.min(frequencies)), float(np.max(frequencies))
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
@@ -144,7 +145,7 @@ def spring(
         for signals in zip(*((link.own_inertia, link.own_gravity, link.load) for link in links))
     )
     h = step / links[0].rate_hz
-    inertia = np.maximum(inertia, 1e-6)
+    inertia = np.maximum(inertia, LEAST_INERTIA)
     rate, damping = stiffness + gravity, 2 * damping_ratio * np.sqrt(stiffness * inertia)
     swung = np.clip(0.5 * h * np.sqrt(np.maximum(rate, 0.0) / inertia), 1e-6, PREWARPED)
     lighter = (swung / np.tan(swung)) ** 2
@@ -158,22 +159,24 @@ def _swing(
 ) -> FloatArrays:
     """D (N, ...) and d'' at steps of h seconds: M d'' + c d' + rate d + cubic d^3 = load, from where it stands."""
     ahead = 0.25 * h**2
-    signals = [load, rate, damping, inertia + 0.5 * h * damping + ahead * rate]
-    one = load[0].size == 1
+    signals = [load, rate, damping, np.maximum(inertia + 0.5 * h * damping + ahead * rate, LEAST_INERTIA)]
+    one, hard = load[0].size == 1, bool(np.any(cubic))
     columns = [signal.ravel().tolist() for signal in signals] if one else signals
-    hard = cubic.item() if one else cubic
-    d, v, a = columns[0][0] / columns[1][0], 0.0, 0.0
-    for _ in range(SETTLED):
-        d = d - (columns[1][0] * d + hard * d**3 - columns[0][0]) / (columns[1][0] + 3.0 * hard * d**2)
-    newtons = NEWTONS if np.any(cubic) else 1
+    bend = cubic.item() if one else cubic
+    sinh, arcsinh = (math.sinh, math.asinh) if one else (np.sinh, np.arcsinh)
+
+    def root(slope: Any, force: Any) -> Any:
+        """Of slope x + bend x^3 = force."""
+        unit = (slope / (3.0 * bend)) ** 0.5
+        return 2.0 * unit * sinh(arcsinh(1.5 * force / (slope * unit)) / 3.0)
+
+    first, held = columns[0][0], columns[1][0]
+    d, v, a = root(abs(held), first) if hard else first / held, 0.0, 0.0
     give, acceleration = np.empty((2, *load.shape))
     for k, (force, stiff, damp, divide) in enumerate(zip(*columns)):
         guess_d, guess_v = d + h * v + ahead * a, v + 0.5 * h * a
-        short = damp * guess_v + stiff * guess_d - force
-        for _ in range(newtons):
-            twist = guess_d + ahead * a
-            harder = hard * twist * twist
-            a = a - (divide * a + short + harder * twist) / (divide + 3.0 * ahead * harder)
+        pull = force - damp * guess_v - stiff * guess_d
+        a = (root(divide / ahead, pull + divide / ahead * guess_d) - guess_d) / ahead if hard else pull / divide
         d, v = guess_d + ahead * a, guess_v + 0.5 * h * a
         give[k], acceleration[k] = d, a
     return give, acceleration
@@ -181,7 +184,7 @@ def _swing(
 
 def gap(links: Sequence[Sensitivity], width: FloatArray, stiffness: FloatArray) -> FloatArrays:
     """D (N, n, p) rad and d'' of n links between two stops: p pairs of width, rad, and contact stiffness, N·m/rad."""
-    inertia = np.maximum(np.stack([link.own_inertia for link in links], axis=1), 1e-6)[:, :, None]
+    inertia = np.maximum(np.stack([link.own_inertia for link in links], axis=1), LEAST_INERTIA)[:, :, None]
     load = np.stack([link.load for link in links], axis=1)[:, :, None]
     h, half = 1 / (STEPS * links[0].rate_hz), np.broadcast_to(0.5 * width, (len(links), len(width)))
     most = (2 * np.pi * CONTACT_HZ) ** 2 * inertia
