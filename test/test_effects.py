@@ -33,6 +33,7 @@ from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
+from spacearm_ident.mismatch.constants import grid_points
 
 # --- the catalogue --------------------------------------------------------------------------------------------------
 
@@ -189,6 +190,21 @@ def test_a_second_harmonic_has_a_name_of_its_own():
     second = first.again(ARM)
     assert not {p.name for p in first.parameters} & {p.name for p in second.parameters}
     assert second.constants[0].name != first.constants[0].name
+
+
+def test_a_gear_is_one_spring_whether_it_hardens_or_not():
+    linear, hardens = (one("joint_elasticity", ARM, joint="elbow", **place) for place in ({}, {"hardens": True}))
+    assert linear.replaces(hardens) and hardens.replaces(linear) and linear.replaces(linear)
+    assert not linear.replaces(one("joint_elasticity", ARM, joint="shoulder"))
+    assert not linear.replaces(one("backlash", ARM, joint="elbow"))
+
+
+def test_a_spot_is_looked_for_where_a_joint_has_passed():
+    effect = one("position_friction", ARM, joint="elbow", spot=True)
+    spots = {centre for centre, _ in grid_points(effect, [W])}
+    low, high = W.position[:, 2].min(), W.position[:, 2].max()
+    assert spots == {centre for centre in effect.constants[0].grid if low <= centre < high} != set()
+    assert not list(grid_points(effect, [replace(W, position=np.full_like(W.position, 0.05))]))
 
 
 def test_friction_below_the_noise_of_speed_is_nothing():

@@ -132,6 +132,21 @@ def test_more_friction_is_friction_drift():
     assert change.value == pytest.approx(0.9, abs=0.1) and change.low > 0.5
 
 
+def tight(planted):
+    """A stretch of 0.8 rad where the elbow rubs, most in its middle at 0.3 rad."""
+    away = planted.q[:, 1] - 0.3
+    rub = np.where(np.abs(away) < 0.4, 0.7 * (1.0 + np.cos(np.pi * away / 0.4)) / 2.0, 0.0)
+    return np.outer(rub * np.sign(planted.qd[:, 1]), [0.0, 1.0])
+
+
+def test_a_stretch_where_a_joint_is_tight_is_found_where_it_is():
+    (finding,) = explained(tight, *SLOW_ONES).findings
+    assert (finding.effect, finding.joints) == ("position_friction", ("elbow",))
+    assert finding.parameters["centre"].value == pytest.approx(0.3, abs=0.05)
+    assert finding.parameters["amplitude"].value == pytest.approx(0.7, rel=0.15)
+    assert "tight" in finding.where and finding.explained > 0.9
+
+
 def test_what_vanishes_in_vacuum_is_one_finding_and_the_extended_model_lacks_it(tmp_path):
     """With qd |qd|, of which a reference alone says little beside qd and qd^3."""
 

@@ -3,9 +3,10 @@
 The effects of a model are columns of a regression; those of the simulated arm are physics. Here each is turned into
 the other: same thing, other parameters. What is exact and what is not:
 
-- Exact: `torque_ripple`, `position_friction`, `friction_drift`, `load_friction`, `asymmetric_friction`, `stribeck`,
-  `vacuum_friction`, `harness_spring`, `current_offset`, `torque_constant`, `encoder_eccentricity`, `base_tilt` (to
-  first order in the angle), `temperature_friction` (warmed by the arm's own losses).
+- Exact: `torque_ripple`, `position_friction` (a spot near its centre), `friction_drift`, `load_friction`,
+  `asymmetric_friction`, `stribeck`, `vacuum_friction`, `harness_spring`, `current_offset`, `torque_constant`,
+  `encoder_eccentricity`, `base_tilt` (to first order in the angle), `temperature_friction` (warmed by the arm's own
+  losses).
 - A fitted `share` other than 1 goes into the constant beside it, to first order: half the lag, half the gap.
 - `payload` is a ball: of its inertia only the trace counts. `presliding_hysteresis` takes over all dry friction of its
   joint. `motor_saturation` agrees up to the third power of torque; `torque_constant` of temperature goes by the
