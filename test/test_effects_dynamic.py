@@ -364,6 +364,10 @@ def test_a_link_on_a_spring_rings_between_its_slowest_and_its_fastest():
     assert np.ptp(inertia) < 1e-9 * inertia.max() and np.ptp(gravity) > 0
     rates = np.sqrt((3000.0 + gravity[[gravity.argmin(), gravity.argmax()]]) / inertia[0]) / (2 * np.pi)
     np.testing.assert_allclose((low, high), rates)
+    hardens = one("joint_elasticity", arm, joint="hip", hardens=True)
+    softest, stiffest = hardens.resonance(moved, (3000.0, 0.02, 1e-3), background)
+    assert low <= softest < 1.2 * high and stiffest > 2.0 * high
+    np.testing.assert_allclose(hardens.resonance(moved, (3000.0, 0.02, 10.0), background), (low, high), rtol=1e-3)
     assert one("backlash", arm, joint="hip").resonance(moved, (1e-3, 1e5), background) is None
 
 

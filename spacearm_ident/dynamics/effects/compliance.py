@@ -51,8 +51,6 @@ MOUNT_GRID = tuple(5.0 * k for k in STIFFNESS_GRID)
 GAP_GRID = tuple(float(b) for b in np.geomspace(8e-5, 0.02, 26))
 """rad, dense: when the teeth meet again follows from how far apart they are."""
 CONTACT_GRID = (3e4, 1e5, 3e5)
-HARDENING_GRID = STIFFNESS_GRID[:14]
-"""A spring that hardens within these twists, and is stiffer than that to begin with, winds up by a part of them."""
 DOUBLES_GRID = tuple(float(d) for d in np.geomspace(8e-4, 5e-3, 5))
 """rad: strain-wave gears double their torque over the linear one's within a few thousandths (Tuttle 1992)."""
 HORIZONTAL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
@@ -98,12 +96,17 @@ class _Compliance(Effect):
         give, acceleration = background.keep(swing.__name__, compute)
         return give[at].astype(float), acceleration[at].astype(float)
 
+    def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
+        """(N,) stiffness that a small swing about where it is feels, N·m/rad; others say what is different."""
+        return np.full(len(motion.position), constants[0])
+
     def resonance(self, motion: Motion, constants: Values, background: Background) -> tuple[float, float] | None:
         """Of the link on its spring, with the motor held."""
         frequencies = []
         for part in self.parts:
             sensitivity = part.sensitivity(motion, background)
-            stiffness = np.maximum(constants[0] + sensitivity.own_gravity, 0.0)
+            tangent = part.tangent(motion, constants, background) + sensitivity.own_gravity
+            stiffness = np.maximum(tangent, 0.0)
             frequencies.append(np.sqrt(stiffness / np.maximum(sensitivity.own_inertia, LEAST_INERTIA)) / (2 * np.pi))
         return float(np.min(frequencies)), float(np.max(frequencies))
 
@@ -241,13 +244,20 @@ class JointElasticity(_Compliance):
         if not place.get("hardens"):
             return cls((share,), springs(joint), place=place)
         doubles_at = Constant("doubles_at", joint, "rad", DOUBLES_GRID)
-        return cls((share,), (*springs(joint, HARDENING_GRID), doubles_at), place=place)
+        return cls((share,), (*springs(joint), doubles_at), place=place)
 
     def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """Of the joint's link."""
         if not self.place.get("hardens"):
             return super().give(motion, constants, background)
         return self._of_grid(spring, motion, constants, background)
+
+    def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
+        """The stiffer the further it is wound up."""
+        if not self.place.get("hardens"):
+            return super().tangent(motion, constants, background)
+        give, _ = self.give(motion, constants, background)
+        return np.asarray(constants[0] * (1.0 + 3.0 * (give / constants[2]) ** 2))
 
     def replaces(self, other: Effect) -> bool:
         """A gear is one spring."""
