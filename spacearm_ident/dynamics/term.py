@@ -64,8 +64,9 @@ class Constant:
     """A quantity the torque is not linear in, searched over `grid`, then refined between its bounds.
 
     `grid[0] == 0` stands for "not there"; a constant that ends on the first or last value is at a bound. One that
-    is a `speed` cannot be seen below the speeds that the motion and its bandwidth resolve. One with a `reach` (lowest,
-    highest) is refined all over that, where the rest is almost right already.
+    is a `speed` cannot be seen below the speeds that the motion and its bandwidth resolve; one that is a `position` is
+    looked for where the joint has been. One with a `reach` (lowest, highest) is refined all over that, where the rest
+    is almost right already.
     """
 
     symbol: str
@@ -73,6 +74,7 @@ class Constant:
     unit: str
     grid: tuple[float, ...]
     speed: bool = False
+    position: bool = False
     reach: tuple[float, float] | None = None
 
     @property

@@ -31,7 +31,7 @@ def _begins(constant: Constant) -> bool:
 
 
 def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[float, ...]]:
-    """Every point of its constants' grids; an event begins while something was recorded, a spot was passed."""
+    """Every point of its constants' grids; an event begins while something was recorded, a position was passed."""
     begin = min(motion.start_s for motion in motions)
     end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in motions)
     grids = []
@@ -39,7 +39,7 @@ def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[flo
         low, high = -np.inf, np.inf
         if _begins(constant):
             low, high = begin, end
-        elif constant.symbol == "centre":
+        elif constant.position:
             row = motions[0].joints.index(constant.joint)
             low = min(motion.position[:, row].min() for motion in motions)
             high = max(motion.position[:, row].max() for motion in motions)

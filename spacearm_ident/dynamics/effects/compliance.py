@@ -77,15 +77,18 @@ class _Compliance(Effect):
 
     def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of a link on a spring; others say what is different."""
-        give, acceleration = spring([self.sensitivity(motion, background)], *np.array([constants]).T)
+        return self._alone(spring, motion, constants, background)
+
+    def _alone(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
+        """(N,) d and d'' of what gives way, on one spring or gap."""
+        give, acceleration = swing([self.sensitivity(motion, background)], *np.array([constants]).T)
         return give[:, 0, 0], acceleration[:, 0, 0]
 
     def _of_grid(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of the joint's own link; those of the whole grid, at all joints, are computed at once."""
         points = list(product(*(constant.grid for constant in self.constants)))
         if tuple(constants) not in points:
-            give, acceleration = swing([self.sensitivity(motion, background)], *np.array([constants]).T)
-            return give[:, 0, 0], acceleration[:, 0, 0]
+            return self._alone(swing, motion, constants, background)
         joints = range(len(motion.joints))
 
         def compute() -> list[FloatArray]:
@@ -105,8 +108,7 @@ class _Compliance(Effect):
         frequencies = []
         for part in self.parts:
             sensitivity = part.sensitivity(motion, background)
-            tangent = part.tangent(motion, constants, background) + sensitivity.own_gravity
-            stiffness = np.maximum(tangent, 0.0)
+            stiffness = np.maximum(part.tangent(motion, constants, background) + sensitivity.own_gravity, 0.0)
             frequencies.append(np.sqrt(stiffness / np.maximum(sensitivity.own_inertia, LEAST_INERTIA)) / (2 * np.pi))
         return float(np.min(frequencies)), float(np.max(frequencies))
 

@@ -233,8 +233,9 @@ class PositionFriction(_Friction):
         """At one joint, with `cycles` a turn, or at a `spot`."""
         joint = known_joint(arm, place)
         if place.get("spot"):
-            constants = Constant("centre", joint, "rad", SPOT_GRID), Constant("width", joint, "rad", WIDTH_GRID)
-            return cls((Parameter("spot", joint, "N m"),), constants, place=place)
+            centre = Constant("centre", joint, "rad", SPOT_GRID, position=True)
+            width = Constant("width", joint, "rad", WIDTH_GRID)
+            return cls((Parameter("spot", joint, "N m"),), (centre, width), place=place)
         symbols = (f"sin_{float(place['cycles']):g}", f"cos_{float(place['cycles']):g}")
         return cls(tuple(Parameter(symbol, joint, "N m") for symbol in symbols), place=place)
 
