@@ -28,8 +28,9 @@ from planted_arm import THREE_LINKS, TWO_LINKS, Link, urdf_of
 from scipy.special import ellipk
 
 from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.dynamics.effects.backlash import gap
 from spacearm_ident.dynamics.effects.compliance import spring
-from spacearm_ident.dynamics.effects.linearised import Sensitivity
+from spacearm_ident.dynamics.effects.linearised import Sensitivity, by_position
 
 
 @pytest.mark.parametrize(
@@ -86,16 +87,19 @@ def test_below_its_resonance_a_link_is_heavier_and_above_it_is_gone(ratio, dampi
     assert found == pytest.approx(spring / (spring - ratio**2), abs=0.01)
 
 
+def swung(inertia, load, gravity=0.0):
+    """What swings, of constant inertia and gravity gradient."""
+    own, pulled, none = (value * np.ones_like(load) for value in (inertia, gravity, 0.0))
+    return Sensitivity(RATE, own[:, None], none[:, None], pulled[:, None], own, none, pulled, load)
+
+
 @pytest.mark.parametrize("natural_hz", [3.0, 10.0, 20.0])
 def test_a_link_that_is_let_go_rings_at_its_own_frequency(natural_hz):
     """And as long as its damping says, about where it comes to rest."""
     time, inertia, load, damping = np.arange(0.0, 3.0, 1 / RATE), 2.0, 30.0, 0.01
-    omega, ones = 2 * np.pi * natural_hz, np.ones_like(time)
-    freely = Sensitivity(
-        RATE, inertia * ones[:, None], 0 * ones[:, None], inertia * ones, 0 * ones, load * (time >= 1.0)
-    )
+    omega, link = 2 * np.pi * natural_hz, swung(inertia, load * (time >= 1.0))
     give, acceleration = (
-        signal[:, 0, 0] for signal in spring([freely], np.array([inertia * omega**2]), np.array([damping]))
+        signal[:, 0, 0] for signal in spring([link], np.array([inertia * omega**2]), np.array([damping]))
     )
     swing = give * inertia * omega**2 / load - 1.0
     up = np.flatnonzero((swing[:-1] < 0.0) & (swing[1:] >= 0.0) & (time[1:] > 1.0))
@@ -118,10 +122,9 @@ def test_a_link_that_is_let_go_rings_at_its_own_frequency(natural_hz):
 def test_a_link_on_a_spring_that_hardens_swings_the_faster_the_further_it_was_wound_up(wound_up):
     """Let go at rest it is Duffing's oscillator, whose period is an elliptic integral."""
     time, inertia, omega, doubles_at = np.arange(0.0, 6.0, 1 / RATE), 2.0, 2 * np.pi * 1.5, 2e-3
-    ones, stiffness, bent = np.ones_like(time), inertia * omega**2, wound_up**2
+    stiffness, bent = inertia * omega**2, wound_up**2
     load = stiffness * doubles_at * wound_up * (1.0 + bent) * (time < 1.0)
-    link = Sensitivity(RATE, inertia * ones[:, None], 0 * ones[:, None], inertia * ones, 0 * ones, load)
-    give, _ = spring([link], np.array([stiffness]), np.zeros(1), np.array([doubles_at]))
+    give, _ = spring([swung(inertia, load)], np.array([stiffness]), np.zeros(1), np.array([doubles_at]))
     twist = give[:, 0, 0]
     np.testing.assert_allclose(twist[time < 0.99], wound_up * doubles_at, rtol=1e-6)
     up = np.flatnonzero((twist[:-1] < 0.0) & (twist[1:] >= 0.0))
@@ -135,20 +138,62 @@ def test_a_link_on_a_spring_that_hardens_swings_the_faster_the_further_it_was_wo
 def test_a_link_without_inertia_follows_its_spring_however_it_is_loaded(inertia, gravity):
     """Fitted models may have such links; a twist that runs away is no number, and a ranking with it none either."""
     load = 300.0 * np.sign(np.random.default_rng(1).standard_normal(2000)).repeat(5)
-    ones = np.ones_like(load)
-    link = Sensitivity(RATE, ones[:, None], ones[:, None], inertia * ones, gravity * ones, load)
+    link = swung(inertia, load, gravity)
     stiffness, doubles_at = np.array([400.0, 2e3]), np.array([8e-4, 5e-3])
     for k in range(2):
         alone, _ = spring([link], stiffness[[k]], np.array([0.05]), doubles_at[[k]])
         assert np.abs(alone).max() < 4.0 * np.abs(np.cbrt(300.0 * doubles_at[k] ** 2 / stiffness[k]))
     both, acceleration = spring([link], stiffness, np.full(2, 0.05), doubles_at)
     assert np.isfinite(both).all() and np.isfinite(acceleration).all()
+    assert np.isfinite(gap([link, link], np.array([1e-3]), np.array([1e5]), np.array([0.7]))).all()
+
+
+@pytest.mark.parametrize("gravity", [0.0, -150.0, 150.0])
+def test_a_link_flies_from_flank_to_flank_as_its_load_and_its_weight_let_it(gravity):
+    """To the middle M d'' = F - G d takes it along a parabola, a cosine, or a catenary where it would fall over."""
+    time, inertia, width, force = np.arange(0.0, 1.0, 1 / RATE), 2.0, 8e-3, 2.0
+    give, _ = gap([swung(inertia, np.where(time < 0.5, -force, force), gravity)], *np.array([[width], [1e9], [1.0]]))
+    fly = np.sqrt(width * inertia / force)
+    if gravity:
+        rate, rest, half = np.sqrt(complex(gravity / inertia)), force / gravity, 0.5 * width
+        fly = abs(np.arccos(complex(rest / (half + rest))) / rate)
+    angle = give[:, 0, 0]
+    middle = np.flatnonzero((angle[:-1] < 0.0) & (angle[1:] >= 0.0))[0]
+    passed = time[middle] - angle[middle] / (angle[middle + 1] - angle[middle]) / RATE
+    assert passed - (0.5 - 1 / RATE) == pytest.approx(fly, rel=0.04)
+
+
+@pytest.mark.parametrize("share", [-0.3, 0.4])
+def test_what_is_the_rotors_does_not_fly_with_the_link(share):
+    """A first link's inertia and its rotor's are one sum: as if the link had that part of it less."""
+    moved, heavy = swing(0.8, 0.5, 20.0), arm_of(PENDULUM)
+    lighter = replace(PENDULUM[0], inertia=(0.03, 0, 0, 0.03 - share * PENDULUM_INERTIA, 0, 0.01))
+    added = [
+        torque(one("backlash", arm, joint="hip"), moved, [1.0], (1e-3, 1e5, 0.5, of_rotor), background_of(arm, moved))
+        for arm, of_rotor in ((heavy, share), (arm_of([lighter]), 0.0))
+    ]
+    np.testing.assert_allclose(*added, atol=1e-6 * np.abs(added).max())
+    assert len(one("backlash", ARM, joint="elbow").constants) == 3
+
+
+def test_a_small_motion_beside_the_recorded_one_costs_what_the_whole_one_costs_more():
+    """Against inverse dynamics of the moved arm, of which it is the exact derivative."""
+    motion, small, number = wave(ARM.joint_names, speed=3.0), 1e-5, 1
+    angle, unit = 9.0 * np.arange(len(motion.position)) / RATE, np.eye(3)[number]
+    d, dd, ddd = small * np.sin(angle), 9.0 * small * np.cos(angle), -81.0 * small * np.sin(angle)
+    state = motion.position, motion.velocity, motion.acceleration
+    moved = (recorded + np.outer(more, unit) for recorded, more in zip(state, (d, dd, ddd)))
+    want = rnea(THREE_LINKS, *moved) - rnea(THREE_LINKS, *state)
+    made = by_position(motion, background_of(ARM, motion), number).torque(d, ddd)
+    inner = slice(5, -5)
+    np.testing.assert_allclose(made[inner], want[inner], atol=1e-3 * np.abs(want).max())
 
 
 def test_play_under_a_load_that_stays_on_one_side_is_half_the_gap():
     slow, width, arm = swing(0.4, 0.3, 20.0, centre=0.9), 0.02, arm_of(PENDULUM)
     stiff = 1e9  # as stiff as teeth may be
-    made = torque(one("backlash", arm, joint="hip"), slow, [1.0], [width, stiff], background_of(arm, slow))[:, 0]
+    effect = one("backlash", arm, joint="hip")
+    made = torque(effect, slow, [1.0], [width, stiff, 0.7, 0.0], background_of(arm, slow))[:, 0]
     q = slow.position[:, 0]
     want = HANGING_NM * (np.sin(q - width / 2) - np.sin(q))
     np.testing.assert_allclose(made, want, atol=0.05 * np.abs(want).max())
@@ -218,9 +263,9 @@ def test_a_link_on_a_spring_rings_between_its_slowest_and_its_fastest():
     moved, arm = swing(0.8, 0.5, 20.0), arm_of(PENDULUM)
     background = background_of(arm, moved)
     effect = one("joint_elasticity", arm, joint="hip")
-    sensitivity = effect.sensitivity(moved, background)
+    sensitivity = effect.sensitivity(moved, (3000.0, 0.02), background)
     low, high = effect.resonance(moved, (3000.0, 0.02), background)
-    inertia, gravity = sensitivity.own_inertia, sensitivity.own_gravity
+    inertia, gravity = sensitivity.own_inertia, sensitivity.own_gradient
     assert np.ptp(inertia) < 1e-9 * inertia.max() and np.ptp(gravity) > 0
     rates = np.sqrt((3000.0 + gravity[[gravity.argmin(), gravity.argmax()]]) / inertia[0]) / (2 * np.pi)
     np.testing.assert_allclose((low, high), rates)

@@ -153,7 +153,7 @@ def test_friction_falls_with_temperature_as_the_term_says():
             {"share": 1.0, "stiffness": 4e3, "damping_ratio": 0.05, "doubles_at": 2e-3},
             0.15,
         ),
-        ("backlash", THIRD, {"share": 1.0, "gap": 0.01, "stiffness": 3e4}, 0.25),
+        ("backlash", THIRD, {"share": 1.0, "gap": 0.01, "stiffness": 3e4, "damping_ratio": 0.3}, 0.25),
         ("encoder_eccentricity", {**THIRD, "cycles": 1}, {"sin": 0.01, "cos": -0.005}, 0.1),
         ("encoder_eccentricity", {**THIRD, "cycles": 2}, {"sin": 0.003, "cos": 0.008}, 0.1),
     ],

@@ -14,8 +14,8 @@ from ..dynamics.term import Constant, Values
 from ..recording.motion import Motion
 from .evidence import Candidate, Evidence
 
-REFINEMENTS = 10
-"""Trials of one constant between its neighbours on the grid."""
+REFINEMENTS, REACHES = 10, 6
+"""Trials of one constant between its neighbours on the grid, and of one with a reach, which matters less."""
 POLISHES, POLISH_STEP = 80, 0.2
 """Trials of all constants together, and how far apart, relatively, they begin."""
 Gain = Callable[[Values], float]
@@ -74,7 +74,8 @@ def refine(effect: Effect, constants: Values, gain: Gain, best: float) -> Values
         def loss(value: float, k: int = k, at: Values = constants) -> float:
             return -gain((*at[:k], value, *at[k + 1 :]))
 
-        found = minimize_scalar(loss, bounds=bounds, method="bounded", options={"maxiter": REFINEMENTS})
+        trials = REACHES if constant.reach else REFINEMENTS
+        found = minimize_scalar(loss, bounds=bounds, method="bounded", options={"maxiter": trials})
         if -found.fun > best:
             best, constants = -found.fun, (*constants[:k], float(found.x), *constants[k + 1 :])
     return constants

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from .backlash import Backlash
 from .body import BaseTilt, ExternalContact, FloatingBase, Payload
-from .compliance import Backlash, BaseFlexibility, JointElasticity, LinkFlexibility
+from .compliance import BaseFlexibility, JointElasticity, LinkFlexibility
 from .coupling import RotorCoupling, WristCoupling
 from .drive import CurrentOffset, FilterLag, MotorSaturation, TimeDelay, TorqueConstant
 from .effect import Effect

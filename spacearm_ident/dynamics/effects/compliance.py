@@ -1,12 +1,12 @@
-"""What gives way between motor and link: elastic gears, backlash, flexible links, a soft base.
+"""What gives way like a spring between motor and link: elastic gears, flexible links, a soft base.
 
 The motor's encoder says q; the link is at q - d, because the gear (or the link, or the base) has given way by d under
 the torque it carries. d follows from the link side alone, driven by the rigid arm's load along the recording:
 
-    M d'' + c d' + s(d) + G d = load,     s(d) = K d (1 + (d / d_2)^2), or K times what is beyond the gap.
+    M d'' + (c + C) d' + s(d) + G d = load,     s(d) = K d (1 + (d / d_2)^2).
 
-Recorded torque then differs from the rigid model's by -(M[:, a] d'' + G[:, a] d) (Spong 1987, linearised about the
-recorded motion).
+Recorded torque then differs from the rigid model's by -(M[:, a] d'' + C[:, a] d' + G[:, a] d) (Spong 1987, linearised
+about the recorded motion).
 """
 
 from __future__ import annotations
@@ -30,12 +30,6 @@ from .linearised import COARSE_HZ, Sensitivity, by_position, by_virtual_joint, n
 DAMPING_RATIO = 0.05
 LEAST_DAMPING, MOST_DAMPING = 0.003, 0.15
 """Of critical: of bare steel, and of gears full of grease."""
-CONTACT_HZ = 40.0
-"""Gear teeth in contact are no stiffer than makes the link swing at this frequency: above what is looked at."""
-CONTACT_DAMPING = 0.35
-"""More than teeth have (0.03 to 0.17; Kasuba and Evans 1981): how long a bounce rings cannot be told from its start."""
-STEPS = 2
-"""A sample: a swing at `CONTACT_HZ` then advances by half a radian."""
 PREWARPED = 1.0
 """rad that a link swings in half a step up to which its frequency is kept: beyond, it is far above what is seen."""
 LEAST_INERTIA = 1e-6
@@ -48,9 +42,6 @@ ALONG = 0.1
 STIFFNESS_GRID = tuple(float(k) for k in np.geomspace(400.0, 120e3, 20))
 MOUNT_GRID = tuple(5.0 * k for k in STIFFNESS_GRID)
 """A mount carries the whole arm."""
-GAP_GRID = tuple(float(b) for b in np.geomspace(8e-5, 0.02, 26))
-"""rad, dense: when the teeth meet again follows from how far apart they are."""
-CONTACT_GRID = (3e4, 1e5, 3e5)
 DOUBLES_GRID = tuple(float(d) for d in np.geomspace(8e-4, 5e-3, 5))
 """rad: strain-wave gears double their torque over the linear one's within a few thousandths (Tuttle 1992)."""
 HORIZONTAL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
@@ -59,21 +50,30 @@ HORIZONTAL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 NEVER = np.array([np.inf])
 FloatArrays = tuple[FloatArray, FloatArray]
 Swing = Callable[..., FloatArrays]
-"""Links, and numbers of p springs or gaps, to d and d'' (N, n, p)."""
+"""Links, and the constants of p springs or gaps, to d and d'' (N, n, p)."""
 
 
 @dataclass(frozen=True)
-class _Compliance(Effect):
+class Compliance(Effect):
     """Something gives way by d(t)."""
 
     @property
-    def parts(self) -> tuple[_Compliance, ...]:
+    def parts(self) -> tuple[Compliance, ...]:
         """What gives way on its own; what one part's swing does to another is of second order and left out."""
         return (self,)
 
-    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
+    @property
+    def of_link(self) -> int:
+        """So many constants, the last ones, are not the spring's but of what swings on it."""
+        return 0
+
+    def own_link(self, motion: Motion, constants: Values, background: Background, joint: int) -> Sensitivity:
+        """What swings about a joint's own axis."""
+        return by_position(motion, background, joint)
+
+    def sensitivity(self, motion: Motion, constants: Values, background: Background) -> Sensitivity:
         """About the axis that gives way: the joint's own; others say which."""
-        return by_position(motion, background, motion.joints.index(self.place["joint"]))
+        return self.own_link(motion, constants, background, motion.joints.index(self.place["joint"]))
 
     def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of a link on a spring; others say what is different."""
@@ -81,22 +81,24 @@ class _Compliance(Effect):
 
     def _alone(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of what gives way, on one spring or gap."""
-        give, acceleration = swing([self.sensitivity(motion, background)], *np.array([constants]).T)
+        give, acceleration = swing(
+            [self.sensitivity(motion, constants, background)], *np.array([constants[: len(constants) - self.of_link]]).T
+        )
         return give[:, 0, 0], acceleration[:, 0, 0]
 
-    def _of_grid(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
+    def of_grid(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of the joint's own link; those of the whole grid, at all joints, are computed at once."""
-        points = list(product(*(constant.grid for constant in self.constants)))
-        if tuple(constants) not in points:
+        grids, swung = [constant.grid for constant in self.constants], len(constants) - self.of_link
+        if any(value not in grid for value, grid in zip(constants, grids)):
             return self._alone(swing, motion, constants, background)
-        joints = range(len(motion.joints))
+        points, joints = list(product(*grids[:swung])), range(len(motion.joints))
 
         def compute() -> list[FloatArray]:
-            links = [by_position(motion, background, joint) for joint in joints]
+            links = [self.own_link(motion, constants, background, joint) for joint in joints]
             return [x.astype(np.float32) for x in swing(links, *np.array(points).T)]
 
-        at = np.s_[:, motion.joints.index(self.place["joint"]), points.index(tuple(constants))]
-        give, acceleration = background.keep(swing.__name__, compute)
+        at = np.s_[:, motion.joints.index(self.place["joint"]), points.index(tuple(constants[:swung]))]
+        give, acceleration = background.keep((swing.__name__, *constants[swung:]), compute)
         return give[at].astype(float), acceleration[at].astype(float)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
@@ -107,8 +109,8 @@ class _Compliance(Effect):
         """Of the link on its spring, with the motor held."""
         frequencies = []
         for part in self.parts:
-            sensitivity = part.sensitivity(motion, background)
-            stiffness = np.maximum(part.tangent(motion, constants, background) + sensitivity.own_gravity, 0.0)
+            sensitivity = part.sensitivity(motion, constants, background)
+            stiffness = np.maximum(part.tangent(motion, constants, background) + sensitivity.own_gradient, 0.0)
             frequencies.append(np.sqrt(stiffness / np.maximum(sensitivity.own_inertia, LEAST_INERTIA)) / (2 * np.pi))
         return float(np.min(frequencies)), float(np.max(frequencies))
 
@@ -117,7 +119,7 @@ class _Compliance(Effect):
         if background is None or background.arm is None:
             return nothing(motion, range(len(motion.joints)), 1)
         given_way = [
-            part.sensitivity(motion, background).torque(*part.give(motion, constants, background))
+            part.sensitivity(motion, constants, background).torque(*part.give(motion, constants, background))
             for part in self.parts
         ]
         torque = -np.sum(given_way, axis=0)
@@ -145,18 +147,21 @@ def spring(
         doubles_at: (p,) rad at which its torque is twice K d: K d (1 + (d / d_2)^2).
     """
     step = max(1, int(links[0].rate_hz / COARSE_HZ))
-    inertia, gravity, load = (
-        np.stack([signal[::step] for signal in signals], axis=1)[:, :, None]
-        for signals in zip(*((link.own_inertia, link.own_gravity, link.load) for link in links))
-    )
+    inertia, coriolis, gradient, load = own_signals(links, step)
     h = step / links[0].rate_hz
-    inertia = np.maximum(inertia, LEAST_INERTIA)
-    rate, damping = stiffness + gravity, 2 * damping_ratio * np.sqrt(stiffness * inertia)
+    rate, damping = stiffness + gradient, 2 * damping_ratio * np.sqrt(stiffness * inertia) + coriolis
     swung = np.clip(0.5 * h * np.sqrt(np.maximum(rate, 0.0) / inertia), 1e-6, PREWARPED)
     lighter = (swung / np.tan(swung)) ** 2
     load = np.broadcast_to(load, rate.shape)
     give, acceleration = _swing(lighter * inertia, damping, rate, stiffness / doubles_at**2, load, h)
     return _finer(give, step, len(links[0].load)), _finer(lighter * acceleration, step, len(links[0].load))
+
+
+def own_signals(links: Sequence[Sensitivity], step: int = 1) -> Iterator[FloatArray]:
+    """(N, n, 1) inertia, what d' and d cost about their own axes, and load, of every `step`-th sample."""
+    inertia, *others = zip(*((link.own_inertia, link.own_coriolis, link.own_gradient, link.load) for link in links))
+    for signals in ([np.maximum(own, LEAST_INERTIA) for own in inertia], *others):
+        yield np.stack([signal[::step] for signal in signals], axis=1)[:, :, None]
 
 
 def _swing(
@@ -187,31 +192,6 @@ def _swing(
     return give, acceleration
 
 
-def gap(links: Sequence[Sensitivity], width: FloatArray, stiffness: FloatArray) -> FloatArrays:
-    """D (N, n, p) rad and d'' of n links between two stops: p pairs of width, rad, and contact stiffness, N·m/rad."""
-    inertia = np.maximum(np.stack([link.own_inertia for link in links], axis=1), LEAST_INERTIA)[:, :, None]
-    load = np.stack([link.load for link in links], axis=1)[:, :, None]
-    h, half = 1 / (STEPS * links[0].rate_hz), np.broadcast_to(0.5 * width, (len(links), len(width)))
-    most = (2 * np.pi * CONTACT_HZ) ** 2 * inertia
-    d = np.copysign(half, load[0])
-    d = d + load[0] / np.minimum(stiffness, most[0])
-    v = np.zeros_like(d)
-    give, acceleration = np.empty((2, len(inertia), *d.shape))
-    for k, (force, mass) in enumerate(zip(load, inertia)):
-        stiff = np.minimum(stiffness, most[k])
-        damp = 2 * CONTACT_DAMPING * np.sqrt(stiff * mass)
-        for _ in range(STEPS):
-            beyond = d - np.minimum(np.maximum(d, -half), half)
-            push = stiff * beyond + damp * v
-            # Teeth push, they do not pull.
-            push *= push * beyond > 0
-            a = (force - push) / mass
-            v += h * a
-            d += h * v
-        give[k], acceleration[k] = d, a
-    return give, acceleration
-
-
 def _finer(signal: FloatArray, step: int, samples: int) -> FloatArray:
     """From every `step`-th sample to all, with straight lines between them."""
     if step == 1:
@@ -221,7 +201,7 @@ def _finer(signal: FloatArray, step: int, samples: int) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class JointElasticity(_Compliance):
+class JointElasticity(Compliance):
     """The gear is a spring between motor and link."""
 
     kind: ClassVar[str] = "joint_elasticity"
@@ -252,7 +232,7 @@ class JointElasticity(_Compliance):
         """Of the joint's link."""
         if not self.place.get("hardens"):
             return super().give(motion, constants, background)
-        return self._of_grid(spring, motion, constants, background)
+        return self.of_grid(spring, motion, constants, background)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
         """The stiffer the further it is wound up."""
@@ -270,34 +250,6 @@ class JointElasticity(_Compliance):
         return f"{self.words} that hardens" if self.place.get("hardens") else self.words
 
 
-@dataclass(frozen=True)
-class Backlash(_Compliance):
-    """Play between the teeth of the gear."""
-
-    kind: ClassVar[str] = "backlash"
-    words: ClassVar[str] = "play in the gear"
-    equation: ClassVar[str] = "-(M d'' + G d), d free within the gap, on a spring beyond"
-    source: ClassVar[str] = "Nordin and Gutman 2002"
-    confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "presliding_hysteresis", "time_delay")
-    experiment: ClassVar[str] = "slow reversals of the load (not only of the speed): gravity from either side"
-
-    @classmethod
-    def at(cls, arm: Arm, place: Options) -> Effect:
-        """At one joint."""
-        joint = known_joint(arm, place)
-        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
-        gap_ = Constant("gap", joint, "rad", GAP_GRID)
-        return cls((share,), (gap_, Constant("stiffness", joint, "N m/rad", CONTACT_GRID)), place=place)
-
-    def resonance(self, motion: Motion, constants: Values, background: Background) -> tuple[float, float] | None:
-        """None: how fast teeth bounce depends on how hard they meet."""
-        return None
-
-    def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
-        """Of a gap."""
-        return self._of_grid(gap, motion, constants, background)
-
-
 def _square_to(length: FloatArray, axis: FloatArray) -> list[tuple[float, ...]]:
     """Two directions square to a link's length: as near the joint's axis as can be, and across both."""
     along = length / np.linalg.norm(length)
@@ -309,7 +261,7 @@ def _square_to(length: FloatArray, axis: FloatArray) -> list[tuple[float, ...]]:
 
 
 @dataclass(frozen=True)
-class LinkFlexibility(_Compliance):
+class LinkFlexibility(Compliance):
     """A link bends: a sprung hinge halfway to the next joint, where a beam under a moment at its end has its bend."""
 
     kind: ClassVar[str] = "link_flexibility"
@@ -338,14 +290,14 @@ class LinkFlexibility(_Compliance):
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
         return cls((share,), springs(joint), place=place)
 
-    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
+    def sensitivity(self, motion: Motion, constants: Values, background: Background) -> Sensitivity:
         """About a hinge in the link."""
         link, along = motion.joints.index(self.place["joint"]), float(self.place.get("along", 0.0))
         return by_virtual_joint(motion, background, link, tuple(self.place["axis"]), along)
 
 
 @dataclass(frozen=True)
-class BaseFlexibility(_Compliance):
+class BaseFlexibility(Compliance):
     """The arm stands on something soft."""
 
     kind: ClassVar[str] = "base_flexibility"
@@ -376,12 +328,12 @@ class BaseFlexibility(_Compliance):
         return ()
 
     @property
-    def parts(self) -> tuple[_Compliance, ...]:
+    def parts(self) -> tuple[Compliance, ...]:
         """One for each axis."""
         if "axis" in self.place:
             return (self,)
         return tuple(replace(self, place={"axis": list(axis)}) for axis in HORIZONTAL)
 
-    def sensitivity(self, motion: Motion, background: Background) -> Sensitivity:
+    def sensitivity(self, motion: Motion, constants: Values, background: Background) -> Sensitivity:
         """About a hinge at the base."""
         return by_virtual_joint(motion, background, -1, tuple(self.place["axis"]))

@@ -1,8 +1,9 @@
-"""What a small further motion costs in torque: inertia and gravity gradient about a recorded motion.
+"""What a small further motion costs in torque: inverse dynamics, linearised about a recorded motion.
 
 A compliance, an encoder error, a floating base move the arm a little beside what was recorded. The torque of that
-little motion d(t) about an axis is M[:, a] d'' + G[:, a] d, with the inertia and the gravity gradient of the model
-along the recording. The axis may be a joint's own or one that the arm does not have: a virtual joint is added then.
+little motion d(t) about an axis is M[:, a] d'' + C[:, a] d' + G[:, a] d, with the inertia and the gradients of the
+model along the recording. The axis may be a joint's own or one that the arm does not have: a virtual joint is added
+then.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from ..background import Background
 from ..regressor import rigid_body_blocks
 
 STEP = 1e-4
-"""Half the central difference for the gravity gradient, rad."""
+"""Half the central difference for the gradient, rad."""
+POSTURES = 64
 COARSE_HZ = 250.0
 """Inertias change slowly: they are computed at this rate and interpolated."""
 
@@ -29,24 +31,31 @@ class Sensitivity:
     Attributes:
         rate_hz: Of the arrays below.
         inertia: (N, n) M[:, a], kg·m².
-        gravity: (N, n) dG/dq_a, N·m/rad.
+        coriolis: (N, n) d tau/dqd_a, N·m·s/rad.
+        gradient: (N, n) d tau/dq_a, of gravity and of how inertial forces turn with the arm, N·m/rad.
         own_inertia: (N,) M[a, a].
-        own_gravity: (N,) dG_a/dq_a.
+        own_coriolis: (N,) d tau_a/dqd_a.
+        own_gradient: (N,) d tau_a/dq_a.
         load: (N,) torque about the axis of the recorded motion, N·m.
     """
 
     rate_hz: float
     inertia: FloatArray
-    gravity: FloatArray
+    coriolis: FloatArray
+    gradient: FloatArray
     own_inertia: FloatArray
-    own_gravity: FloatArray
+    own_coriolis: FloatArray
+    own_gradient: FloatArray
     load: FloatArray
 
     def torque(self, motion: FloatArray, acceleration: FloatArray | None = None) -> FloatArray:
         """(N, n) torque of a small motion (N,) rad."""
         if acceleration is None:
             acceleration = np.gradient(np.gradient(motion)) * self.rate_hz**2
-        return np.asarray(self.inertia * acceleration[:, None] + self.gravity * motion[:, None])
+        velocity = np.gradient(motion) * self.rate_hz
+        return np.asarray(
+            self.inertia * acceleration[:, None] + self.coriolis * velocity[:, None] + self.gradient * motion[:, None]
+        )
 
 
 def by_position(motion: Motion, background: Background, joint: int) -> Sensitivity:
@@ -75,6 +84,21 @@ def by_virtual_joint(
     return background.keep(  # type: ignore[no-any-return]
         ("virtual", link, axis, along), lambda: _sensitivity(motion, background, arm, link + 1, places, along == 0.0)
     )
+
+
+def least_inertia(background: Background, joint: int) -> float:
+    """Kg m² about a joint's own axis in the posture where that is least, of many."""
+    arm, inertials = background.arm, background.inertials
+    assert arm is not None and inertials is not None
+    still = arm.with_gravity(np.zeros(3))
+
+    def compute() -> float:
+        q = np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, len(arm.joints)))
+        unit = np.zeros_like(q)
+        unit[:, joint] = 1.0
+        return float(rigid_torque(still, inertials, q, None, unit)[:, joint].min())
+
+    return background.keep(("least inertia", joint), compute)  # type: ignore[no-any-return]
 
 
 def next_joint(arm: Arm, link: int) -> FloatArray:
@@ -139,12 +163,11 @@ def _sensitivity(
     unit = np.zeros_like(q)
     unit[:, axis] = 1.0
     inertia = rigid_torque(arm.with_gravity(np.zeros(3)), inertials, q, None, unit)
-    gravity = np.zeros_like(q)
-    if np.any(arm.gravity):
-        up, down = q.copy(), q.copy()
-        up[:, axis] += STEP
-        down[:, axis] -= STEP
-        gravity = (rigid_torque(arm, inertials, up) - rigid_torque(arm, inertials, down)) / (2 * STEP)
+    beside = STEP * unit
+    gradient = rigid_torque(arm, inertials, q + beside, qd, qdd) - rigid_torque(arm, inertials, q - beside, qd, qdd)
+    gradient /= 2 * STEP
+    # Torque is quadratic in speed: this difference is no approximation.
+    coriolis = 0.5 * (rigid_torque(arm, inertials, q, qd + unit) - rigid_torque(arm, inertials, q, qd - unit))
     load = rigid_torque(arm, inertials, q, qd, qdd)[:, axis]
     fine = np.arange(len(motion.position)) / step
 
@@ -154,9 +177,11 @@ def _sensitivity(
     return Sensitivity(
         motion.rate_hz,
         spread(inertia[:, real]),
-        spread(gravity[:, real]),
+        spread(coriolis[:, real]),
+        spread(gradient[:, real]),
         spread(inertia[:, axis]),
-        spread(gravity[:, axis]),
+        spread(coriolis[:, axis]),
+        spread(gradient[:, axis]),
         spread(load),
     )
 

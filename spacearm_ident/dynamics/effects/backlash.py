@@ -1,0 +1,139 @@
+"""Play between the teeth of a gear: the link flies from flank to flank.
+
+    M d'' + C d' + G d = load - push,     push = K x + c d' where x, what d is beyond half the gap, is not zero.
+
+How long a flight lasts follows from the small load about its zero, so that everything in it counts: the gravity
+gradient, noise, and which part of the inertia is before the gear. At a joint on a fixed base no motion tells the
+rotor's inertia from the link's; here the link is alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...recording.motion import Motion
+from ..arm import Arm, FloatArray
+from ..background import Background
+from ..term import Constant, Parameter, Values
+from .compliance import Compliance, FloatArrays, own_signals
+from .effect import Effect, Options, known_joint
+from .linearised import Sensitivity, by_position, least_inertia
+
+CONTACT_HZ = 60.0
+"""Gear teeth in contact are no stiffer than makes the link swing at this frequency: above what is looked at."""
+STEPS = 3
+"""A sample: a swing at `CONTACT_HZ` then advances by half a radian."""
+CONTACT_DAMPING = 0.7
+"""More than teeth have (0.03 to 0.17; Kasuba and Evans 1981): while a gap is not quite right, nor are its bounces."""
+LEAST_CONTACT_DAMPING, MOST_CONTACT_DAMPING = 0.03, 1.0
+TEETH = (0.95, 1.0, 1.05)
+"""Gaps, times the gap: no two teeth are alike, and where a small error decides how a bounce goes on, their mean is
+nearer than any of them."""
+GAP_GRID = tuple(float(b) for b in np.geomspace(8e-5, 0.02, 26))
+"""rad, dense: when the teeth meet again follows from how far apart they are."""
+CONTACT_GRID = (3e4, 1e5, 3e5)
+CALM = 0.75
+"""The load that lets teeth part and meet is looked at in this share of the bandwidth."""
+ROTORS, ROTOR_REACH = 0.4, (-0.5, 0.75)
+"""Share of a first link's least inertia that a model may have taken from its rotor."""
+
+
+def gap(
+    links: Sequence[Sensitivity], width: FloatArray, stiffness: FloatArray, damping_ratio: FloatArray
+) -> FloatArrays:
+    """D (N, n, p) rad and d'' of n links between two stops.
+
+    Args:
+        links: What swings.
+        width: (p,) rad from stop to stop.
+        stiffness: (p,) of what is in contact, N·m/rad.
+        damping_ratio: (p,) of critical, in contact.
+    """
+    inertia, coriolis, gradient, load = own_signals(links)
+    most = (2 * np.pi * CONTACT_HZ) ** 2 * inertia
+    stiff = np.minimum(stiffness, most)
+    # For a real link that changes nothing: one without inertia, as fitted models may have, would fall for ever.
+    gradient, fast = np.clip(gradient, -0.5 * most, 0.5 * most), 0.5 * np.sqrt(most * inertia)
+    coriolis = np.clip(coriolis, -fast, fast)
+    damping = 2 * damping_ratio * np.sqrt(stiff * inertia)
+    signals, h = [load, gradient, coriolis, inertia, stiff, damping], 1 / (STEPS * links[0].rate_hz)
+    halves = 0.5 * np.multiply.outer(TEETH, width)
+    if stiff[0].size == 1:
+        # Plain numbers are ten times as fast as arrays of one.
+        columns = [signal.ravel().tolist() for signal in signals]
+        flights = [_rattle(half, columns, h, min, max) for half in halves.ravel().tolist()]
+        give, acceleration = np.mean(flights, axis=0).T
+        return give[:, None, None], acceleration[:, None, None]
+    flight = _rattle(halves[:, None], signals, h, np.minimum, np.maximum)
+    give, acceleration = (np.stack([at.mean(axis=0) for at in signal]) for signal in zip(*flight))
+    return give, acceleration
+
+
+def _rattle(half: Any, signals: Sequence[Any], h: float, least: Any, most: Any) -> list[tuple[Any, Any]]:
+    """D and d'' after every `STEPS` steps of h seconds between stops at +-half, from where the load holds it."""
+    force, gradient, _, _, stiff, _ = (signal[0] for signal in signals)
+    d = (force + stiff * half * np.sign(force)) / (stiff + gradient)
+    v = 0.0 * d
+    flight = []
+    for force, gradient, coriolis, mass, stiff, damp in zip(*signals):
+        for _ in range(STEPS):
+            beyond = d - least(most(d, -half), half)
+            push = stiff * beyond + damp * v
+            # Teeth push, they do not pull.
+            push = push * (push * beyond > 0.0)
+            a = (force - gradient * d - coriolis * v - push) / mass
+            v = v + h * a
+            d = d + h * v
+        flight.append((d, a))
+    return flight
+
+
+@dataclass(frozen=True)
+class Backlash(Compliance):
+    """Play between the teeth of the gear."""
+
+    kind: ClassVar[str] = "backlash"
+    words: ClassVar[str] = "play in the gear"
+    equation: ClassVar[str] = "-(M d'' + C d' + G d), d free within the gap, on a spring beyond"
+    source: ClassVar[str] = "Nordin and Gutman 2002"
+    confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "presliding_hysteresis", "time_delay")
+    experiment: ClassVar[str] = "slow reversals of the load (not only of the speed): gravity from either side"
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
+        width = Constant("gap", joint, "rad", GAP_GRID)
+        stiffness = Constant("stiffness", joint, "N m/rad", CONTACT_GRID)
+        reach = (LEAST_CONTACT_DAMPING, MOST_CONTACT_DAMPING)
+        damping = Constant("damping_ratio", joint, "1", (CONTACT_DAMPING,), reach=reach)
+        if arm.joints[arm.joint_names.index(joint)].parent >= 0:
+            return cls((share,), (width, stiffness, damping), place=place)
+        rotor = Constant("rotor_share", joint, "1", (0.0, ROTORS), reach=ROTOR_REACH)
+        return cls((share,), (width, stiffness, damping, rotor), place=place)
+
+    @property
+    def of_link(self) -> int:
+        """The rotor's share, where it is not known."""
+        return len(self.constants) - 3
+
+    def own_link(self, motion: Motion, constants: Values, background: Background, joint: int) -> Sensitivity:
+        """Without what is the rotor's, under a load without the noise of accelerations."""
+        link, rotor = by_position(motion, background, joint), sum(constants[3:]) * least_inertia(background, joint)
+        inertia, load = link.inertia.copy(), link.load - rotor * motion.acceleration[:, joint]
+        inertia[:, joint] -= rotor
+        calm = motion.smoothed(load[:, None], CALM * motion.cutoff_hz)[:, 0]
+        return replace(link, inertia=inertia, own_inertia=link.own_inertia - rotor, load=calm)
+
+    def resonance(self, motion: Motion, constants: Values, background: Background) -> tuple[float, float] | None:
+        """None: how fast teeth bounce depends on how hard they meet."""
+        return None
+
+    def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
+        """Of a gap."""
+        return self.of_grid(gap, motion, constants, background)
