@@ -1,7 +1,8 @@
 """Generic rivals: dependences without a physics of their own, that named effects must beat.
 
-Smooth functions of position, of position times direction, of velocity, of another joint's motion; periodic or drifting
-in time. Where one of them explains what no named effect does, the honest name is `unknown`, with that dependence said.
+Smooth functions of position, of position times direction, of velocity, of torque, of another joint's motion; periodic
+or drifting in time. Where one of them explains what no named effect does, the honest name is `unknown`, with that
+dependence said.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy.interpolate import BSpline
 
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.background import Background
-from ..dynamics.effects.effect import Effect, Options, direction, known_joint, own
+from ..dynamics.effects.effect import Effect, Options, direction, known_joint, nothing, own
 from ..dynamics.term import Columns, Constant, Parameter, Values
 from ..recording.motion import Motion
 
@@ -23,6 +24,8 @@ UNKNOWN = "unknown"
 DEGREE = 3
 INNER = (2.0, 98.0)
 """Percentiles between which a dependence is followed; beyond them it stays as it is there."""
+JUMPS = ("velocity", "torque")
+"""What may turn with its sign: a spline through zero could not jump there."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Rival(Effect):
             start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
             length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 5.0))
             return cls((Parameter("torque", joint, "N m"),), (start, length), place=place)
-        count = 3 if place["of"] == "time_drift" else int(place["count"]) + (place["of"] == "velocity")
+        count = 3 if place["of"] == "time_drift" else int(place["count"]) + (place["of"] in JUMPS)
         return cls(tuple(Parameter(f"b{k}", joint, "N m") for k in range(count)), place=place)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
@@ -63,18 +66,19 @@ class Rival(Effect):
             moving, late = direction(motion, row), time / float(self.place["length"])
             return own(row, late, late * moving, late**2 * moving)
         other = motion.joints.index(self.place.get("with", self.place["joint"]))
+        if of == "torque" and background is None:
+            return nothing(motion, [row], len(self.parameters))
         signal = {
-            "position": motion.position[:, other],
-            "friction_position": motion.position[:, other],
-            "velocity": motion.velocity[:, other],
-            "acceleration": motion.acceleration[:, other],
-        }[of]
+            "position": motion.position,
+            "friction_position": motion.position,
+            "velocity": motion.velocity,
+            "torque": motion.torque if background is None else background.torque,
+        }[of][:, other]
         basis = _splines(signal, float(self.place["low"]), float(self.place["high"]), int(self.place["count"]))
         if of == "friction_position":
             basis = basis * direction(motion, row)[:, None]
-        if of == "velocity":
-            # Friction turns with the direction, and a spline through zero could not jump there.
-            basis = np.column_stack([basis, direction(motion, other)])
+        if of in JUMPS:
+            basis = np.column_stack([basis, direction(motion, other) if of == "velocity" else np.sign(signal)])
         return {row: (list(range(basis.shape[1])), basis)}
 
     def where(self, values: FloatArray) -> str:
@@ -97,13 +101,16 @@ def rivals(motions: Sequence[Motion]) -> Iterator[Options]:
     position = np.concatenate([motion.position for motion in motions])
     velocity = np.concatenate([motion.velocity for motion in motions])
     length = max(len(motion.position) / motion.rate_hz for motion in motions)
+    torque = np.concatenate([motion.torque for motion in motions])
     low, high = np.percentile(position, INNER, axis=0)
     slow, fast = np.percentile(velocity, INNER, axis=0)
+    least, most = np.percentile(torque, INNER, axis=0)
     for row, joint in enumerate(joints):
         bounds = {"low": float(low[row]), "high": float(high[row])}
         yield {"joint": joint, "of": "position", "count": 9, **bounds}
         yield {"joint": joint, "of": "friction_position", "count": 9, **bounds}
         yield {"joint": joint, "of": "velocity", "count": 8, "low": float(slow[row]), "high": float(fast[row])}
+        yield {"joint": joint, "of": "torque", "count": 8, "low": float(least[row]), "high": float(most[row])}
         yield {"joint": joint, "of": "time_periodic"}
         yield {"joint": joint, "of": "time_window"}
         yield {"joint": joint, "of": "time_drift", "length": length}

@@ -27,6 +27,7 @@ class TorqueConstant(Effect):
     source: ClassVar[str] = "demagnetisation, calibration; Gautier and Briot 2014"
     confused_with: ClassVar[tuple[str, ...]] = ("payload", "friction_drift", "load_friction")
     experiment: ClassVar[str] = "the same motion with a known mass at the flange"
+    follows: ClassVar[str] = "torque"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -75,6 +76,7 @@ class MotorSaturation(Effect):
     source: ClassVar[str] = "first term of the odd series of a saturating torque-current curve"
     confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "load_friction", "vacuum_friction")
     experiment: ClassVar[str] = "high torque at low speed and low torque at high speed"
+    follows: ClassVar[str] = "torque"
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
