@@ -206,7 +206,7 @@ class JointElasticity(Compliance):
 
     kind: ClassVar[str] = "joint_elasticity"
     words: ClassVar[str] = "the gear gives way like a spring"
-    equation: ClassVar[str] = "-(M d'' + G d), M d'' + K d (1 + (d/d_2)^2) + G d = tau_load"
+    equation: ClassVar[str] = "-(M d'' + C d' + G d), M d'' + C d' + G d + K d (1 + (d/d_2)^2) = tau_load"
     source: ClassVar[str] = "Spong 1987; hardening: Tuttle 1992"
     confused_with: ClassVar[tuple[str, ...]] = ("link_flexibility", "base_flexibility", "backlash", "payload")
     experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
@@ -266,7 +266,7 @@ class LinkFlexibility(Compliance):
 
     kind: ClassVar[str] = "link_flexibility"
     words: ClassVar[str] = "the link bends"
-    equation: ClassVar[str] = "-(M d'' + G d) about a hinge square to the link's length"
+    equation: ClassVar[str] = "-(M d'' + C d' + G d) about a hinge square to the link's length"
     source: ClassVar[str] = "lumped first mode; De Luca and Siciliano 1991"
     confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "base_flexibility", "backlash")
     experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
@@ -302,7 +302,7 @@ class BaseFlexibility(Compliance):
 
     kind: ClassVar[str] = "base_flexibility"
     words: ClassVar[str] = "the base rocks"
-    equation: ClassVar[str] = "-(M d'' + G d) about a horizontal axis at the base, or about both alike"
+    equation: ClassVar[str] = "-(M d'' + C d' + G d) about a horizontal axis at the base, or about both alike"
     source: ClassVar[str] = "lumped first mode of the mounting"
     confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "link_flexibility", "floating_base", "base_tilt")
     experiment: ClassVar[str] = "a step of joint 1 with the arm stretched: an accelerometer at the base sees it rock"
