@@ -91,14 +91,17 @@ class Compliance(Effect):
         grids, swung = [constant.grid for constant in self.constants], len(constants) - self.of_link
         if any(value not in grid for value, grid in zip(constants, grids)):
             return self._alone(swing, motion, constants, background)
-        points, joints = list(product(*grids[:swung])), range(len(motion.joints))
+        points, row = list(product(*grids[:swung])), motion.joints.index(self.place["joint"])
+        of_link = tuple(value for value in constants[swung:] if value)
+        # What only this link has is no other's concern.
+        joints = [row] if of_link else list(range(len(motion.joints)))
 
         def compute() -> list[FloatArray]:
             links = [self.own_link(motion, constants, background, joint) for joint in joints]
             return [x.astype(np.float32) for x in swing(links, *np.array(points).T)]
 
-        at = np.s_[:, motion.joints.index(self.place["joint"]), points.index(tuple(constants[:swung]))]
-        give, acceleration = background.keep((swing.__name__, *constants[swung:]), compute)
+        at = np.s_[:, joints.index(row), points.index(tuple(constants[:swung]))]
+        give, acceleration = background.keep((swing.__name__, *of_link, *joints), compute)
         return give[at].astype(float), acceleration[at].astype(float)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
