@@ -97,17 +97,19 @@ def test_a_base_as_heavy_as_a_house_does_not_float():
     np.testing.assert_allclose(made, 0.0, atol=1e-5)
 
 
-def test_a_push_at_the_flange_is_held_by_the_transposed_jacobian_in_its_window():
+def test_a_push_is_held_by_the_transposed_jacobian_of_its_point_in_its_window():
     force, model = np.array([3.0, -5.0, 8.0]), pin.buildModelFromXML(urdf_of(THREE_LINKS))
-    data = model.createData()
     want = np.zeros_like(W.position)
-    time = 10.0 + np.arange(len(want)) / RATE
+    time, point, rise = 10.0 + np.arange(len(want)) / RATE, np.array([0.1, -0.05, 0.08]), 0.2
+    frame = model.addFrame(pin.Frame("touched", 3, 0, pin.SE3(np.eye(3), point), pin.FrameType.OP_FRAME))
+    data = model.createData()
     for k in np.flatnonzero((time >= 11.0) & (time < 12.5)):
-        pin.computeJointJacobians(model, data, W.position[k])
-        jacobian = pin.getJointJacobian(model, data, 3, pin.LOCAL_WORLD_ALIGNED)[:3]
-        want[k] = -jacobian.T @ force
+        jacobian = pin.computeFrameJacobian(model, data, W.position[k], frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+        edge = min(1.0, (time[k] - 11.0) / rise, (12.5 - time[k]) / rise)
+        want[k] = -jacobian.T @ force * np.sin(0.5 * np.pi * edge) ** 2
     late = replace(W, start_s=10.0)
-    made = torque(one("external_contact", ARM, joint="elbow"), late, force, [11.0, 1.5], background_of(ARM, late))
+    constants = [11.0, 1.5, rise, *point]
+    made = torque(one("external_contact", ARM, joint="elbow"), late, force, constants, background_of(ARM, late))
     np.testing.assert_allclose(made, want, atol=1e-9)
 
 

@@ -99,7 +99,9 @@ def in_one_direction(truth: Truth) -> np.ndarray:
         (
             "external_contact",
             {"joint": "joint_6"},
-            dict(force_x=20, force_y=5, force_z=-9, start=0.5, length=2.2),
+            dict(
+                force_x=20, force_y=5, force_z=-9, start=0.5, length=2.2, rise=0.1, point_x=0.1, point_y=0, point_z=0.08
+            ),
             0.25,
         ),
         ("wrist_coupling", {"joint": "joint_6", "with": "joint_5", "ratio": -1.0}, {"J": 0, "k": 1.0, "f": 1.5}, 0.25),

@@ -94,7 +94,7 @@ def test_a_contact_acts_on_the_joints_that_feel_it():
         candidate = prepared.evidence.candidate(EFFECTS[kind].at(ARM, {"joint": "elbow"}), constants)
         return competition._acts_on(Scored(candidate, 0.0, 0.0, 0.0, plausible=True))
 
-    assert acts_on("external_contact", (5.0, 3.0)) >= {"shoulder"}
+    assert acts_on("external_contact", (5.0, 3.0, 0.1, 0.0, 0.0, 0.0)) >= {"shoulder"}
     assert acts_on("torque_ripple", (20.0,)) == {"elbow"}
 
 

@@ -261,16 +261,20 @@ OUTER_LINKS = 4
 """Those that reach where something may be in the way."""
 LARGEST_FORCE = 300.0
 """N: of a person, a cable, a fixture touched in passing (the field's examples: 3 to 40)."""
+RISE_S, RISE_REACH = 0.1, (0.01, 0.5)
+"""How long a touch takes to come, and to go."""
+POINT_REACH = (-0.3, 0.3)
+"""m from the link's joint, along each axis of its frame."""
 
 
 @dataclass(frozen=True)
 class ExternalContact(Effect):
-    """Something pushed a link for a while, near where it hangs in its joint."""
+    """Something pushed a link for a while, at one point of it, in one direction of the base frame."""
 
     kind: ClassVar[str] = "external_contact"
     one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "something touched the arm for a while"
-    equation: ClassVar[str] = "J^T F between t_0 and t_1"
+    equation: ClassVar[str] = "J(q, p)^T F between t_0 and t_1, with soft edges"
     source: ClassVar[str] = "De Luca and Mattone 2005"
     confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
     experiment: ClassVar[str] = "the same motion again: a contact does not come back at the same place by itself"
@@ -284,12 +288,14 @@ class ExternalContact(Effect):
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """On a link's frame; the window is searched."""
+        """On a link; its window and its point are searched."""
         joint = known_joint(arm, place)
         parameters = tuple(Parameter(f"force_{axis}", joint, "N", scale=50.0) for axis in "xyz")
         start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
         length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 5.0))
-        return cls(parameters, (start, length), place=place)
+        rise = Constant("rise", joint, "s", (RISE_S,), reach=RISE_REACH)
+        point = (Constant(f"point_{axis}", joint, "m", (0.0,), reach=POINT_REACH) for axis in "xyz")
+        return cls(parameters, (start, length, rise, *point), place=place)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -305,29 +311,31 @@ class ExternalContact(Effect):
         arm, count = background.arm, len(motion.joints)
 
         def compute() -> FloatArray:
-            # A force F on a point is what gravity -F does to a unit mass there, as torque that must be held.
-            unit = np.zeros((count, 10))
-            unit[number, 0] = 1.0
+            # A force F on a point is what gravity -F does to a unit mass there, as torque that must be held: of a mass
+            # at the joint, and of the first moments by which it is elsewhere.
+            units = np.zeros((4, count, 10))
+            units[range(4), number, range(4)] = 1.0
             return np.stack(
-                [rigid_torque(arm.with_gravity(-axis), unit, motion.position) for axis in np.eye(3)], axis=2
+                [[rigid_torque(arm.with_gravity(-axis), unit, motion.position) for axis in np.eye(3)] for unit in units]
             )
 
-        jacobian = background.keep(("push", number), compute)
+        start, length, rise, *point = constants
+        jacobian = np.tensordot([1.0, *point], background.keep(("push", number), compute), 1)
         time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
-        inside = (time >= constants[0]) & (time < constants[0] + constants[1])
-        return each({row: -jacobian[:, row] * inside[:, None] for row in rows})
+        come = np.clip(np.minimum(time - start, start + length - time) / rise, 0.0, 1.0)
+        pushed = 0.5 - 0.5 * np.cos(np.pi * come)
+        return each({row: -jacobian[:, :, row].T * pushed[:, None] for row in rows})
 
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """Whether it is a touch: a direction that hardly shows may be fitted with any force."""
         return float(np.linalg.norm(parameters)) < LARGEST_FORCE
 
     def shown(self, values: FloatArray) -> Shown:
-        """Force and window."""
+        """Force, window and point."""
         return {
             "force": (float(np.linalg.norm(values[:3])), "N"),
             **{f"force_{axis}": (float(f), "N") for axis, f in zip("xyz", values)},
-            "start": (float(values[3]), "s"),
-            "length": (float(values[4]), "s"),
+            **{constant.symbol: (float(x), constant.unit) for constant, x in zip(self.constants, values[3:])},
         }
 
     def where(self, values: FloatArray) -> str:

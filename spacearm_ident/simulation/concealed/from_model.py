@@ -215,7 +215,9 @@ def _contact(found: _Found) -> Values:
     force = np.array([found[f"force_{axis}"] for axis in "xyz"])
     size = float(np.linalg.norm(force))
     direction = force / size if size else np.ones(3)
-    return {"force": size, "direction": direction.tolist(), "start": found["start"], "duration": found["length"]}
+    point = [found[f"point_{axis}"] for axis in "xyz"]
+    window = {"start": found["start"], "duration": found["length"]}
+    return {"force": size, "direction": direction.tolist(), "point": point, **window}
 
 
 def _torque_constant(found: _Found) -> Values:
