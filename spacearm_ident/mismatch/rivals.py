@@ -66,14 +66,12 @@ class Rival(Effect):
             moving, late = direction(motion, row), time / float(self.place["length"])
             return own(row, late, late * moving, late**2 * moving)
         other = motion.joints.index(self.place.get("with", self.place["joint"]))
-        if of == "torque" and background is None:
+        if of != "torque":
+            signal = (motion.velocity if of == "velocity" else motion.position)[:, other]
+        elif background is None:
             return nothing(motion, [row], len(self.parameters))
-        signal = {
-            "position": motion.position,
-            "friction_position": motion.position,
-            "velocity": motion.velocity,
-            "torque": motion.torque if background is None else background.torque,
-        }[of][:, other]
+        else:
+            signal = background.torque[:, other]
         basis = _splines(signal, float(self.place["low"]), float(self.place["high"]), int(self.place["count"]))
         if of == "friction_position":
             basis = basis * direction(motion, row)[:, None]

@@ -20,6 +20,7 @@ from ..regressor import rigid_body_blocks
 STEP = 1e-4
 """Half the central difference for the gradient, rad."""
 POSTURES = 64
+"""So many, the same at every call, are looked through for the least inertia."""
 COARSE_HZ = 250.0
 """Inertias change slowly: they are computed at this rate and interpolated."""
 
