@@ -353,7 +353,9 @@ def _placed(trial: Trial, name: str) -> Entry:
         parameters["cycles"] = float(round(parameters["cycles"]))
     if name == "external_contact":
         parameters["direction"] = rng.standard_normal(3).tolist()
-        parameters["point"] = [0.0, 0.0, 0.08]
+        # On the skin of the link: a push on the next joint's axis does not turn it, and may be on either link.
+        angle, height = rng.uniform(-np.pi, np.pi), rng.uniform(0.04, 0.12)
+        parameters["point"] = [0.05 * math.cos(angle), 0.05 * math.sin(angle), height]
     if name == "presliding_hysteresis":
         trial.arm.slip[first] = 0.0  # What the healthy arm has as well, and may have more of, is not concealed.
     if name == "payload":

@@ -11,7 +11,7 @@ from changed_arm import ARM, HEALTHY, ripple, run
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.mismatch.competition import GATE, Competition
 from spacearm_ident.mismatch.constants import polish, refine
-from spacearm_ident.mismatch.evidence import Candidate
+from spacearm_ident.mismatch.evidence import Candidate, Stacked
 from spacearm_ident.mismatch.finding import Alternative
 from spacearm_ident.mismatch.judgement import contradicted, doubted, shows
 from spacearm_ident.mismatch.preparation import prepare_evidence
@@ -104,6 +104,31 @@ def test_of_two_that_score_alike_the_one_with_less_freedom_is_taken():
     assert simplest([replace(more, score=5200.0), less]).candidate is more.candidate
 
 
+def test_of_touches_that_explain_alike_the_one_fewer_joints_would_feel_is_taken():
+    def touched(joint, rows, score):
+        stacked = Stacked(slice(0, rows), np.zeros((rows, 3)))
+        candidate = replace(contender("external_contact", score, joint).candidate, stacked=stacked)
+        return Scored(candidate, score, 0.0, score, plausible=True)
+
+    inner, outer = touched("shoulder", 100, 4980.0), touched("elbow", 200, 5000.0)
+    assert simplest([outer, inner]) is inner
+    assert simplest([replace(outer, score=5200.0), inner]).candidate is outer.candidate
+
+
+def test_a_window_whose_beginning_is_early_and_whose_end_is_right_is_found():
+    """Whoever moves the beginning alone moves the end along with it."""
+    effect = EFFECTS["external_contact"].at(ARM, {"joint": "elbow"})
+
+    def gain(constants):
+        first, last = constants[0], constants[0] + constants[1]
+        return -abs(first - 8.4) - abs(last - 10.5)
+
+    begin = (9.0, 1.5, 0.1, 0.0, 0.0, 0.0)
+    stuck, found = (method(effect, begin, gain, gain(begin)) for method in (refine, polish))
+    assert gain(found) > 0.2 * gain(stuck)
+    assert found[:2] == pytest.approx((8.4, 2.1), abs=0.1)
+
+
 def test_constants_that_pull_at_each_other_are_searched_together():
     """A bent valley: one constant after the other, from the grid's best point, ends far from its bottom."""
     effect = EFFECTS["joint_elasticity"].at(ARM, {"joint": "elbow"})
@@ -165,3 +190,5 @@ def test_what_shows_in_one_moment_alone_is_no_lasting_effect(extra, lasts):
     )
     assert scored.score > GATE
     assert competition._lasts(scored) == lasts
+    assert competition._stands(scored) == lasts
+    assert not competition._stands(replace(scored, gain=0.9 * GATE))

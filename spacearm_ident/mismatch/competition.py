@@ -187,8 +187,8 @@ class Competition:
         return {name for name, feeling in zip(self.evidence.base.model.arm.joint_names, felt) if feeling}
 
     def _stands(self, scored: Scored) -> bool:
-        """Whether an effect explains enough, shows on unseen rows too, and is no crumb of a larger one beside it."""
-        if scored.score > self.gate and not self._lasts(scored):
+        """Whether an effect is in the field by itself, explains enough, shows on unseen rows too, and is no crumb."""
+        if scored.gain < self.gate or (scored.score > self.gate and not self._lasts(scored)):
             return False
         values = self._values_of(scored)
         mine = self._energy([scored.candidate], values)
@@ -297,6 +297,8 @@ class Competition:
         for _, _, candidate in [*named, *generic]:
             refined = search(refine, candidate, self.evidence, lambda trial: self._gain(trial, beside))
             scored.append(self._scored(refined, beside, unseen_before))
+        # Which link was touched, only windows that fit well tell.
+        scored = [self._polished(s) if s.named and is_event(s.candidate.effect) else s for s in scored]
         return sorted(scored, key=lambda s: -s.score)
 
     def _grid(self, effect: Effect) -> list[Candidate]:

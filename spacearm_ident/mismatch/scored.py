@@ -9,6 +9,7 @@ import numpy as np
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.effects.effect import Effect
+from .constants import is_event
 from .evidence import Candidate
 from .rivals import UNKNOWN
 from .scene import Scene
@@ -18,6 +19,8 @@ SHADOW = 1.15
 TEMPER, TEMPER_SHARE = 10.0, 0.01
 """Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
 difference of one in the exponent is this much, and this share of the score, together."""
+ENDED_SHARE = 0.003
+"""Of the score: so far apart two searches of the same optimum may end."""
 FELT = 0.05
 """A joint feels an effect that adds this share of the energy there that it does at the joint that feels it most."""
 ASLEEP, HALF, PLAIN = 0.2, 0.5, 1.0
@@ -68,10 +71,19 @@ def shadow(scored: Scored, refused: Sequence[Scored], joints: Set[str]) -> bool:
 
 
 def simplest(ranked: Sequence[Scored]) -> Scored:
-    """The best, or one with less freedom that is as good as far as scores can tell."""
+    """The best, or one with less freedom that is as good as far as scores can tell.
+
+    Of touches, the one on the innermost link: any further joint would feel it (De Luca and Mattone 2005).
+    """
     best = ranked[0]
     near = [s for s in ranked if best.score - s.score < TEMPER + TEMPER_SHARE * best.score]
-    return min(near, key=lambda s: freedom(s.candidate.effect))
+    first = min(near, key=lambda s: freedom(s.candidate.effect))
+    if not is_event(first.candidate.effect):
+        return first
+    # Of one law: only where the search of their constants ended sets them apart.
+    near = [s for s in near if best.score - s.score < TEMPER + ENDED_SHARE * best.score]
+    same = [s for s in near if s.candidate.effect.kind == first.candidate.effect.kind] or [first]
+    return min(same, key=lambda s: s.candidate.stacked.rows.stop)
 
 
 def freedom(effect: Effect) -> int:
