@@ -33,18 +33,6 @@ from spacearm_ident.dynamics.effects.compliance import spring
 from spacearm_ident.dynamics.effects.linearised import Sensitivity, by_position
 
 
-@pytest.mark.parametrize(
-    ("values", "gear"),
-    [([0.0, 0.6, 1.7], True), ([0.01, -0.001, 0.06], True), ([0.0, 1.5, -0.15], False), ([0.0, 1.5, 0.1], False)],
-)
-def test_a_gear_rubs_dry_and_brakes(values, gear):
-    """[J, k, f]: what grows with speed alone, as a gyroscope's torque does, is no gear."""
-    effect = one("wrist_coupling", ARM, joint="elbow", **{"with": "shoulder"})
-    assert effect.plausible(np.array(values), ()) is gear
-    both = one("wrist_coupling", ARM, joint="elbow", **{"with": "shoulder"}, ratio=1.0)
-    assert not both.plausible(-np.array(values), ())
-
-
 def swing(amplitude, omega, seconds, arm=None, centre=0.0):
     arm = arm or arm_of(PENDULUM)
     angle = omega * np.arange(0.0, seconds, 1 / RATE)[:, None]
@@ -274,13 +262,6 @@ def test_a_link_on_a_spring_rings_between_its_slowest_and_its_fastest():
     assert low <= softest < 1.2 * high and stiffest > 2.0 * high
     np.testing.assert_allclose(hardens.resonance(moved, (3000.0, 0.02, 10.0), background), (low, high), rtol=1e-3)
     assert one("backlash", arm, joint="hip").resonance(moved, (1e-3, 1e5), background) is None
-
-
-def test_friction_that_falls_below_every_speed_is_no_stribeck_curve():
-    effect = one("stribeck", ARM, joint="elbow")
-    (curve,) = effect.constants
-    assert not effect.plausible(np.array([1.0]), (curve.grid[0],))
-    assert effect.plausible(np.array([1.0]), (curve.grid[1],))
 
 
 def test_a_link_may_bend_halfway_square_to_its_length_where_another_follows():

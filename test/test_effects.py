@@ -214,6 +214,13 @@ def test_friction_below_the_noise_of_speed_is_nothing():
         assert not torque(effect, noisy, np.ones(len(effect.parameters)), middle(effect)).any()
 
 
+def test_friction_that_falls_below_every_speed_is_no_stribeck_curve():
+    effect = one("stribeck", ARM, joint="elbow")
+    (curve,) = effect.constants
+    assert not effect.plausible(np.array([1.0]), (curve.grid[0],))
+    assert effect.plausible(np.array([1.0]), (curve.grid[1],))
+
+
 def test_friction_follows_the_temperature_above_twenty_degrees():
     warmth = np.linspace(20.0, 40.0, len(Q))[:, None] * np.array([0.0, 1.0, 0.0]) + 20.0
     effect = one("temperature_friction", ARM, joint="shoulder", of=["f_c", "k_v1"])

@@ -159,3 +159,15 @@ def test_a_wrist_rubs_with_its_neighbour_or_with_both(ratio):
     common = 0.1 * bend + 0.5 * speed + 2.0 * np.sign(speed)
     want = only(2, common) if ratio is None else only(1, common) + only(2, mine * common)
     np.testing.assert_allclose(torque(effect, W, [0.1, 0.5, 2.0]), want, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("values", "gear"),
+    [([0.0, 0.6, 1.7], True), ([0.01, -0.001, 0.06], True), ([0.0, 1.5, -0.15], False), ([0.0, 1.5, 0.1], False)],
+)
+def test_a_gear_rubs_dry_and_brakes(values, gear):
+    """[J, k, f]: what grows with speed alone, as a gyroscope's torque does, is no gear."""
+    effect = one("wrist_coupling", ARM, joint="elbow", **{"with": "shoulder"})
+    assert effect.plausible(np.array(values), ()) is gear
+    both = one("wrist_coupling", ARM, joint="elbow", **{"with": "shoulder"}, ratio=1.0)
+    assert not both.plausible(-np.array(values), ())
