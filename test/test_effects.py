@@ -307,17 +307,22 @@ def test_a_late_torque_is_the_same_sine_later(delay, early):
 @pytest.mark.parametrize("rate", [250.0, 1000.0])
 @pytest.mark.parametrize("lag", [0.0005, 0.004, 0.04])
 @pytest.mark.parametrize("frequency", [0.5, 5.0])
-def test_a_low_pass_takes_amplitude_and_turns_phase(rate, lag, frequency):
-    """1/(1 + i w T), at the coarse rate and at the full one."""
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_low_pass_takes_amplitude_and_turns_phase(rate, lag, frequency, order):
+    """1/(1 + i w T), or 1/(1 + i w T - (w T)^2/2), at the coarse rate and at the full one."""
     time, omega = np.arange(int(4 * rate)) / rate, 2 * np.pi * frequency
     motion = wave(("a",), rate=rate)
     sine = Background.known(np.sin(omega * time)[:, None])
-    change = torque(one("filter_lag", arm_of((Link("a"),)), joint="a"), motion, [1.0], [lag], sine)
-    late = (sine.torque + change)[:, 0]
-    whole = time >= 2.0
-    found, want = fitted(late[whole], time[whole], omega), 1 / (1 + 1j * omega * lag)
+    effect = one("filter_lag", arm_of((Link("a"),)), joint="a", order=order)
+    late = (sine.torque + torque(effect, motion, [1.0], [lag], sine))[:, 0]
+    whole, bend = time >= 2.0, 0.5 * (order - 1)
+    found = fitted(late[whole], time[whole], omega)
+    want = 1 / (1 + 1j * omega * lag - bend * (omega * lag) ** 2)
     assert abs(found) == pytest.approx(abs(want), rel=2e-3)
     assert np.angle(found) == pytest.approx(np.angle(want), rel=2e-3)
+    corner, _ = effect.shown(np.array([1.0, lag]))["corner"]
+    at_corner = 2j * np.pi * corner * lag
+    assert abs(1 + at_corner + bend * at_corner**2) == pytest.approx(np.sqrt(2.0))
 
 
 @pytest.mark.parametrize("kind", ["time_delay", "filter_lag"])

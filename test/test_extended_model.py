@@ -91,6 +91,7 @@ def in_one_direction(truth: Truth) -> np.ndarray:
         # From here on the two writings differ: in what is small beside the effect, by as much as is said here.
         ("filter_lag", ALL, {"share": 1.0, "lag": 0.006}, 0.02),
         ("filter_lag", ALL, {"share": 1.5, "lag": 0.002}, 0.25),
+        ("filter_lag", {**ALL, "order": 2}, {"share": 1.0, "lag": 0.006}, 0.02),
         ("rotor_coupling", {"joint": "joint_4"}, {"J": 0.4}, 0.02),
         ("rotor_coupling", {"joint": "joint_4"}, {"J": -0.4}, 0.02),
         ("payload", {"joint": "joint_6"}, {"dm": 1.2, "dmcx": 0.03, "dmcy": -0.02, "dmcz": 0.1}, 0.05),

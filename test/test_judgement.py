@@ -72,8 +72,8 @@ def test_what_was_below_the_noise_needs_no_explanation(rippled):
     assert not shows(0, [finding], {joint: 1.01 * rms for joint, rms in finding.before_Nm.items()})
 
 
-def contender(kind, score, joint="elbow"):
-    effect = EFFECTS[kind].at(ARM, {"joint": joint})
+def contender(kind, score, joint="elbow", **place):
+    effect = EFFECTS[kind].at(ARM, place if "joints" in place else {"joint": joint, **place})
     return Scored(Candidate(effect, (), None, *np.zeros((3, 1))), 0.0, 0.0, score, plausible=True)
 
 
@@ -99,9 +99,27 @@ def test_a_contact_acts_on_the_joints_that_feel_it():
 
 
 def test_of_two_that_score_alike_the_one_with_less_freedom_is_taken():
-    less, more = contender("current_offset", 5000.0), contender("torque_ripple", 5040.0)
+    less, more = contender("friction_drift", 5000.0), contender("torque_ripple", 5040.0)
     assert simplest([more, less]) is less
     assert simplest([replace(more, score=5200.0), less]).candidate is more.candidate
+
+
+def test_an_exact_law_is_not_kept_where_another_explains_more():
+    """A constant has no shape that could be a little different: 40 of 5000 are no accident."""
+    offset = contender("current_offset", 5000.0)
+    more = contender("asymmetric_friction", 5040.0, of=["level", "viscous"])
+    assert simplest([more, offset]) is more
+    assert simplest([replace(more, score=5005.0), offset]) is offset
+
+
+def test_late_at_one_joint_is_its_filter_and_late_at_all_is_the_clock():
+    everywhere = {"joints": ["shoulder", "elbow"]}
+    delay, first = contender("time_delay", 5040.0), contender("filter_lag", 5000.0)
+    second = contender("filter_lag", 5020.0, order=2)
+    lag, clock = contender("filter_lag", 5040.0, **everywhere), contender("time_delay", 5000.0, **everywhere)
+    for ranked, usual in (([delay, second, first], first), ([delay, second], second), ([lag, clock], clock)):
+        assert simplest(ranked) is usual
+        assert simplest([*ranked[:-1], replace(usual, score=4500.0)]) is not usual
 
 
 def test_of_touches_that_explain_alike_the_one_fewer_joints_would_feel_is_taken():

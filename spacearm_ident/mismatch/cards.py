@@ -165,7 +165,8 @@ def _alternative(winner: Scored, other: Scored) -> Alternative:
     share = (other.gain + other.unseen) / max(winner.gain + winner.unseen, 1e-9)
     effect = other.candidate.effect
     if other.score > winner.score:
-        why = "explains as much, but with a freedom that no physics has"
+        freer = "with a freedom that no physics has" if not other.named else "is no simpler"
+        why = f"explains as much, but {freer}"
     elif share > 0.97:
         why = "explains as much: these data cannot tell the two apart"
     else:

@@ -71,19 +71,24 @@ def shadow(scored: Scored, refused: Sequence[Scored], joints: Set[str]) -> bool:
 
 
 def simplest(ranked: Sequence[Scored]) -> Scored:
-    """The best, or one with less freedom that is as good as far as scores can tell.
+    """The best, or one with less freedom that is as good as far as scores can tell; of equal freedom, the least rare.
 
     Of touches, the one on the innermost link: any further joint would feel it (De Luca and Mattone 2005).
     """
-    best = ranked[0]
-    near = [s for s in ranked if best.score - s.score < TEMPER + TEMPER_SHARE * best.score]
-    first = min(near, key=lambda s: freedom(s.candidate.effect))
+    first = _simplest_within(TEMPER_SHARE, ranked)
+    if first.candidate.effect.exact:
+        first = _simplest_within(0.0, ranked)
     if not is_event(first.candidate.effect):
         return first
     # Of one law: only where the search of their constants ended sets them apart.
-    near = [s for s in near if best.score - s.score < TEMPER + ENDED_SHARE * best.score]
+    near = [s for s in ranked if ranked[0].score - s.score < TEMPER + ENDED_SHARE * ranked[0].score]
     same = [s for s in near if s.candidate.effect.kind == first.candidate.effect.kind] or [first]
     return min(same, key=lambda s: s.candidate.stacked.rows.stop)
+
+
+def _simplest_within(share: float, ranked: Sequence[Scored]) -> Scored:
+    near = [s for s in ranked if ranked[0].score - s.score < TEMPER + share * ranked[0].score]
+    return min(near, key=lambda s: (freedom(s.candidate.effect), s.candidate.effect.rarity))
 
 
 def freedom(effect: Effect) -> int:

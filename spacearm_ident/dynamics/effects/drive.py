@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from ...recording.motion import Motion
 from ..arm import Arm, FloatArray
@@ -97,6 +97,7 @@ class CurrentOffset(Effect):
     """The current sensor's zero is off."""
 
     kind: ClassVar[str] = "current_offset"
+    exact: ClassVar[bool] = True
     words: ClassVar[str] = "constant offset of the current sensor"
     equation: ClassVar[str] = "offset"
     source: ClassVar[str] = "current sensor data sheets"
@@ -166,6 +167,11 @@ class TimeDelay(_Late):
         return cls((share,), (Constant("delay", name, "s", grid),), place=place)
 
     @property
+    def rarity(self) -> int:
+        """One clock stamps all joints; what is late at one alone is more likely its drive's filter."""
+        return 2 if "joint" in self.place else 0
+
+    @property
     def early(self) -> bool:
         """Whether the torque is ahead of its motion."""
         return bool(self.place.get("early", False))
@@ -187,32 +193,59 @@ class TimeDelay(_Late):
 
 @dataclass(frozen=True)
 class FilterLag(_Late):
-    """The recorded torque went through a low-pass of first order."""
+    """The recorded torque went through a low-pass of first order, or through a Butterworth of second."""
 
     kind: ClassVar[str] = "filter_lag"
     one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "the recorded torque went through a low-pass"
-    equation: ClassVar[str] = "tau filtered by 1/(1 + T s), minus tau"
+    equation: ClassVar[str] = "tau filtered by 1/(1 + T s), or by 1/(1 + T s + (T s)^2/2), minus tau"
     source: ClassVar[str] = "current filters of drives"
     confused_with: ClassVar[tuple[str, ...]] = ("time_delay", "joint_elasticity", "presliding_hysteresis")
     experiment: ClassVar[str] = "a chirp up to the drive's bandwidth: a filter also takes amplitude away"
 
     @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Of either order."""
+        for place in super().variants(arm):
+            yield place
+            yield {**place, "order": 2}
+
+    @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At some joints alike."""
         name = known_joints(arm, place)
-        grid = (5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 40e-3)
+        if place.get("order", 1) not in (1, 2):
+            raise ValueError("order is 1 or 2")
+        grid = (5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 40e-3, 60e-3)
         share = Parameter("share", name, "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("lag", name, "s", grid),), place=place)
 
+    @property
+    def rarity(self) -> int:
+        """A drive's filter is its own, and most are of first order."""
+        return int("joint" not in self.place) + int(self._second)
+
+    @property
+    def _second(self) -> bool:
+        return bool(self.place.get("order") == 2)
+
+    def replaces(self, other: Effect) -> bool:
+        """Of either order."""
+        return isinstance(other, FilterLag) and other.joints == self.joints
+
+    def where(self, values: FloatArray) -> str:
+        """Of which order."""
+        return f"{self.words} of {'second' if self._second else 'first'} order"
+
     def shown(self, values: FloatArray) -> Shown:
-        """Time constant and corner frequency."""
-        return {"lag": (float(values[1]), "s"), "corner": (float(1 / (2 * np.pi * values[1])), "Hz")}
+        """What it is late by at low frequencies, and its corner frequency."""
+        lag = float(values[1])
+        corner = (np.sqrt(2.0) if self._second else 1.0) / (2 * np.pi * lag)
+        return {"lag": (lag, "s"), "corner": (float(corner), "Hz")}
 
     def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
-        """Filtered."""
+        """Filtered, in the steady state at the start."""
         # Tustin's rule: at low frequencies late by the lag itself, not by half a sample more or less.
-        gain, keep = 1.0 / (2.0 * samples + 1.0), (2.0 * samples - 1.0) / (2.0 * samples + 1.0)
-        start = (gain + keep) * torque[:1]
-        filtered = lfilter([gain, gain], [1.0, -keep], torque, axis=0, zi=start)[0]
-        return np.asarray(filtered)
+        passed, kept = bilinear([1.0], [*([0.5 * samples**2] if self._second else []), samples, 1.0])
+        start = lfilter_zi(passed, kept)[:, None] * torque[:1]
+        return np.asarray(lfilter(passed, kept, torque, axis=0, zi=start)[0])

@@ -38,6 +38,8 @@ class Effect(Term):
     experiment: ClassVar[str] = ""
     one_cause: ClassVar[bool] = False
     """Whether several joints show it for one reason (the arm got warm, the clock is late): one finding then."""
+    exact: ClassVar[bool] = False
+    """Whether nature has its very equation, so that whatever explains more than it has seen something else."""
     follows: ClassVar[str] = ""
     """What it is a function of at its joint, if of one thing alone: `velocity`, `position`, or `friction_position`,
     which is position times the direction of motion."""
@@ -84,6 +86,11 @@ class Effect(Term):
     def needs_temperature(self) -> bool:
         """Whether it cannot be told without recorded temperatures."""
         return False
+
+    @property
+    def rarity(self) -> int:
+        """How many others one would think of before it at its place, of those that explain as much."""
+        return 0
 
     @property
     def anew(self) -> tuple[int, ...]:
