@@ -87,6 +87,8 @@ class Competition:
         self.unseen = unseen
         self.gate = gate
         self.accepted: list[Candidate] = []
+        base = evidence.base
+        self._coulomb = {p.joint: float(v) for p, v in zip(base.model.parameters, base.parameters) if p.symbol == "f_c"}
         scenes = [evidence.field, *([unseen.scene] if unseen else [])]
         evidence.believe_reversals(scenes)
         if evidence.reference is not None:
@@ -313,7 +315,7 @@ class Competition:
         together = self.evidence.refit([*self.accepted, candidate])
         values = together.values[len(beside.values) :]
         gain = together.gain - beside.gain
-        return gain if np.isfinite(gain) and plausible(candidate, values) else -np.inf
+        return gain if np.isfinite(gain) and plausible(candidate, values, self._coulomb) else -np.inf
 
     def _polished(self, scored: Scored) -> Scored:
         """The winner with its constants searched together."""
@@ -332,7 +334,7 @@ class Competition:
         score = gain + unseen - penalty(candidate.effect, self.evidence.rows)
         foretold, count = _squares(unseen_before - unseen_after), len(unseen_after)
         asleep = sleeps(gain / self.evidence.rows, gain / self._rows_of(candidate, values), unseen, foretold, count)
-        return Scored(candidate, gain, unseen, score, plausible(candidate, values), asleep)
+        return Scored(candidate, gain, unseen, score, plausible(candidate, values, self._coulomb), asleep)
 
     def _rows_of(self, candidate: Candidate, values: FloatArray) -> int:
         """How many rows of the field feel an effect, at the joints that feel it most."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,12 +102,13 @@ def penalty(effect: Effect, rows: int) -> float:
     return float(freedom(effect) * np.log(rows) + searched)
 
 
-def plausible(candidate: Candidate, values: FloatArray) -> bool:
-    """Whether values lie within their physical bounds."""
-    for parameter, value in zip(candidate.effect.parameters, values):
+def plausible(candidate: Candidate, values: FloatArray, coulomb: Mapping[str, float]) -> bool:
+    """Whether values lie within their physical bounds, and are more than a healthy joint of this friction shows."""
+    effect, constants = candidate.effect, candidate.constants
+    for parameter, value in zip(effect.parameters, values):
         if not parameter.lower <= value <= parameter.upper or not np.isfinite(value):
             return False
-    return candidate.effect.plausible(values, candidate.constants)
+    return effect.plausible(values, constants) and not effect.ordinary(values, constants, coulomb)
 
 
 def feels(energy: FloatArray) -> np.ndarray:
