@@ -75,20 +75,24 @@ def simplest(ranked: Sequence[Scored]) -> Scored:
 
     Of touches, the one on the innermost link: any further joint would feel it (De Luca and Mattone 2005).
     """
-    first = _simplest_within(TEMPER_SHARE, ranked)
+    first = min(_near(ranked, TEMPER_SHARE), key=_plainness)
     if first.candidate.effect.exact:
-        first = _simplest_within(0.0, ranked)
+        first = min(_near(ranked, 0.0), key=_plainness)
     if not is_event(first.candidate.effect):
         return first
     # Of one law: only where the search of their constants ended sets them apart.
-    near = [s for s in ranked if ranked[0].score - s.score < TEMPER + ENDED_SHARE * ranked[0].score]
-    same = [s for s in near if s.candidate.effect.kind == first.candidate.effect.kind] or [first]
+    same = [s for s in _near(ranked, ENDED_SHARE) if s.candidate.effect.kind == first.candidate.effect.kind] or [first]
     return min(same, key=lambda s: s.candidate.stacked.rows.stop)
 
 
-def _simplest_within(share: float, ranked: Sequence[Scored]) -> Scored:
-    near = [s for s in ranked if ranked[0].score - s.score < TEMPER + share * ranked[0].score]
-    return min(near, key=lambda s: (freedom(s.candidate.effect), s.candidate.effect.rarity))
+def _near(ranked: Sequence[Scored], share: float) -> list[Scored]:
+    """Those as good as the best, to a share of its score."""
+    best = ranked[0].score
+    return [s for s in ranked if best - s.score < TEMPER + share * best]
+
+
+def _plainness(scored: Scored) -> tuple[int, int]:
+    return freedom(scored.candidate.effect), scored.candidate.effect.rarity
 
 
 def freedom(effect: Effect) -> int:

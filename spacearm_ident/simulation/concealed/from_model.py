@@ -240,9 +240,9 @@ def _delay(found: _Found) -> Values:
 
 
 def _lag(found: _Found) -> Values:
-    second = found.place.get("order") == 2
-    corner = (np.sqrt(2.0) if second else 1.0) / (2.0 * np.pi * found.share * found["lag"])
-    return {"corner": min(corner, LARGEST_CORNER_HZ), "law": "second_order" if second else "usual"}
+    corner = found.term.shown(np.array([*found.values.values()]))["corner"][0] / found.share
+    law = "second_order" if found.place.get("order") == 2 else "usual"
+    return {"corner": min(corner, LARGEST_CORNER_HZ), "law": law}
 
 
 def _friction_drift(found: _Found) -> Values:
