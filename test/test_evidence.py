@@ -44,7 +44,7 @@ def test_after_its_whitener_coloured_noise_is_white_with_variance_one():
     whitener = fit_whitener(noise, [np.ones(4000, bool)] * 2, 4, 1e-6)
     np.testing.assert_allclose(whitener.coefficients, [1.2, -0.5, 0.0, 0.0], atol=0.06)
     assert whitener.sigma_Nm == pytest.approx(0.3, rel=0.04)
-    white = whitener.apply(noise[0][:, None], np.arange(4000))[:, 0]
+    white = whitener.matrix(np.arange(4000)) @ noise[0]
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.08)
     lags = [np.mean(white[lag:] * white[:-lag]) for lag in range(1, 8)]
     assert np.abs(lags).max() < 4 / np.sqrt(len(white))
@@ -71,7 +71,7 @@ def test_the_first_rows_of_a_stretch_are_white_too():
     rng = np.random.default_rng(4)
     noise = lfilter([1.0], [1.0, -1.6, 0.8], rng.standard_normal(3000 * 60)).reshape(3000, 60)[:, -5:]
     whitener = Whitener(np.array([1.6, -0.8]), 1.0)
-    white = whitener.apply(noise.reshape(-1, 1), np.tile(np.arange(5), 3000)).reshape(3000, 5)
+    white = (whitener.matrix(np.tile(np.arange(5), 3000)) @ noise.ravel()).reshape(3000, 5)
     np.testing.assert_allclose(np.cov(white.T), np.eye(5), atol=5 / np.sqrt(3000))
     np.testing.assert_allclose(whitener.predictors[0][1] ** 2, np.mean(noise**2), rtol=0.05)
 

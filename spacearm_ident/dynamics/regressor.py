@@ -88,6 +88,8 @@ def rigid_body_torque(
     torque = np.zeros((len(arm.joints), len(position)))
     root = _base_motion(arm, len(position), base, False)
     for phi, motion in zip(inertials, _link_motions(arm, root, position, velocity, acceleration)):
+        if not phi.any():
+            continue
         force, moment = _wrench(phi, motion)
         for row, (linear, angular) in motion.twists.items():
             torque[row] += (linear * force + angular * moment).sum(axis=0)

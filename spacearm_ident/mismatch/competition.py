@@ -308,7 +308,7 @@ class Competition:
         key = id(effect)
         if key not in self._grids:
             points = grid_points(effect, self.evidence.field.motions)
-            self._grids[key] = [self.evidence.candidate(effect, point) for point in points]
+            self._grids[key] = self.evidence.candidates(effect, points)
         return self._grids[key]
 
     def _gain(self, candidate: Candidate, beside: Refit) -> float:

@@ -8,7 +8,7 @@ chi-square. Nothing of that needs a row again: Gram matrices of a few columns do
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -186,10 +186,22 @@ class Evidence:
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect in the field; its columns may be known from elsewhere."""
         stacked = stacked or stacked_effect(self.field, effect, constants)
-        columns, rows = stacked.columns, stacked.rows
-        inside = self._basis[rows].T @ columns
+        return self._candidate(effect, constants, stacked, self._basis[stacked.rows].T @ stacked.columns)
+
+    def candidates(self, effect: Effect, points: Iterable[Values]) -> list[Candidate]:
+        """The same at many values of its constants: the basis, most of the work, is gone through once."""
+        constants = list(points)
+        stacks = [stacked_effect(self.field, effect, point) for point in constants]
+        if not stacks:
+            return []
+        # Where an effect acts its place says, not its constants.
+        insides = self._basis[stacks[0].rows].T @ np.concatenate([stacked.columns for stacked in stacks], axis=1)
+        return [self._candidate(effect, *known) for known in zip(constants, stacks, np.hsplit(insides, len(stacks)))]
+
+    def _candidate(self, effect: Effect, constants: Values, stacked: Stacked, inside: FloatArray) -> Candidate:
+        columns = stacked.columns
         gram = columns.T @ columns - inside.T @ inside
-        slope = columns.T @ self.residual[rows]
+        slope = columns.T @ self.residual[stacked.rows]
         return Candidate(effect, tuple(float(c) for c in constants), stacked, inside, gram, slope)
 
     def beyond_base(self, columns: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.background import Background
@@ -128,21 +129,22 @@ class Whitener:
             steps.append((own, sigma))
         return steps[::-1]
 
-    def apply(self, rows: FloatArray, before: np.ndarray) -> FloatArray:
-        """(M, k) whitened rows of (M, k).
+    def matrix(self, before: np.ndarray) -> csr_array:
+        """(r, M) what makes white rows of M rows, those that count.
 
         Args:
-            rows: What to whiten.
-            before: (M,) how many rows before each belong to the same stretch; a stretch begins unpredicted.
+            before: (M,) how many rows before each belong to the same stretch, -1 where it does not count; a stretch
+                begins unpredicted.
         """
-        white = np.empty_like(rows)
+        lags = np.arange(self.order + 1)
+        predictors = np.zeros((self.order + 1, self.order + 1))
         for known, (coefficients, sigma) in enumerate(self.predictors):
-            place = np.flatnonzero(before == known if known < self.order else before >= known)
-            error = rows[place]
-            for lag, coefficient in enumerate(coefficients, start=1):
-                error = error - coefficient * rows[place - lag]
-            white[place] = error / sigma
-        return white
+            predictors[known, : known + 1] = np.array([1.0, *-coefficients]) / sigma
+        place = np.flatnonzero(before >= 0)
+        known = np.minimum(before[place], self.order)
+        used = lags <= known[:, None]
+        starts = np.concatenate([[0], np.cumsum(known + 1)])
+        return csr_array((predictors[known][used], (place[:, None] - lags)[used], starts), (len(place), len(before)))
 
     def weight(self, speed: FloatArray, gone: FloatArray) -> FloatArray:
         """(M,) what rows at these speeds, rad/s, so far from a reversal, rad, count for."""
@@ -185,7 +187,9 @@ class Scene:
             backgrounds or (model.background(quiet(motion), base.parameters, base.constants) for motion in self.motions)
         )
         self.sound = [one_way(motion) for motion in self.motions]
-        self._before = [[stretch(sound[:, j]) for sound in self.sound] for j in range(len(whiteners))]
+        self._whitening = [
+            [own.matrix(stretch(sound[:, j])) for sound in self.sound] for j, own in enumerate(whiteners)
+        ]
         joint, owner, place = [], [], []
         for j in range(len(whiteners)):
             for m, sound in enumerate(self.sound):
@@ -231,9 +235,7 @@ class Scene:
 
     def whiten(self, joint: int, motion: int, rows: FloatArray) -> FloatArray:
         """(r, k) stacked rows of reduced rows (M, k)."""
-        before = self._before[joint][motion]
-        white = self.whiteners[joint].apply(rows, before)[before >= 0]
-        return np.asarray(white * self.weight[self.slot(joint, motion), None])
+        return np.asarray(self._whitening[joint][motion] @ rows * self.weight[self.slot(joint, motion), None])
 
     def torque(self) -> FloatArray:
         """(R,) measured torque."""

@@ -171,7 +171,7 @@ def _swing(
     inertia: FloatArray, damping: FloatArray, rate: FloatArray, cubic: FloatArray, load: FloatArray, h: float
 ) -> FloatArrays:
     """D (N, ...) and d'' at steps of h seconds: M d'' + c d' + rate d + cubic d^3 = load, from where it stands."""
-    ahead = 0.25 * h**2
+    ahead, half = 0.25 * h**2, 0.5 * h
     signals = [load, rate, damping, np.maximum(inertia + 0.5 * h * damping + ahead * rate, LEAST_INERTIA)]
     one, hard = load[0].size == 1, bool(np.any(cubic))
     columns = [signal.ravel().tolist() for signal in signals] if one else signals
@@ -185,14 +185,15 @@ def _swing(
 
     first, held = columns[0][0], columns[1][0]
     d, v, a = root(abs(held), first) if hard else first / held, 0.0, 0.0
-    give, acceleration = np.empty((2, *load.shape))
-    for k, (force, stiff, damp, divide) in enumerate(zip(*columns)):
-        guess_d, guess_v = d + h * v + ahead * a, v + 0.5 * h * a
+    give, acceleration = [], []
+    for force, stiff, damp, divide in zip(*columns):
+        guess_d, guess_v = d + h * v + ahead * a, v + half * a
         pull = force - damp * guess_v - stiff * guess_d
         a = (root(divide / ahead, pull + divide / ahead * guess_d) - guess_d) / ahead if hard else pull / divide
-        d, v = guess_d + ahead * a, guess_v + 0.5 * h * a
-        give[k], acceleration[k] = d, a
-    return give, acceleration
+        d, v = guess_d + ahead * a, guess_v + half * a
+        give.append(d)
+        acceleration.append(a)
+    return np.reshape(give, load.shape), np.reshape(acceleration, load.shape)
 
 
 def _finer(signal: FloatArray, step: int, samples: int) -> FloatArray:

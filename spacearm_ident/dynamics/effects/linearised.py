@@ -15,7 +15,7 @@ import numpy as np
 from ...recording.motion import Motion
 from ..arm import Arm, FloatArray, Joint
 from ..background import Background
-from ..regressor import rigid_body_blocks
+from ..regressor import rigid_body_torque
 
 STEP = 1e-4
 """Half the central difference for the gradient, rad."""
@@ -136,11 +136,7 @@ def rigid_torque(
 ) -> FloatArray:
     """(N, n) torque of the rigid links with the given inertials (n, 10); speeds and accelerations zero unless given."""
     still = np.zeros_like(q)
-    torque = np.zeros_like(q)
-    blocks = rigid_body_blocks(arm, q, still if qd is None else qd, still if qdd is None else qdd)
-    for (row, link), block in blocks.items():
-        torque[:, row] += inertials[link] @ block
-    return torque
+    return rigid_body_torque(arm, inertials, q, still if qd is None else qd, still if qdd is None else qdd)
 
 
 def _sensitivity(
