@@ -13,7 +13,6 @@ from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.identification.prior import make_prior
-from spacearm_ident.mismatch.evidence import NUISANCE, base_columns, stacked_effect
 from spacearm_ident.mismatch.preparation import banded, prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
 from spacearm_ident.mismatch.rivals import Rival, rivals
@@ -32,6 +31,7 @@ from spacearm_ident.mismatch.scene import (
     travel,
 )
 from spacearm_ident.mismatch.scored import BEST, PARTS, penalty, throughout
+from spacearm_ident.mismatch.stacked import NUISANCE, base_columns, stacked_effect
 from spacearm_ident.recording.recording import Recording
 from spacearm_ident.recording.signals import prepare
 

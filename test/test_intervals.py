@@ -9,9 +9,9 @@ import pytest
 
 from spacearm_ident.dynamics.term import Constant
 from spacearm_ident.mismatch import intervals
-from spacearm_ident.mismatch.evidence import Stacked
 from spacearm_ident.mismatch.intervals import PER_FIT, PER_PARTS, Intervals
 from spacearm_ident.mismatch.scored import PARTS
+from spacearm_ident.mismatch.stacked import Stacked
 
 ROWS = 1200
 TIME = np.linspace(0.0, 1.0, ROWS, endpoint=False)

@@ -11,12 +11,13 @@ from changed_arm import ARM, HEALTHY, ripple, run
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.mismatch.competition import GATE, Competition
 from spacearm_ident.mismatch.constants import polish, refine
-from spacearm_ident.mismatch.evidence import Candidate, Stacked
+from spacearm_ident.mismatch.evidence import Candidate
 from spacearm_ident.mismatch.finding import Alternative
 from spacearm_ident.mismatch.judgement import contradicted, doubted, shows
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
 from spacearm_ident.mismatch.scored import Scored, shadow, simplest, sleeps
+from spacearm_ident.mismatch.stacked import Stacked
 
 
 @pytest.mark.parametrize(

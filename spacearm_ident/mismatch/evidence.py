@@ -16,36 +16,17 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from ..dynamics.arm import FloatArray
-from ..dynamics.effects.effect import Effect, direction
-from ..dynamics.friction import bristle_state
+from ..dynamics.effects.effect import Effect
 from ..dynamics.model import IdentifiedModel
-from ..dynamics.term import Columns, Values
+from ..dynamics.term import Values
 from ..identification.prior import make_prior
 from ..recording.motion import Motion
 from .scene import Scene, quiet
+from .stacked import NUISANCE, Stacked, base_columns, sharpness, stacked_effect
 from .turning import learnt
 
-SHARP_DISTANCE = 2e-4
-SHARP_SPEEDS = (2e-3, 8e-3, 0.025, 0.08)
-"""How friction runs through a reversal is a nuisance, not a discovery: a short presliding distance, rad, and bells of
-speed, rad/s, that make up any even curve there. What they are is the same in reference and field."""
-NUISANCE = 1 + len(SHARP_SPEEDS)
-"""Columns a joint."""
 INVISIBLE = 1e-12
 """Share of its energy below which what the base leaves of a column is rounding."""
-
-
-@dataclass(frozen=True)
-class Stacked:
-    """An effect's whitened columns in a scene; zero outside some joints' rows.
-
-    Attributes:
-        rows: Where in the stack.
-        columns: (r, k).
-    """
-
-    rows: slice
-    columns: FloatArray
 
 
 @dataclass(frozen=True)
@@ -171,7 +152,7 @@ class Evidence:
         nuisance = fitted[count : count + self.nuisance].reshape(-1, NUISANCE)
 
         def load_and_friction(motion: Motion) -> tuple[FloatArray, FloatArray]:
-            sharp = [made @ own for (_, made), own in zip(_sharpness(motion).values(), nuisance)]
+            sharp = [made @ own for (_, made), own in zip(sharpness(motion).values(), nuisance)]
             refit = model.background(quiet(motion), parameters, self.base.constants)
             return refit.load, refit.torque - refit.load + np.stack(sharp, axis=1)
 
@@ -238,14 +219,9 @@ class Evidence:
         values = np.where(held, prior, 0.0)
         energy = np.concatenate([np.sum(c.stacked.columns**2, axis=0) for c in candidates])
         # What moves no torque, or none that the base could not, stays where it is.
-        free = np.flatnonzero(~held & (np.diag(gram) > INVISIBLE * energy))
-        covariance = np.zeros_like(gram)
-        if len(free):
-            unit = np.sqrt(np.diag(gram)[free])
-            scaled = gram[np.ix_(free, free)] / np.outer(unit, unit)
-            inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
-            values[free] = inverse @ ((slope - gram @ values)[free] / unit) / unit
-            covariance[np.ix_(free, free)] = inverse / np.outer(unit, unit)
+        free = ~held & (np.diag(gram) > INVISIBLE * energy)
+        covariance = inverse_among(gram, free)
+        values += covariance @ (slope - gram @ values)
         gain = float(2 * slope @ values - values @ gram @ values)
         return Refit(values, gain, covariance, np.diag(gram) / np.maximum(energy, 1e-300))
 
@@ -287,6 +263,17 @@ class Evidence:
         if candidates:
             inside = inside - np.concatenate([c.inside for c in candidates], axis=1) @ values
         return np.asarray(inside)
+
+
+def inverse_among(gram: FloatArray, free: np.ndarray) -> FloatArray:
+    """(k, k) inverse of a Gram matrix among its free rows (k,), in units that make them alike; zero elsewhere."""
+    own = np.ix_(free, free)
+    unit = np.sqrt(np.diag(gram)[free])
+    inverse = np.zeros_like(gram)
+    if free.any():
+        inverse[own] = np.linalg.pinv(gram[own] / np.outer(unit, unit), rcond=1e-9, hermitian=True)
+        inverse[own] /= np.outer(unit, unit)
+    return inverse
 
 
 def _inner(one: Candidate, other: Candidate) -> FloatArray:
@@ -359,51 +346,3 @@ def without_effects(
             anew = stacked.columns[:, candidate.effect.anew]
             residual[stacked.rows] -= anew @ np.linalg.lstsq(anew, residual[stacked.rows], rcond=1e-9)[0]
     return residual
-
-
-def stacked_effect(scene: Scene, effect: Effect, constants: Values) -> Stacked:
-    """Whitened columns of an effect."""
-    columns = [
-        effect.columns(motion, constants, background) for motion, background in zip(scene.motions, scene.backgrounds)
-    ]
-    joints = sorted(columns[0])
-    rows = scene.rows_of(joints[0], joints[-1])
-    stacked = np.zeros((rows.stop - rows.start, len(effect.parameters)))
-    for m, (motion, by_joint) in enumerate(zip(scene.motions, columns)):
-        for joint, (indices, values) in by_joint.items():
-            slot = scene.slot(joint, m)
-            stacked[slot.start - rows.start : slot.stop - rows.start, indices] = scene.whiten(
-                joint, m, motion.reduce(values)
-            )
-    return Stacked(rows, stacked)
-
-
-def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Effect, tuple[float, ...]]]) -> FloatArray:
-    """(R, p + NUISANCE n + c) whitened columns of the base model, of its reversals, and of effects it includes."""
-    blocks = []
-    for term, _, first in base.model.numbered():
-        constants = base.constants[first : first + len(term.constants)]
-        columns = [term.columns(motion, constants, b) for motion, b in zip(scene.motions, scene.backgrounds)]
-        block = scene.stack(columns, len(term.parameters))
-        block[:, [parameter.scale == 0.0 for parameter in term.parameters]] = 0.0
-        blocks.append(block)
-    nuisance = [_sharpness(motion) for motion in scene.motions]
-    blocks.append(scene.stack(nuisance, NUISANCE * len(base.model.arm.joints)))
-    for effect, values in common:
-        stacked = stacked_effect(scene, effect, values)
-        block = np.zeros((len(scene), len(effect.parameters)))
-        block[stacked.rows] = stacked.columns
-        blocks.append(block)
-    return np.concatenate(blocks, axis=1)
-
-
-def _sharpness(motion: Motion) -> Columns:
-    """Columns that only the rows near a reversal feel."""
-    columns: Columns = {}
-    for row in range(len(motion.joints)):
-        velocity, sign = motion.velocity[:, row], direction(motion, row)
-        travel = np.abs(velocity) / motion.rate_hz
-        state = bristle_state(sign[:, None], travel, SHARP_DISTANCE, motion.cyclic)[:, 0]
-        bells = [sign * np.exp(-((velocity / speed) ** 2)) for speed in SHARP_SPEEDS]
-        columns[row] = list(range(NUISANCE * row, NUISANCE * (row + 1))), np.stack([state - sign, *bells], axis=1)
-    return columns

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.stats import norm, t
 
 from ..dynamics.arm import FloatArray
-from .evidence import Candidate, Evidence, stacked_effect, with_own
+from .evidence import Candidate, Evidence, inverse_among, with_own
 from .scored import PARTS
+from .stacked import stacked_effect
 
 STEP = 1e-3
 """Relative step of a value for a derivative."""
@@ -41,7 +42,7 @@ class Intervals:
         changes, free = _tangents(evidence, accepted, values)
         beyond = evidence.beyond_base(changes)
         information = changes.T @ beyond + np.diag(_known_before(accepted))
-        inverse = _inverse(information, free)
+        inverse = inverse_among(information, free & (np.diag(information) > 0.0))
         blame = _scores(beyond * evidence.residual_beside(accepted)[:, None], evidence.field.part(PARTS))
         # What the reference says of the base is not in these rows; there the fit is believed.
         elsewhere = information - beyond.T @ beyond
@@ -100,13 +101,3 @@ def _scores(rows: FloatArray, part: np.ndarray) -> FloatArray:
     sums = np.zeros((PARTS, rows.shape[1]))
     np.add.at(sums, part, rows)
     return sums
-
-
-def _inverse(gram: FloatArray, free: np.ndarray) -> FloatArray:
-    """Inverse of a Gram matrix, zero where not free."""
-    where = np.flatnonzero(free & (np.diag(gram) > 0))
-    unit = np.sqrt(np.diag(gram)[where])
-    inverse = np.linalg.pinv(gram[np.ix_(where, where)] / np.outer(unit, unit), rcond=1e-8, hermitian=True)
-    whole = np.zeros_like(gram)
-    whole[np.ix_(where, where)] = inverse / np.outer(unit, unit)
-    return whole

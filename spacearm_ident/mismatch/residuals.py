@@ -12,10 +12,11 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from ..dynamics.arm import FloatArray
-from .evidence import Candidate, Evidence, base_columns, stacked_effect, without_effects
+from .evidence import Candidate, Evidence, without_effects
 from .finding import Trace
 from .scene import Scene, Whitener
 from .scored import BEST, PARTS
+from .stacked import base_columns, stacked_effect
 
 HIGHEST = 0.45
 """Of the sampling rate: where a filter's band ends at the latest."""

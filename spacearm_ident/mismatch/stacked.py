@@ -1,0 +1,87 @@
+"""Columns of the base model and of effects in a scene, whitened.
+
+Before either is compared: what reversals do to friction stands beside the base model as a nuisance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.effects.effect import Effect, direction
+from ..dynamics.friction import bristle_state
+from ..dynamics.model import IdentifiedModel
+from ..dynamics.term import Columns, Values
+from ..recording.motion import Motion
+from .scene import Scene
+
+SHARP_DISTANCE = 2e-4
+SHARP_SPEEDS = (2e-3, 8e-3, 0.025, 0.08)
+"""How friction runs through a reversal is a nuisance, not a discovery: a short presliding distance, rad, and bells of
+speed, rad/s, that make up any even curve there. What they are is the same in reference and field."""
+NUISANCE = 1 + len(SHARP_SPEEDS)
+"""Columns a joint."""
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """An effect's whitened columns in a scene; zero outside some joints' rows.
+
+    Attributes:
+        rows: Where in the stack.
+        columns: (r, k).
+    """
+
+    rows: slice
+    columns: FloatArray
+
+
+def stacked_effect(scene: Scene, effect: Effect, constants: Values) -> Stacked:
+    """Whitened columns of an effect."""
+    columns = [
+        effect.columns(motion, constants, background) for motion, background in zip(scene.motions, scene.backgrounds)
+    ]
+    joints = sorted(columns[0])
+    rows = scene.rows_of(joints[0], joints[-1])
+    stacked = np.zeros((rows.stop - rows.start, len(effect.parameters)))
+    for m, (motion, by_joint) in enumerate(zip(scene.motions, columns)):
+        for joint, (indices, values) in by_joint.items():
+            slot = scene.slot(joint, m)
+            stacked[slot.start - rows.start : slot.stop - rows.start, indices] = scene.whiten(
+                joint, m, motion.reduce(values)
+            )
+    return Stacked(rows, stacked)
+
+
+def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Effect, tuple[float, ...]]]) -> FloatArray:
+    """(R, p + NUISANCE n + c) whitened columns of the base model, of its reversals, and of effects it includes."""
+    blocks = []
+    for term, _, first in base.model.numbered():
+        constants = base.constants[first : first + len(term.constants)]
+        columns = [term.columns(motion, constants, b) for motion, b in zip(scene.motions, scene.backgrounds)]
+        block = scene.stack(columns, len(term.parameters))
+        block[:, [parameter.scale == 0.0 for parameter in term.parameters]] = 0.0
+        blocks.append(block)
+    nuisance = [sharpness(motion) for motion in scene.motions]
+    blocks.append(scene.stack(nuisance, NUISANCE * len(base.model.arm.joints)))
+    for effect, values in common:
+        stacked = stacked_effect(scene, effect, values)
+        block = np.zeros((len(scene), len(effect.parameters)))
+        block[stacked.rows] = stacked.columns
+        blocks.append(block)
+    return np.concatenate(blocks, axis=1)
+
+
+def sharpness(motion: Motion) -> Columns:
+    """Columns that only the rows near a reversal feel."""
+    columns: Columns = {}
+    for row in range(len(motion.joints)):
+        velocity, sign = motion.velocity[:, row], direction(motion, row)
+        travel = np.abs(velocity) / motion.rate_hz
+        state = bristle_state(sign[:, None], travel, SHARP_DISTANCE, motion.cyclic)[:, 0]
+        bells = [sign * np.exp(-((velocity / speed) ** 2)) for speed in SHARP_SPEEDS]
+        columns[row] = list(range(NUISANCE * row, NUISANCE * (row + 1))), np.stack([state - sign, *bells], axis=1)
+    return columns
