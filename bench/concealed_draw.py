@@ -20,6 +20,7 @@ from concealed_arm import FORMS, JOINTS, VALIDATION, DrawnArm, draw_arm, draw_mo
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, lfilter, sosfiltfilt
 
+from spacearm_ident.errors import UserError
 from spacearm_ident.recording import write_recording
 from spacearm_ident.simulation.closed_loop import Truth, measure, simulate_truth
 from spacearm_ident.simulation.concealed import EFFECTS, Concealment, make_effect
@@ -306,13 +307,14 @@ def _scaled(trial: Trial, name: str, asked: float) -> tuple[Entry, Entry]:
     while tries:
         value = strength.value(x, sign)
         entry["parameters"] |= {strength.parameter: value} | {key: ratio * value for key, ratio in ratios.items()}
-        truth = trial.simulate(1, [entry])
-        amplitude = trial.amplitudes(truth)
-        reached = float((amplitude / trial.floor)[mine].max())
-        if not math.isfinite(reached):  # More than the arm can carry: such a coupling leaves no inertia.
+        try:
+            truth = trial.simulate(1, [entry])
+        except UserError:  # More than the arm can carry: such a coupling leaves no inertia.
             last, high = None, 0.5 * x
             x = math.sqrt(strength.low * high)
             continue
+        amplitude = trial.amplitudes(truth)
+        reached = float((amplitude / trial.floor)[mine].max())
         tries -= 1
         if abs(reached / asked - 1.0) < TOLERANCE:
             break

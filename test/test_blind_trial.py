@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.concealed import EFFECTS
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
@@ -61,10 +62,13 @@ class Fragile:
         self.rng, self.floor, self.strongest, self.arm = np.random.default_rng(1), np.ones(6), strongest, None
 
     def simulate(self, run, entries):
-        return entries[0]["parameters"]["inertia"]
+        inertia = entries[0]["parameters"]["inertia"]
+        if inertia >= self.strongest:
+            raise UserError("the simulated arm runs away")
+        return inertia
 
     def amplitudes(self, inertia):
-        return np.full(len(JOINTS), 50.0 * inertia if inertia < self.strongest else np.nan)
+        return np.full(len(JOINTS), 50.0 * inertia)
 
 
 @pytest.mark.parametrize("strongest, reached", [(9.0, 10.0), (0.21, 10.0), (0.05, None)])

@@ -95,6 +95,13 @@ def test_a_concealed_torque_shows_at_its_joint_as_large_as_it_is_and_the_run_rep
     assert np.all(np.delete(change, 2) < 0.3 * change[2])
 
 
+def test_an_arm_that_cannot_carry_what_is_concealed_stops_in_one_line(short_run):
+    strong = Concealment([make_effect(SIX, "rotor_coupling", ["joint_4"], {"inertia": 1.0})])
+    with pytest.raises(UserError, match=r"runs away within 0\.") as caught:
+        simulate_truth(paper_arm(), short_run, drives=paper_drives(), hidden=strong)
+    assert "\n" not in str(caught.value)
+
+
 def test_in_vacuum_the_higher_powers_of_speed_go():
     thin = make_effect(SIX, "vacuum_friction", (), {"fraction": 0.75}).alter(paper_arm())
     np.testing.assert_allclose(thin.k_v3, 0.25 * paper_arm().k_v3)

@@ -34,6 +34,8 @@ Progress = Callable[[float], None]
 SETTLE_S = 0.5
 """Held at the start before the recording begins, so that the drives carry gravity at its first sample."""
 _TEMPERATURE_HZ = 5.0
+_RUNAWAY = 1e3
+"""rad/s that no arm's joint turns at."""
 
 
 class MotionStates(Protocol):
@@ -185,7 +187,7 @@ def simulate_run(
 
     Raises:
         ValueError: Joints or rates do not fit.
-        UserError: Parameters and robot description do not fit.
+        UserError: Parameters and robot description do not fit, or make an arm that runs away.
     """
     truth = simulate_truth(
         parameters,
@@ -339,6 +341,8 @@ def _base_truth(
     return {"base_rate": states[at, 10:], "base_force": np.asarray(force)}
 
 
+# Of numbers that grow beyond all bounds `_stop_a_runaway` tells, in words.
+@np.errstate(over="ignore", invalid="ignore")
 def _run(
     plant: Plant,
     servo: Servo,
@@ -358,6 +362,7 @@ def _run(
             warm[chunk - 1] = plant.housing_temperature
         if progress is not None:
             progress(first / len(q))
+        _stop_a_runaway(plant)
         for cycle in range(first, last):
             q[cycle] = seen = plant.position
             qd[cycle] = plant.velocity
@@ -368,6 +373,16 @@ def _run(
             applied = servo.torque(seen, command.q[cycle], command.qd[cycle], feedforward[cycle])
             torque[cycle] = applied
             plant.step(applied if hidden is None else hidden.motor(applied, plant), servo.dt)
+    _stop_a_runaway(plant)
     if progress is not None:
         progress(1.0)
     return q, qd, torque, warm, states
+
+
+def _stop_a_runaway(plant: Plant) -> None:
+    # What is no number any more is not less either.
+    if not np.abs(plant.velocity).max() < _RUNAWAY:
+        raise UserError(
+            f"the simulated arm runs away within {plant.time:.1f} s: its inertia is not positive, or a spring pushes; "
+            "make smaller what is concealed in it, or give another model"
+        )
