@@ -20,9 +20,8 @@ from concealed_arm import FORMS, JOINTS, VALIDATION, DrawnArm, draw_arm, draw_mo
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from spacearm_ident.errors import UserError
 from spacearm_ident.recording import write_recording
-from spacearm_ident.simulation.closed_loop import Truth, measure, simulate_truth
+from spacearm_ident.simulation.closed_loop import RunawayError, Truth, measure, simulate_truth
 from spacearm_ident.simulation.concealed import EFFECTS, Concealment, make_effect
 from spacearm_ident.simulation.joint_law import StribeckLaw
 from spacearm_ident.simulation.mechanism import RigidMechanism
@@ -309,7 +308,7 @@ def _scaled(trial: Trial, name: str, asked: float) -> tuple[Entry, Entry]:
         entry["parameters"] |= {strength.parameter: value} | {key: ratio * value for key, ratio in ratios.items()}
         try:
             truth = trial.simulate(1, [entry])
-        except UserError:  # More than the arm can carry: such a coupling leaves no inertia.
+        except RunawayError:  # More than the arm can carry: such a coupling leaves no inertia.
             last, high = None, 0.5 * x
             x = math.sqrt(strength.low * high)
             continue

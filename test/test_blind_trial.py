@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from spacearm_ident.errors import UserError
+from spacearm_ident.simulation.closed_loop import RunawayError
 from spacearm_ident.simulation.concealed import EFFECTS
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
@@ -64,7 +64,7 @@ class Fragile:
     def simulate(self, run, entries):
         inertia = entries[0]["parameters"]["inertia"]
         if inertia >= self.strongest:
-            raise UserError("the simulated arm runs away")
+            raise RunawayError("the simulated arm runs away")
         return inertia
 
     def amplitudes(self, inertia):

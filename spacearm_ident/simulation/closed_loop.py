@@ -38,6 +38,10 @@ _RUNAWAY = 1e3
 """rad/s that no arm's joint turns at."""
 
 
+class RunawayError(UserError):
+    """The simulated arm cannot carry what its parameters make of it."""
+
+
 class MotionStates(Protocol):
     """Arrays (T, n) of position, velocity, acceleration, rad and s."""
 
@@ -187,7 +191,8 @@ def simulate_run(
 
     Raises:
         ValueError: Joints or rates do not fit.
-        UserError: Parameters and robot description do not fit, or make an arm that runs away.
+        UserError: Parameters and robot description do not fit.
+        RunawayError: They make an arm that runs away.
     """
     truth = simulate_truth(
         parameters,
@@ -382,7 +387,7 @@ def _run(
 def _stop_a_runaway(plant: Plant) -> None:
     # What is no number any more is not less either.
     if not np.abs(plant.velocity).max() < _RUNAWAY:
-        raise UserError(
+        raise RunawayError(
             f"the simulated arm runs away within {plant.time:.1f} s: its inertia is not positive, or a spring pushes; "
             "make smaller what is concealed in it, or give another model"
         )
