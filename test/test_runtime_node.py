@@ -47,6 +47,18 @@ class Sample(LiveNode):
 sys.exit(run(Sample, sys.argv[1:]))
 """
 
+INTERRUPTED = """
+import importlib, os, signal, sys
+from spacearm_ident.nodes.main import recorder
+
+def slowly(name, package=None, import_module=importlib.import_module):
+    os.kill(os.getpid(), signal.SIGINT)
+    return import_module(name, package)
+
+importlib.import_module = slowly
+sys.exit(recorder())
+"""
+
 
 @pytest.fixture
 def processes(tmp_path):
@@ -85,14 +97,21 @@ def test_services_and_diagnostics(processes, probe):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_however_often_it_is_interrupted_it_closes_once_and_says_nothing(processes, number):
+def test_node_closes_once_and_ends_with_0_when_signals_go_on_until_it_is_gone(processes, number):
     process = sample(processes)
     ready(process)
-    for _ in range(3):
-        process.send_signal(number)
-        time.sleep(0.1)
+    wait_for(
+        lambda: process.poll() is not None, "its end", step=lambda: (process.send_signal(number), time.sleep(0.01))
+    )
+    assert process.returncode == 0
+    first, logged, *rest = output(process).splitlines()
+    assert (first, rest) == ("ready", ["closing", "closed"]) and logged.endswith("[sample]: ready: running")
+
+
+def test_node_ends_with_0_and_without_a_word_when_interrupted_during_its_imports(processes):
+    process = processes.python("-c", INTERRUPTED)
     assert process.wait(20) == 0
-    assert output(process).splitlines() == ["ready", "closing", "closed"]
+    assert output(process) == ""
 
 
 @pytest.mark.parametrize(
@@ -112,6 +131,21 @@ def test_a_bad_parameter_is_one_line_and_exit_code_2(processes, argument, said):
     assert process.wait(20) == 2
     lines = [line for line in output(process).splitlines() if "[rcl]" not in line]  # rcl has its own say
     assert len(lines) == 1 and said in lines[0]
+
+
+WITHOUT_EVENTS_EXECUTOR = """
+import sys
+sys.modules["rclpy.experimental"] = None  # as in rclpy before 7.1.4
+"""
+
+
+def test_an_older_rclpy_without_events_executor_runs_the_node(processes, probe):
+    process = processes.python("-c", WITHOUT_EVENTS_EXECUTOR + NODE)
+    assert probe.call("/sample/go") == (True, "gone")
+    probe.wait_for(lambda: "sample" in probe.statuses, "diagnostics")
+    assert probe.call("/sample/leave") == (True, "bye")
+    assert process.wait(20) == 7
+    assert output(process).splitlines()[-1] == "closed"
 
 
 def test_a_node_without_ros_says_what_to_do(processes):

@@ -11,6 +11,10 @@ import importlib.util
 import sys
 from collections.abc import Sequence
 
+from .ending import heed_signals
+
+RESTARTS = 3
+"""Default of the trajectory node's `restarts`: a machine that breaks off a run four times is not fit for it."""
 NODES = ("canopen_driver", "trajectory", "identifier", "recorder", "simulated_arm")
 
 _HELP = """Parameters: --ros-args -p NAME:=VALUE ..., or --ros-args --params-file FILE (see config/spacearm.yaml);
@@ -24,6 +28,7 @@ def start(name: str, arguments: Sequence[str]) -> int:
         print(f"{name}: this node is not in this version yet; use 'spacearm identify BAG' offline", file=sys.stderr)
         return 2
     try:
+        heed_signals()  # before the imports, which take most of a second
         node = importlib.import_module(module)
         if {"-h", "--help"} & set(arguments):
             print(f"{node.__doc__}\n{_HELP.format(name=name)}")
@@ -37,8 +42,6 @@ def start(name: str, arguments: Sequence[str]) -> int:
             file=sys.stderr,
         )
         return 2
-    except KeyboardInterrupt:  # while still importing; from then on the node takes care of its signals
-        return 130
 
 
 def canopen_driver() -> int:

@@ -6,9 +6,10 @@ A node is a subclass of `LiveNode` in the module of its name, which ends with
         return run(Recorder, arguments)
 
 Its `__init__` declares parameters (`parameter`), services (`offer`, `offer_switch`), publishers and
-subscriptions; it overrides `diagnose` (called once a second, and by `publish_diagnostics` at once) and
-`close` (called once, while it can still publish: bring the arm to rest, end threads, close files). Bad input
-is a `UserError`: in `__init__` the process says it in one line and exits with 2; in a service it is the reply.
+subscriptions; it overrides `diagnose` (called once a second, and by `publish_diagnostics` at once), `readiness` (asked
+until it says what the node is ready for, which is logged once) and `close` (called once, while it can still publish:
+bring the arm to rest, end threads, close files). Bad input is a `UserError`: in `__init__` the process says it in one
+line and exits with 2; in a service it is the reply.
 Callbacks run in the main thread, one after another; a node that has a deadline keeps its own thread.
 
 Topics and services are named relatively (`joint_states`, `driver/enable`), so that they follow the node's namespace;
@@ -18,7 +19,6 @@ only `/diagnostics` is one for the whole graph, as in all of ROS 2, and says in 
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import threading
 import time
@@ -30,15 +30,22 @@ from typing import Any, Final, TypeVar
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from ..errors import UserError
+from .ending import heed_signals, ignore_signals
 from .params_file import holding_in_namespace
+
+try:
+    from rclpy.experimental import EventsExecutor as LiveExecutor
+except ImportError:  # rclpy before 7.1.4: the same life, at three times the processor time
+    LiveExecutor = SingleThreadedExecutor
 
 STREAM: Final = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -55,6 +62,9 @@ LATCHED: Final = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """The last message, for who comes late too."""
+
+READY: Final = "ready"
+"""First word of what a node logs once it can do what it is there for; the launch file looks for it."""
 
 _SPIN_S = 0.1
 _DIAGNOSTICS_S = 1.0
@@ -150,8 +160,28 @@ class LiveNode(Node):
         self.hardware_id = hardware_id
         self.exit_code: int | None = None
         self._unspun: list[Node] = []
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(_DIAGNOSTICS_S, self.publish_diagnostics)
+        self.every(_DIAGNOSTICS_S, self.publish_diagnostics)
+
+    @property
+    def simulated_time(self) -> bool:
+        """Whether the graph's clock is `/clock` (`use_sim_time`), and not this machine's."""
+        return bool(self.get_parameter("use_sim_time").value)
+
+    def refuse_simulated_time(self, why: str) -> None:
+        """Say that `use_sim_time` is not heeded, where it is given."""
+        if self.simulated_time:
+            self.get_logger().warning(f"use_sim_time is not heeded: {why}")
+
+    def every(self, period_s: float, action: Callable[[], None]) -> None:
+        """Call `action` every so many seconds of this machine's time: a clock of the graph that stands stops no watch.
+
+        Args:
+            period_s: How often, s.
+            action: What to do.
+        """
+        self.create_timer(period_s, action, clock=self._steady)
 
     def unspun_node(self) -> Node:
         """A hidden node without services, in no executor, whose subscriptions are read by `take_message`.
@@ -183,6 +213,10 @@ class LiveNode(Node):
     def diagnose(self) -> Sequence[Status]:
         """The node's present state; override it."""
         return (Status(Level.OK, "running"),)
+
+    def readiness(self) -> str | None:
+        """What it can do now, for the line it says once at its start; None while it cannot yet; override it."""
+        return "running"
 
     def close(self) -> None:
         """End cleanly: called once, in the main thread, while the node can still publish; override it."""
@@ -272,15 +306,23 @@ def run(make: Callable[[], LiveNode], arguments: Sequence[str]) -> int:
     """A node's whole life in this process; returns its exit code.
 
     It ends on SIGINT or SIGTERM (0), when the node sets `exit_code`, or with 2 where the node cannot be made
-    (`UserError`: one line on stderr). However often the signals come, `close` runs once, to its end.
+    (`UserError`: one line on stderr). However often and whenever the signals come, `close` runs once, to its end.
 
     Args:
         make: The node's class, or a function that makes one.
         arguments: Command line without the program, such as `--ros-args --params-file FILE`.
     """
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = heed_signals()
+    try:
+        return _live(make, arguments, stop)
+    finally:
+        # The middleware's threads and libraries take a while to go: a signal then must not change the exit code.
+        ignore_signals()
+
+
+def _live(make: Callable[[], LiveNode], arguments: Sequence[str], stop: threading.Event) -> int:
+    if stop.is_set():
+        return 0
     try:
         with holding_in_namespace(arguments) as words:
             rclpy.init(args=[sys.argv[0], *words], signal_handler_options=SignalHandlerOptions.NO)
@@ -304,10 +346,13 @@ def run(make: Callable[[], LiveNode], arguments: Sequence[str]) -> int:
 
 def _spin(node: LiveNode, stop: threading.Event) -> None:
     # EventsExecutor costs a third of the others; its spin() is a busy loop, spin_once() is not.
-    executor = EventsExecutor()
+    executor = LiveExecutor()
     executor.add_node(node)
+    ready: str | None = None
     try:
         while not stop.is_set() and node.exit_code is None:
+            if ready is None and (ready := node.readiness()) is not None:
+                node.get_logger().info(f"{READY}: {ready}")
             executor.spin_once(timeout_sec=_SPIN_S)
     finally:
         executor.remove_node(node)

@@ -16,6 +16,7 @@ import traceback
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
+from ..blas_threads import one_thread
 from ..errors import UnfitDataError, UserError
 from .jobs import Done, Explained, Job
 
@@ -47,6 +48,7 @@ class Worker:
     """One job in its own process, from the constructor to `Done`, `Explained` or `Failed` from `poll`."""
 
     def __init__(self, job: Job) -> None:
+        one_thread()
         self._name = job.name
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         context = multiprocessing.get_context("spawn")
@@ -80,6 +82,8 @@ class Worker:
     def _collect(self, jobs: list[Job], theirs: Connection) -> None:
         """Start, hand over the one job (and keep no hold of its data), pass on what is said until the end."""
         last: Event = Step(0.0, "starting")
+        # The process inherits it: Ctrl-C goes to all, and must not end this one while it is still importing.
+        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
         try:
             self._process.start()
             theirs.close()
