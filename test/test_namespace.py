@@ -20,6 +20,7 @@ from spacearm_ident.nodes import main as entry
 from spacearm_ident.nodes.main import NODES
 from spacearm_ident.nodes.params_file import holding_in_namespace, name_in_full
 from spacearm_ident.recording import cdr, read_recording
+from spacearm_ident.recording.bag import Bag, messages
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted((ROOT / "spacearm_ident" / "nodes").glob("*.py"))
@@ -105,7 +106,7 @@ def test_arguments_are_changed_in_a_namespace_only(tmp_path):
     file = tmp_path / "nodes.yaml"
     file.write_text(FILE)
     words = ["--ros-args", "-p", "a:=b", "--params-file", str(file), "--params-file", "nowhere.yaml"]
-    for more in ([], ["-r", "__node:=other"], ["-r", "joint_states:=/x__ns:=y"]):
+    for more in ([], ["-r", "__node:=other"], ["-r", "joint_states:=/x__ns:=y"], ["-r", "__ns:=/"]):
         with holding_in_namespace([*words, *more]) as same:
             assert same == [*words, *more]
     for rule in ("__ns:=/cell/arm_1", "__ns:=cell/arm_1/", "recorder:__ns:=/cell/arm_1"):
@@ -215,6 +216,11 @@ def test_two_arms_on_one_graph_do_not_meet(graph, tmp_path, capsys):
     assert accepted, reply
     recording = read_recording(next((tmp_path / "bags_arm_1").iterdir()))
     assert len(recording.time) == len(payloads) and recording.urdf == small_arm.URDF and not recording.issues
+    topics: dict[str, str] = {}
+    bag = Bag(topics=topics)
+    assert list(messages(next((tmp_path / "bags_arm_1").iterdir()), bag=bag))
+    assert {"/arm_1/joint_states", "/arm_1/robot_description", "/diagnostics"} <= topics.keys()
+    assert all(topic.startswith("/arm_1/") for topic in topics.keys() - {"/diagnostics"})
     assert not (tmp_path / "bags_arm_2").exists()
 
     assert main(["watch", "--json", "--wait", "30", "--namespace", "/arm_2"]) == 0

@@ -18,7 +18,7 @@ from typing import Final
 
 from .main import NODES
 
-_NAMESPACE: Final = re.compile(r"(?:\w+:)?__ns:=/?(\S+?)/?")
+_NAMESPACE: Final = re.compile(r"(?:\w+:)?__ns:=(\S+)")
 _PLAIN: Final = re.compile(rf"^(['\"]?)({'|'.join(NODES)})\1(?=\s*:)", re.MULTILINE)
 
 
@@ -32,11 +32,11 @@ def holding_in_namespace(arguments: Sequence[str]) -> Iterator[list[str]]:
         arguments: Command line, such as `--ros-args -r __ns:=/arm_1 --params-file FILE`.
     """
     words = list(arguments)
-    given = [match[1] for word in words if (match := _NAMESPACE.fullmatch(word))]
-    if not given:
+    given = [match[1].strip("/") for word in words if (match := _NAMESPACE.fullmatch(word))]
+    # The first of several rules is the one that ROS takes. `__ns:=/` is none: launch_ros says so for an empty one.
+    if not given or not given[0]:
         yield words
         return
-    # The first of several rules is the one that ROS takes.
     namespace = f"/{given[0]}"
     with tempfile.TemporaryDirectory(prefix="spacearm-params-") as folder:
         for place, word in enumerate(words[:-1], start=1):
