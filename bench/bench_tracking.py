@@ -134,7 +134,7 @@ def live(seconds: float) -> None:
         words = ["--model", MODEL, "--arm", MODEL.with_name("paper_arm.yaml"), "--trajectory", file]
         command = [sys.executable, "-m", "spacearm_ident.cli.main", "simulate", *words, "--out", folder / "run.mcap"]
         subprocess.run([*map(str, command), "--quiet"], check=True)
-        streams = read_bag(folder / "run.mcap", {STATES_TOPIC: TOPIC_TYPES[STATES_TOPIC].name}).streams
+        streams = read_bag(folder / "run.mcap", {STATES_TOPIC: TOPIC_TYPES[STATES_TOPIC].name}.get).streams
         for what, choice in choices.items():
             print(f"{what:<24} {node_fed_with(list(streams[STATES_TOPIC].payloads), choice)}", flush=True)
 

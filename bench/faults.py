@@ -299,6 +299,7 @@ def campaign(out: Path, runs: int, seed: int, names: list[str]) -> list[dict[str
     write_trajectory(MOTION, out)
     parameters = node_parameters(out)
     parameters["identifier"]["auto_identify"] = False
+    parameters["trajectory"] = {"restarts": 0}  # What a fault does is judged by itself.
     missing = [number for number in range(runs) if (seed, number) not in done]
     while missing:
         with BreakableChain(out, parameters) as chain:

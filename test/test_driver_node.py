@@ -328,6 +328,27 @@ def test_without_the_driver_the_drives_stop_the_arm_by_themselves(arm):
     arm.healthy()
 
 
+@pytest.mark.parametrize("held", ["driver", "arm"])
+def test_pause_before_the_first_enable_is_a_warning_that_clears_by_itself(live, held):
+    live.wait_for(lambda: live.values, "the driver is up")
+    live.driver.send_signal(signal.SIGTERM)
+    assert live.driver.wait(PATIENCE_S) == 0
+    live.start_driver()
+    # Of its log: the last words of the driver before may still be on their way.
+    live.wait_for(lambda: "]: ready: " in output(live.driver), "a connection")
+    process = getattr(live, held)
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(2.0)  # longer than either side's limits in `generous_config`
+    process.send_signal(signal.SIGCONT)
+    live.wait_for(lambda: "connecting to the drives again, for node" in output(live.driver), "the pause noticed")
+    live.probe.statuses.clear()
+    live.wait_for(lambda: live.values.get("connection") == "connected", "a connection again")
+    assert live.values["reconnections"] != "0"
+    assert not live.fault and live.probe.level("canopen_driver") < 2
+    done, message = live.call("/driver/enable", True)
+    assert done, message
+
+
 def test_no_arm_no_driver(tmp_path, live):
     lonely = tmp_path / "can.yaml"
     lonely.write_text(live.can_config.read_text().replace("arm0", "nobody").replace("arm1", "there"))

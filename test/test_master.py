@@ -198,7 +198,7 @@ def test_the_drives_stop_when_the_cycle_does(run):
     run.run(5)
     assert run.cycle.states == [State.QUICK_STOP_ACTIVE] * 4
     assert {event.axis for event in run.seen(EventKind.LEFT_OPERATION)} == {0, 1, 2, 3}
-    assert {event.axis for event in run.seen(EventKind.EMERGENCY)} == {0, 1, 2, 3}
+    assert {event.axis for event in run.seen(EventKind.MASTER_MISSED)} == {0, 1, 2, 3}
     run.run(20)
     assert run.cycle.states == [State.QUICK_STOP_ACTIVE] * 4, "nothing may be enabled again by itself"
 

@@ -11,8 +11,18 @@ from simulated_arm import CONFIG, paper_arm, paper_limits
 
 from spacearm_ident.canbus import realtime
 from spacearm_ident.driver.arm_can import load_arm_can
-from spacearm_ident.driver.playback import CATCH_UP, FADE, FADE_SHARE, Playback
-from spacearm_ident.driver.safety import TOLERANCE, Limits, MotionMonitor, Rule
+from spacearm_ident.driver.playback import (
+    AFTERMATH,
+    BRIDGED_ACCELERATION,
+    BRIDGED_VELOCITY,
+    CATCH_UP,
+    EASED_ACCELERATION,
+    FADE,
+    FADE_SHARE,
+    Playback,
+    acceleration_for_stalls,
+)
+from spacearm_ident.driver.safety import TOLERANCE, Limits, Margins, MotionMonitor, Rule
 from spacearm_ident.driver.set_points import SetPointStream
 from spacearm_ident.excitation.trajectory import random_feasible
 from spacearm_ident.simulation.drives_motion import Motion
@@ -131,6 +141,21 @@ def test_drives_that_went_on_are_faded_onto_the_path_at_the_clock(at, stall):
     assert np.all(np.abs(acceleration) <= 1.02 * most * ACCELERATION)
 
 
+def test_what_a_plan_must_leave_for_bridging_is_the_extremes_of_the_cubic():
+    extrapolation = 0.06
+    assert pytest.approx(1.75) == BRIDGED_ACCELERATION and pytest.approx(0.583, abs=1e-3) == EASED_ACCELERATION
+    share = np.linspace(0.0, 1.0, 20001)
+    r, T = 1.0 / FADE_SHARE, extrapolation
+    # The cubic of a drive left behind by a T²/2 and a T, with a = 1.
+    beside, velocity, fade = -(T**2) / 2, -T, T / r
+    left = (1 - share) ** 2 * ((1 + 2 * share) * beside + share * fade * velocity)
+    speed = np.gradient(left, share * fade)
+    bent = np.gradient(speed, share * fade)[5:-5]
+    assert speed.max() == pytest.approx(BRIDGED_VELOCITY * T, rel=1e-3)
+    assert 1 + bent.max() == pytest.approx(BRIDGED_ACCELERATION, rel=1e-3)
+    assert 1 + bent.min() == pytest.approx(EASED_ACCELERATION, rel=1e-3)
+
+
 def test_what_is_faded_stays_within_the_position_limits():
     """The swing comes back to where it began, which is its limit here, while drives that went on are beside it."""
     tight = replace(LIMITS, lower=np.zeros(3))
@@ -149,6 +174,30 @@ def test_at_rest_nothing_is_held_up_and_nothing_lags():
     assert playback.stalls == 1 and lags.max() > 0.02
     assert lags[-1] == 0 and rates[-1] == 1
     np.testing.assert_allclose(targets[-1], once(10.0), atol=1e-12)
+
+
+def test_bridging_is_said_from_the_stall_until_the_arm_has_settled_and_at_no_other_time():
+    for extrapolation in (0.0, 0.06):
+        stream, playback = SetPointStream(LIMITS, np.zeros(3), DELAY), Playback(1e-3, extrapolation)
+        said = []
+        for k in range(2500):
+            now = START_NS + k * MS
+            stream.put(now, swinging(1e-3 * k), now)
+            if not 1000 < k < 1040:
+                playback.target(stream, now)
+                said.append((k, playback.bridging(now)))
+        during = [k for k, bridging in said if bridging]
+        assert during[0] == 1040 and during == [k for k, _ in said if 1040 <= k <= during[-1]]
+        assert 1040 + 1e3 * (FADE if extrapolation else 0.0) + 1e3 * AFTERMATH <= during[-1] + 1 < 2400
+
+
+def test_acceleration_is_capped_only_where_bridging_would_break_the_velocity_limit():
+    velocity, acceleration = np.array([1.2, 2.0]), np.array([3.0, 50.0])
+    capped = acceleration_for_stalls(velocity, acceleration, 0.06, Margins().velocity)
+    assert capped[0] == 3.0 and 14.0 < capped[1] < 16.0
+    most = velocity + BRIDGED_VELOCITY * capped * 0.06
+    assert np.all(most <= Margins().velocity * velocity * (1 + 1e-12))
+    assert np.array_equal(acceleration_for_stalls(velocity, acceleration, 0.0, 1.2), acceleration)
 
 
 @pytest.mark.parametrize("extrapolation", [0.0, 0.06])

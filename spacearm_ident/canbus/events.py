@@ -12,6 +12,7 @@ class EventKind(Enum):
     HEARTBEAT_LOST = "heartbeat lost"
     EMERGENCY = "emergency"
     EMERGENCY_OVER = "emergency over"
+    MASTER_MISSED = "a drive has missed the master's heartbeat"
     BUS_ERROR = "bus error"
     STALE_FEEDBACK = "stale feedback"
     BAD_FRAME = "bad frame"

@@ -39,6 +39,8 @@ PRE_OPERATIONAL: Final = 0x80
 #: Deviation of a drive's rated value from the configured one that is worth a warning.
 RATED_TOLERANCE: Final = 0.01
 WINDING_TEMPERATURE: Final = 0x2000
+#: EMCY of a drive that has missed its master's heartbeat (CiA 301, table 26).
+HEARTBEAT_ERROR: Final = 0x8130
 #: Longest object that is read, bytes; a drive that goes on sending segments is cut off (CiA 301, table 22).
 LONGEST_OBJECT: Final = 8
 TOO_LONG: Final = 0x06070012
@@ -261,7 +263,8 @@ class DriveMaster:
                 self._cycle.report(EventKind.EMERGENCY_OVER, number, f"node {node_id} reports no error left")
             else:
                 text = f"node {node_id} reports {entry} (error register 0x{entry.register:02X})"
-                self._cycle.report(EventKind.EMERGENCY, number, text)
+                kind = EventKind.MASTER_MISSED if entry.code == HEARTBEAT_ERROR else EventKind.EMERGENCY
+                self._cycle.report(kind, number, text)
 
         return report
 

@@ -1,12 +1,15 @@
-"""`ArmDriver`: the arm behind five verbs: connect, enable, command, halt, recover.
+"""`ArmDriver`: the arm behind six verbs: connect, enable, command, halt, recover, resume.
 
 One thread owns the buses. It connects (boots and configures the drives, again and again until they answer),
 then runs the cycle: target, SYNC, feedback, safety policy, sample. Everyone else leaves wishes for it and
 waits for what it reports; nothing else touches the cycle. A second thread asks for temperatures by SDO.
 
 A fault (`safety.Fault`) stops all axes with the frame after the one that showed it, and stays until
-`recover`: the drives hold the arm on their quick-stop ramps, then at rest under power. `recover` never moves:
-it ends with the power stages off and the brakes closed, where a drive went astray after configuring all anew.
+`recover`: the drives hold the arm on their quick-stop ramps, then at rest under power. Before the first `enable`
+a pause of heartbeats or feedback is no fault: the drives are connected again, and a warning says so until they
+are. `recover` never moves: it ends with the power stages off and the brakes closed, where a drive went astray
+after configuring all anew.
+`resume` recovers and enables in one, where a program may (`driver.resume`).
 """
 
 from __future__ import annotations
@@ -21,16 +24,18 @@ import numpy as np
 
 from spacearm_ident.canbus.cia402 import Goal, State
 from spacearm_ident.canbus.cycle import Cycle
-from spacearm_ident.canbus.events import EventKind
+from spacearm_ident.canbus.events import Event, EventKind
 from spacearm_ident.canbus.master import DriveMaster, OtherMasterError
 from spacearm_ident.canbus.pdo import Feedback
 from spacearm_ident.canbus.realtime import Pacer, prepare_process, prepare_thread
 from spacearm_ident.driver.arm_can import ArmCan
 from spacearm_ident.driver.bus_lock import BusLock
 from spacearm_ident.driver.playback import Playback
+from spacearm_ident.driver.resume import Latch, Silence, resumable
 from spacearm_ident.driver.safety import Fault, FloatArray, MotionMonitor, Rule, fault_of
 from spacearm_ident.driver.set_points import SetPointStream
-from spacearm_ident.driver.status import DriverStatus, Phase
+from spacearm_ident.driver.status import DriverStatus, Phase, silent_joint, stuck_joint
+from spacearm_ident.driver.temperatures import OnTemperature, TemperatureReader
 from spacearm_ident.errors import UserError
 
 RETRY_S: Final = 0.5
@@ -42,11 +47,12 @@ _POLL_S: Final = 0.005
 _ASTRAY: Final = frozenset(
     (EventKind.RESTARTED, EventKind.HEARTBEAT_LOST, EventKind.STALE_FEEDBACK, EventKind.BUS_ERROR, EventKind.BAD_FRAME)
 )
+#: One side has not heard the other for a while: no danger to an arm that was never under power, and no wonder while a
+#: machine starts all nodes at once. Then the drives are connected again; from the first enable on it is a fault.
+_PAUSES: Final = frozenset((EventKind.HEARTBEAT_LOST, EventKind.STALE_FEEDBACK, EventKind.MASTER_MISSED))
 
 #: Called in the cyclic thread for every complete cycle: time of its SYNC (ns since the epoch), feedback.
 OnSample = Callable[[int, Feedback], None]
-#: Called with joint number, °C and time (ns since the epoch).
-OnTemperature = Callable[[int, float, int], None]
 
 
 class ArmDriver:
@@ -77,11 +83,15 @@ class ArmDriver:
         """
         self.config = config
         self.warnings: list[str] = []
-        self.fault: Fault | None = None
+        self._latch = Latch()
+        self._silence = Silence(config.bus.heartbeat, config.bus.heartbeat_timeout)
         self.connection = "not started"
         self.refused: str | None = None
-        self._on_sample, self._on_temperature = on_sample, on_temperature
-        self._delay, self._priority, self._temperature_hz = delay, priority, temperature_hz
+        self._on_sample, self._delay, self._priority = on_sample, delay, priority
+        self._reader = None
+        if on_temperature is not None:
+            joints = len(config.limits.joints)
+            self._reader = TemperatureReader(joints, temperature_hz, self._temperature, on_temperature)
         self._locks = [BusLock(address.interface, address.channel) for address in config.buses]
         self._sdo = threading.Lock()
         self._ending = threading.Event()
@@ -94,17 +104,24 @@ class ArmDriver:
         self._stream: SetPointStream | None = None
         self._playback = Playback(config.bus.period, config.bus.extrapolation)
         self._target = np.zeros(len(config.limits.joints))
-        self._wanted = self._resetting = self._reconnecting = self._astray = False
+        self._wanted = self._resetting = self._reconnecting = self._astray = self._ever_enabled = False
+        self._again = ""
         self._latency: str | None = None
-        self.samples = self.set_points = self.temperature_failures = 0
+        self.samples = self.set_points = self.reconnections = 0
 
     def start(self) -> None:
         """Connect and run, in the background."""
         self._threads = [threading.Thread(target=self._work, name="cycle", daemon=True)]
-        if self._on_temperature is not None:
-            self._threads.append(threading.Thread(target=self._read_temperatures, name="temperatures", daemon=True))
+        if self._reader is not None:
+            work = self._reader.work
+            self._threads.append(threading.Thread(target=work, args=(self._ending,), name="temperatures", daemon=True))
         for thread in self._threads:
             thread.start()
+
+    @property
+    def fault(self) -> Fault | None:
+        """Why the arm was stopped, until recovered."""
+        return self._latch.fault
 
     @property
     def phase(self) -> Phase:
@@ -130,7 +147,7 @@ class ArmDriver:
             raise UserError(f"not enabled, the arm was stopped ({self.fault}): call /driver/recover first")
         if self._wanted:
             return "enabled already"
-        self._wanted = True
+        self._wanted = self._ever_enabled = True
         if self._until(lambda: self._stream is not None or self.fault is not None, ENABLE_S) and self.fault is None:
             return "enabled, the arm is held where it is"
         stuck = self._not_in(State.OPERATION_ENABLED, cycle)
@@ -154,7 +171,7 @@ class ArmDriver:
 
     def halt(self, reason: str = "asked for by /driver/halt") -> str:
         """Stop all axes now, latched."""
-        self.trip(Fault(Rule.HALT, reason))
+        self._latch.halt(reason)
         return "stopping, held until /driver/recover"
 
     def recover(self) -> str:
@@ -163,6 +180,21 @@ class ArmDriver:
         Raises:
             UserError: The arm still moves, a drive does not answer, or does not leave its fault.
         """
+        self._latch.release()
+        return self._recover()
+
+    def resume(self) -> str:
+        """Recover and enable, where what stopped the arm was a cycle or set-points held up, and nothing else.
+
+        Raises:
+            UserError: A person must see to the arm first, or it does not recover.
+        """
+        fault = self._latch.require_resumable()
+        self._recover()
+        self.enable()
+        return f"resumed after: {fault}"
+
+    def _recover(self) -> str:
         if self.fault is None and self._cycle is not None:
             return "there is no fault to recover from"
         self._wanted = False
@@ -182,7 +214,7 @@ class ArmDriver:
             raise UserError(
                 f"not recovered: {self._silent() or self._not_in(State.SWITCH_ON_DISABLED, cycle) or self.fault}"
             )
-        self.fault = None
+        self._latch.clear()
         return "recovered, disabled: call /driver/enable"
 
     def command(self, stamp_ns: int, position: FloatArray) -> None:
@@ -196,8 +228,7 @@ class ArmDriver:
 
     def trip(self, fault: Fault) -> None:
         """Stop the arm for this reason; the first one stays."""
-        if self.fault is None:
-            self.fault = fault
+        self._latch.trip(fault)
 
     def close(self) -> None:
         """Bring the arm to rest and the drives out of operation, then leave the buses. Never raises."""
@@ -216,6 +247,7 @@ class ArmDriver:
         return DriverStatus(
             phase=self.phase,
             fault=self.fault,
+            resumable=self._latch.resumable,
             connection=self.connection,
             states=dict(zip(self.config.limits.joints, cycle.states)) if cycle else {},
             cycles=cycle.cycles if cycle else 0,
@@ -229,7 +261,8 @@ class ArmDriver:
             buffered_s=self._stream.fill_s if self._stream else 0.0,
             stalls=self._playback.stalls,
             lag_s=1e-9 * self._playback.lag_ns if self._stream else 0.0,
-            temperature_failures=self.temperature_failures,
+            temperature_failures=self._reader.failures if self._reader else 0,
+            reconnections=self.reconnections,
             loads=tuple(master.loads) if master else (),
             warnings=tuple(self.warnings) + ((self._latency,) if self._latency else ()),
         )
@@ -260,7 +293,7 @@ class ArmDriver:
 
     def _connect(self) -> None:
         with self._sdo:
-            self.connection = "connecting to the drives"
+            self.connection = f"connecting to the drives{self._again}"
             master = DriveMaster(self.config.bus, self.config.open(), self.config.eds)
             self._master = master
             master.boot(timeout=BOOT_S)
@@ -284,9 +317,10 @@ class ArmDriver:
         # Before the first heartbeat: the drives do not forgive a pause after it.
         prepare_process()
         monitor = self._monitor = MotionMonitor(self.config.limits)
+        self._silence = Silence(self.config.bus.heartbeat, self.config.bus.heartbeat_timeout)
         cycle.run()
         begin_ns = cycle.sync_ns
-        self._cycle, self.connection, self._reconnecting = cycle, "connected", False
+        self._cycle, self.connection, self._reconnecting, self._again = cycle, "connected", False, ""
         pacer, sample = self._pacer, self._on_sample
         while not self._ending.is_set() and not self._reconnecting:
             late = pacer.wait()
@@ -323,13 +357,17 @@ class ArmDriver:
         return lambda sync_ns: self._playback.target(stream, sync_ns - late_ns)
 
     def _judge(self, cycle: Cycle, monitor: MotionMonitor, feedback: Feedback) -> None:
+        self._silence.cycle(cycle.sync_ns)
         events = cycle.events
         while events:
             event = events.popleft()
+            if event.kind in _PAUSES and not self._ever_enabled and self.fault is None:
+                self._connect_again(event)
+                continue
             self._astray = self._astray or event.kind in _ASTRAY
             fault = fault_of(event)
             if fault is not None:
-                self.trip(fault)
+                self._latch.trip(fault, self._silence.explains(event))
         if self.fault is None and self._wanted and cycle.enabled:
             if self._stream is None:
                 monitor.limits = self.config.limits.around(feedback.position)
@@ -338,30 +376,25 @@ class ArmDriver:
             fault = monitor.judge(cycle.set_points.position())
             fault = fault or self._playback.starved(self._stream, cycle.sync_ns)
             if fault is not None:
-                self.trip(fault)
+                self._latch.trip(fault, resumable(fault, self._playback.bridging(cycle.sync_ns)))
         if self.fault is not None and cycle.goal is Goal.ENABLED:
             cycle.quick_stop()
 
+    def _connect_again(self, event: Event) -> None:
+        if not self._reconnecting:
+            self._reconnecting, self._again = True, f" again, for {event.message}"
+            self.reconnections += 1
+            self.connection = f"connecting to the drives{self._again}"
+
     # Beside the cycle -----------------------------------------------------------------------------------
 
-    def _read_temperatures(self) -> None:
-        joints, take = len(self.config.limits.joints), self._on_temperature
-        assert take is not None
-        number = 0
-        while not self._ending.wait(1.0 / (self._temperature_hz * joints)):
-            number = (number + 1) % joints
-            cycle = self._cycle
-            if cycle is None or cycle.missing[number] >= self.config.bus.stale_cycles:
-                continue
-            try:
-                with self._sdo:
-                    if self._master is None:
-                        continue
-                    value = self._master.temperature(number)
-                take(number, value, time.time_ns())
-            except Exception:
-                # A slow answer, a drive that has no such object: counted, and asked again.
-                self.temperature_failures += 1
+    def _temperature(self, joint: int) -> float | None:
+        """°C of a joint's drive; None where it says nothing."""
+        cycle = self._cycle
+        if cycle is None or cycle.missing[joint] >= self.config.bus.stale_cycles:
+            return None
+        with self._sdo:
+            return None if self._master is None else self._master.temperature(joint)
 
     def _connected(self) -> Cycle:
         cycle = self._cycle
@@ -374,16 +407,10 @@ class ArmDriver:
         cycle = self._cycle
         if cycle is None:
             return self.connection
-        worst = int(cycle.missing.argmax())
-        if cycle.missing[worst] < self.config.bus.stale_cycles:
-            return ""
-        return f"{self.config.limits.joints[worst]} sends no usable feedback"
+        return silent_joint(self.config.limits.joints, cycle.missing, self.config.bus.stale_cycles)
 
     def _not_in(self, wanted: State, cycle: Cycle) -> str:
-        for joint, state in zip(self.config.limits.joints, cycle.states):
-            if state is not wanted:
-                return f"{joint} stays in {state.label if state else 'an unknown state'}"
-        return ""
+        return stuck_joint(self.config.limits.joints, cycle.states, wanted)
 
     def _until(self, condition: Callable[[], bool], seconds: float) -> bool:
         deadline = time.monotonic() + seconds

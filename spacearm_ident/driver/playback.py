@@ -30,6 +30,20 @@ STALL: Final = 6.5
 #: longer, and the arm gets further off, shorter, and it accelerates more (by 4 T/F + 3 T²/F² of what the path does).
 FADE: Final = 0.15
 FADE_SHARE: Final = 6.0
+#: Most acceleration that bridging a stall asks for, as a multiple of the path's. A drive that goes on with its last
+#: velocity for T seconds is a T²/2 and a T beside a path of acceleration a; the cubic that fades this out within
+#: F >= FADE_SHARE T begins with 4 a T/F + 3 a T²/F². A path led on from rest keeps to the limits of the path itself.
+BRIDGED_ACCELERATION: Final = 1.0 + 4.0 / FADE_SHARE + 3.0 / FADE_SHARE**2
+#: Least acceleration then, same unit: the cubic ends with 2 a T/F + 3 a T²/F² the other way.
+EASED_ACCELERATION: Final = 1.0 - 2.0 / FADE_SHARE - 3.0 / FADE_SHARE**2
+#: Most velocity by which bridging exceeds the path's, as a multiple of a T. With r = T/F = 1/FADE_SHARE the cubic's
+#: velocity is a T (1-s)((3+3r) s - 1) at the share s of the fade, largest at s = (4+3r)/(6+6r), where it is the value
+#: here: 0.446. A catching up at `CATCH_UP` adds less than the tolerance of set-points.
+_PEAK_AT: Final = (4.0 + 3.0 / FADE_SHARE) / (6.0 + 6.0 / FADE_SHARE)
+BRIDGED_VELOCITY: Final = (1.0 - _PEAK_AT) * ((3.0 + 3.0 / FADE_SHARE) * _PEAK_AT - 1.0)
+#: How long after bridging what the arm does is still its consequence, s: the monitor looks back over 20 ms, and a
+#: joint of 5 Hz, damped a little, has come to rest after one swing.
+AFTERMATH: Final = 0.2
 #: Share by which the playing is faster than the clock while it lags; its square is within `TOLERANCE`.
 CATCH_UP: Final = 0.4 * TOLERANCE
 #: How fast the rate of playing may rise, 1/s, and how fast the catching up ends.
@@ -64,11 +78,17 @@ class Playback:
         """The arm is held; another stream is about to be played."""
         self.lag_ns, self.rate = 0, 1.0
         self._too_late: Fault | None = None
+        # Until when what the arm does is a consequence of a stall.
+        self._bridged_ns = 0
         # Time and target of the last two cycles.
         self._last: tuple[int, FloatArray] | None = None
         self._before: tuple[int, FloatArray] | None = None
         # Beside the path: since when, for how long, by how many rad, rad/s.
         self._beside: tuple[int, float, FloatArray, FloatArray] | None = None
+
+    def bridging(self, now_ns: int) -> bool:
+        """Whether what the arm does now, ns since the epoch, is the consequence of a stall in motion."""
+        return now_ns < self._bridged_ns or self._beside is not None or self.rate < 1.0
 
     def target(self, stream: SetPointStream, now_ns: int) -> FloatArray | None:
         """What the drives shall follow now, (n,) rad; None where nothing has been played yet. Once a cycle."""
@@ -97,6 +117,7 @@ class Playback:
             self._settle()
             return
         self.stalls += 1
+        self._bridged_ns = now_ns + round(1e9 * AFTERMATH)
         velocity = np.zeros_like(last)
         if self._before is not None:
             velocity = 1e9 * (last - self._before[1]) / (last_ns - self._before[0])
@@ -133,6 +154,8 @@ class Playback:
         room = (stream.limits.acceleration - bend) / np.maximum(np.abs(velocity), 1e-9)
         rise = min(max(float(room.min()), 0.0), RISE)
         most = 1.0 + min(CATCH_UP, math.sqrt(2e-9 * EASE * self.lag_ns))
+        if self.rate < 1.0:
+            self._bridged_ns = now_ns + round(1e9 * AFTERMATH)
         self.rate = min(most, self.rate + 1e-9 * rise * step_ns)
         self.lag_ns = max(0, self.lag_ns - round((self.rate - 1.0) * step_ns))
         if self.lag_ns == 0:
@@ -149,7 +172,27 @@ class Playback:
         share = 1e-9 * (now_ns - since_ns) / duration
         if share >= 1.0:
             self._beside = None
+            self._bridged_ns = now_ns + round(1e9 * AFTERMATH)
             return played
         left = (1.0 - share) ** 2 * ((1.0 + 2.0 * share) * beside + share * duration * velocity)
         faded: FloatArray = np.clip(played + left, stream.limits.lower, stream.limits.upper)
         return faded
+
+
+def acceleration_for_stalls(
+    velocity: FloatArray, acceleration: FloatArray, extrapolation: float, margin: float
+) -> FloatArray:
+    """(n,) acceleration a plan may use so that bridging any stall keeps to the monitor's velocity limit.
+
+    Velocity is at most that of the path and `BRIDGED_VELOCITY` a T beyond it, T = `extrapolation`; a path of full speed
+    keeps `margin` times the limit v as long as a <= (margin - 1) v / (`BRIDGED_VELOCITY` T).
+
+    Args:
+        velocity: (n,) limit, rad/s.
+        acceleration: (n,) limit, rad/s².
+        extrapolation: How long the drives go on by themselves, s.
+        margin: What the monitor allows, as a multiple of the velocity limit (`safety.Margins`).
+    """
+    if not extrapolation > 0.0:
+        return acceleration
+    return np.minimum(acceleration, (margin - 1.0) * velocity / (BRIDGED_VELOCITY * extrapolation))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
 
 from spacearm_ident.canbus.bus_load import BusLoad
 from spacearm_ident.canbus.cia402 import State
@@ -28,6 +31,7 @@ class DriverStatus:
     Attributes:
         phase: What it does.
         fault: Why the arm was stopped, until recovered.
+        resumable: Whether a program may begin again after that.
         connection: How it stands with the drives.
         states: CiA 402 state of each joint's drive; None for a pattern CiA 402 does not know.
         cycles: Cycles since the last connection, as for the counts up to `malformed`.
@@ -41,6 +45,7 @@ class DriverStatus:
         buffered_s: Seconds of set-points waiting.
         stalls: Times the cycle was held up in motion and the drives were taken up where they were, since the start.
         lag_s: How far what is played lags behind the clock for that, s.
+        reconnections: Times the drives were connected again after a pause before the first enable.
         temperature_failures: SDO reads that failed, since the start.
         loads: Of each bus.
         warnings: What a user should know.
@@ -48,6 +53,7 @@ class DriverStatus:
 
     phase: Phase
     fault: Fault | None
+    resumable: bool
     connection: str
     states: Mapping[str, State | None]
     cycles: int
@@ -62,5 +68,26 @@ class DriverStatus:
     stalls: int
     lag_s: float
     temperature_failures: int
+    reconnections: int
     loads: tuple[BusLoad, ...]
     warnings: tuple[str, ...]
+
+
+def silent_joint(joints: Sequence[str], missing: NDArray[np.int64], stale: int) -> str:
+    """Which drive sends no usable feedback; empty if all do.
+
+    Args:
+        joints: Names (n).
+        missing: (n,) cycles in a row without feedback.
+        stale: From how many on that is none.
+    """
+    worst = int(missing.argmax())
+    return "" if missing[worst] < stale else f"{joints[worst]} sends no usable feedback"
+
+
+def stuck_joint(joints: Sequence[str], states: Sequence[State | None], wanted: State) -> str:
+    """The first joint whose drive is not in the state wanted; empty if all are."""
+    for joint, state in zip(joints, states, strict=True):
+        if state is not wanted:
+            return f"{joint} stays in {state.label if state else 'an unknown state'}"
+    return ""

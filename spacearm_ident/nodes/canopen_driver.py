@@ -3,7 +3,8 @@
 Publishes `/joint_states` and `/motor_currents` with every complete cycle (1 kHz, stamped at SYNC; no
 velocity, which the drives do not send and a difference would only pretend), `/joint_temperatures`, the latched
 `/robot_description`, `/diagnostics`. Takes `/joint_command`: positions, stamped with the time they are meant
-for, under the rules in `driver.set_points`. Services: `/driver/enable`, `/driver/halt`, `/driver/recover`.
+for, under the rules in `driver.set_points`. Services: `/driver/enable`, `/driver/halt`, `/driver/recover`,
+and `/driver/resume`, which recovers and enables where a held-up cycle alone was the cause of a stop (`driver.resume`).
 
 The main thread serves ROS, the cyclic thread of `ArmDriver` the buses; it publishes its samples itself, as
 prepared bytes.
@@ -66,6 +67,7 @@ class CanopenDriver(LiveNode):
         self._current_writer = JointStateWriter(joints, "effort")
         self._reader = JointStateReader(joints)
         self._shown: tuple[Phase, Fault | None] | None = None
+        self._reconnections = 0
         self._closing = threading.Event()
         self._driver = ArmDriver(
             self._config,
@@ -79,8 +81,10 @@ class CanopenDriver(LiveNode):
         self.offer_switch("driver/enable", lambda on: self._driver.enable() if on else self._driver.disable())
         self.offer("driver/halt", self._driver.halt)
         self.offer("driver/recover", self._driver.recover)
+        self.offer("driver/resume", self._driver.resume)
         self._waiting_s = 0.0
-        self.create_timer(_WATCH_S, self._watch)
+        self.refuse_simulated_time("drives keep the time of this machine, and so do the stamps here")
+        self.every(_WATCH_S, self._watch)
         self._driver.start()
 
     def diagnose(self) -> Sequence[Status]:
@@ -94,6 +98,13 @@ class CanopenDriver(LiveNode):
             message = status.connection
         level = _LEVELS.get(status.phase, Level.WARN if status.warnings else Level.OK)
         return (Status(level, message, _values(status)),)
+
+    def readiness(self) -> str | None:
+        """Once the drives answer."""
+        if self._driver.phase is Phase.CONNECTING:
+            return None
+        enable = self.resolve_service_name("driver/enable")
+        return f"the drives of {self.hardware_id} are connected, and without power until {enable}"
 
     def close(self) -> None:
         """Stop the arm, then leave the buses."""
@@ -124,6 +135,9 @@ class CanopenDriver(LiveNode):
             self.publish_diagnostics()
             if fault is not None:
                 self.get_logger().error(f"arm stopped: {fault}")
+        if self._driver.reconnections != self._reconnections:
+            self._reconnections = self._driver.reconnections
+            self.get_logger().warning(self._driver.connection)
         self._waiting_s = self._waiting_s + _WATCH_S if phase is Phase.CONNECTING else 0.0
         refused = self._driver.refused
         if refused is None and self._patience and self._waiting_s > self._patience:
@@ -139,6 +153,7 @@ def _values(status: DriverStatus) -> dict[str, object]:
         "operation_enabled": status.phase is Phase.ENABLED,
         "state": status.phase.value,
         "fault": str(status.fault) if status.fault else "",
+        "resumable": status.resumable,
         "connection": status.connection,
         "samples": status.samples,
         "cycles": status.cycles,
@@ -154,6 +169,7 @@ def _values(status: DriverStatus) -> dict[str, object]:
         "stalls_bridged": status.stalls,
         "playback_lag_s": status.lag_s,
         "temperature_failures": status.temperature_failures,
+        "reconnections": status.reconnections,
         "warnings": "; ".join(status.warnings),
     }
     values |= {f"bus_{number}_load": str(load) for number, load in enumerate(status.loads)}

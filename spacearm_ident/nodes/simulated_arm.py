@@ -6,6 +6,7 @@ any participant of a bus can make a drive fail through its object 0x2F00 (see `s
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +16,11 @@ from ..driver.arm_can import load_arm_can
 from ..simulation.arm_process import ArmProcess, live_arm
 from ..simulation.thermal import COLDEST, WARMEST
 from .runtime import Level, LiveNode, Status, run
+
+_QUIET_S = 0.2
+"""A bus without SYNC for so many cycles has no master any more."""
+_MASTER_LEAVES_S = 5.0
+"""Longest wait for the master to leave: the driver stops a moving arm within 3 s, and then takes the power off."""
 
 
 class SimulatedArm(LiveNode):
@@ -49,6 +55,8 @@ class SimulatedArm(LiveNode):
             ambient=ambient,
             conceal=Path(conceal) if conceal else None,
         )
+        self.refuse_simulated_time("the simulated drives keep the time of this machine")
+        self._buses = ", ".join(f"{address.interface} {address.channel}" for address in config.buses)
         self._process = ArmProcess(config, arm, priority=priority)
         self._process.start()
 
@@ -71,8 +79,15 @@ class SimulatedArm(LiveNode):
             return (Status(Level.WARN, process.warning, values),)
         return (Status(Level.OK, "running", values),)
 
+    def readiness(self) -> str | None:
+        """Which drives it is."""
+        return f"{len(self._process.network.drives)} drives of {self.hardware_id} on {self._buses}"
+
     def close(self) -> None:
-        """Switch the drives off."""
+        """Switch the drives off, once their master has left: Ctrl-C reaches both, and the driver must stop the arm."""
+        end = time.monotonic() + _MASTER_LEAVES_S
+        while self._process.network.quiet_s() < _QUIET_S and time.monotonic() < end:
+            time.sleep(_QUIET_S)
         self._process.close()
 
 

@@ -126,6 +126,10 @@ class DriveNetwork:
         while not stop():
             self.poll()
 
+    def quiet_s(self) -> float:
+        """Time since the last SYNC on any bus, s; from any thread."""
+        return time.time() - max(line.last_sync for line in self._lines)
+
     def poll(self) -> None:
         """Wait for frames or for the next step, whichever comes first, and deal with it."""
         wait = self._due() - time.time()
