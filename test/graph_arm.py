@@ -40,7 +40,7 @@ class Player:
         time.sleep(SETTLE_S)
 
     def play(self, bag: str) -> None:
-        streams = read_bag(bag, {topic: kind.name for topic, kind in TOPIC_TYPES.items()}).streams
+        streams = read_bag(bag, {topic: kind.name for topic, kind in TOPIC_TYPES.items()}.get).streams
         for payload in streams[DESCRIPTION_TOPIC].payloads[:1] if DESCRIPTION_TOPIC in streams else ():
             self.description.publish(payload)
         start = time.monotonic()

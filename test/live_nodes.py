@@ -99,15 +99,16 @@ class Probe:
     def __init__(self):
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.experimental import EventsExecutor
         from rclpy.signals import SignalHandlerOptions
+
+        from spacearm_ident.nodes.runtime import LiveExecutor
 
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node("probe", context=self._context)
         # First come, first served. The other executors start over with the subscriptions whenever `spin_once` is
         # given another timeout than before: where messages come faster than they are taken, no reply is ever seen.
-        self._executor = EventsExecutor(context=self._context)
+        self._executor = LiveExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients = {}
         self.statuses = {}

@@ -13,9 +13,9 @@ from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
 from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.clearance import Clearance
-from spacearm_ident.excitation.constraints import Requirements, check, limits_for_excitation, require
+from spacearm_ident.excitation.constraints import Requirements, check, limits_for_excitation, model_torque, require
 from spacearm_ident.excitation.nominal import nominal_model
-from spacearm_ident.excitation.segments import Chirp, Cruise, MotionLimits, Rest
+from spacearm_ident.excitation.segments import Chirp, Cruise, Motion, MotionLimits, Rest
 from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
 
 ARM = arm_from_urdf(small_arm.URDF)
@@ -202,3 +202,20 @@ def test_meshes_count_as_their_convex_hulls_and_missing_ones_as_capsules(tmp_pat
     assert row[found.pairs.index(("two", "ground"))] == pytest.approx(0.95, abs=1e-5)
     lost = Clearance(arm_from_urdf(mesh.replace("cube.stl", "lost.stl")), None, np.full(2, -3.0), np.full(2, 3.0))
     assert "not found" in lost.source
+
+
+def test_torque_counts_with_more_and_with_less_acceleration_where_asked():
+    """As bridging a stall asks for: along a vertical swing more acceleration needs more, or gravity is helped less."""
+    run = Trajectory(ARM.joint_names, (series(1.0),))
+    asked = needs(torque_Nm=np.full(2, 1e3))
+
+    def largest(*factors):
+        margins = check(run, replace(asked, accelerations=factors))
+        return np.array([m.value for m in margins if m.kind == "torque"])
+
+    planned, more, both = largest(1.0), largest(1.0, 1.75), largest(1.0, 1.75, 0.58)
+    assert np.all(more > 1.01 * planned) and np.all(both >= more - 1e-9)
+    times = np.arange(0.0, run.duration_s, 0.002)
+    motion = run.evaluate(times)
+    scaled = model_torque(asked.identified, Motion(motion.q, motion.qd, 1.75 * motion.qdd), 500.0)
+    assert np.allclose(more, np.maximum(planned, np.abs(scaled).max(axis=0)), rtol=1e-6)

@@ -23,7 +23,7 @@ from spacearm_ident.excitation.descent import descend
 from spacearm_ident.excitation.genetic import evolve
 from spacearm_ident.excitation.optimise import exact_value, optimise, optimise_harmonics
 from spacearm_ident.excitation.problem import Problem
-from spacearm_ident.excitation.segments import MotionLimits
+from spacearm_ident.excitation.segments import Motion, MotionLimits
 from spacearm_ident.excitation.series_space import SeriesSpace
 from spacearm_ident.excitation.trajectory import FourierTrajectory, draw_coefficients
 
@@ -230,3 +230,28 @@ def test_margins_reported_are_those_of_the_whole_run():
     again = check(found.run, found.problem.needs)
     assert [(m.kind, m.where, m.value) for m in found.margins] == [(m.kind, m.where, m.value) for m in again]
     assert {m.kind for m in found.margins} == {"position", "velocity", "acceleration", "jerk", "torque"}
+
+
+def test_with_room_for_stalls_torque_holds_with_more_acceleration_and_the_derivatives_are_exact():
+    tight = replace(problem().needs, torque_Nm=np.array([16.0, 7.0]), accelerations=(1.0, 1.75, 0.58))
+    wanted = problem(needs=tight)
+    function = wanted.function(6.0, 0.1)
+    point = 0.3 * wanted.space.point(drawn(wanted, 1)) + 0.7 * wanted.home
+    value, slope = function(point)
+    assert np.isfinite(value)
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        direction = rng.normal(size=point.shape)
+        step = 1e-6
+        change = (function(point + step * direction)[0] - function(point - step * direction)[0]) / (2 * step)
+        assert np.sum(slope * direction) == pytest.approx(change, rel=1e-4, abs=1e-6)
+    found = optimise(wanted, seed=3)
+    motion = found.series.evaluate(np.arange(0.0, found.series.period_s, 0.002))
+    for factor in (1.0, 1.75, 0.58):
+        torque = model_torque(tight.identified, Motion(motion.q, motion.qd, factor * motion.qdd), 500.0)
+        assert np.all(np.abs(torque) <= tight.torque_Nm * (1 + 1e-6))
+    # It is what binds: without, the same limits allow a motion that breaks them after a stall.
+    free = optimise(problem(needs=replace(tight, accelerations=(1.0,))), seed=3)
+    motion = free.series.evaluate(np.arange(0.0, free.series.period_s, 0.002))
+    torque = model_torque(tight.identified, Motion(motion.q, motion.qd, 1.75 * motion.qdd), 500.0)
+    assert np.any(np.abs(torque) > 1.02 * tight.torque_Nm)

@@ -33,13 +33,15 @@ HOME = np.array([0.1, -0.1, 0.05, 0.2, -0.2, 0.1])
 class Arm:
     """Drives that follow every set-point at once, and the driver's word on them, in a thread of their own."""
 
-    def __init__(self, probe: Probe, joints=JOINTS):
+    def __init__(self, probe: Probe, joints=JOINTS, others=()):
         from diagnostic_msgs.msg import DiagnosticArray
         from sensor_msgs.msg import JointState
         from std_msgs.msg import String
 
         self.position, self.velocity = HOME.copy(), np.zeros(6)
         self.joints, self.enabled, self.silent, self.offset = joints, True, False, 0.0
+        # Joints of somebody else in the same messages; the arm's are the other way round then.
+        self.others = tuple(others)
         self.commands: list[tuple[int, np.ndarray, np.ndarray]] = []
         self.states: list[dict] = []
         node = probe.node
@@ -74,10 +76,17 @@ class Arm:
                 return
             self._take()
             if not self.silent:
-                position, velocity = self.position[None] + self.offset, self.velocity[None]
-                self._states.publish(cdr.encode_joint_states([time.time_ns()], self.joints, position, velocity)[0])
+                self._states.publish(self._message())
             if k % 10 == 0:
                 self._say()
+
+    def _message(self):
+        names, position, velocity = self.joints, self.position[None] + self.offset, self.velocity[None]
+        if self.others:
+            more = np.full((1, len(self.others)), 0.5)
+            names = (*self.others, *reversed(names))
+            position, velocity = (np.concatenate([more, v[:, ::-1]], axis=1) for v in (position, velocity))
+        return cdr.encode_joint_states([time.time_ns()], names, position, velocity)[0]
 
     def _say(self):
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -247,8 +256,9 @@ def test_an_unsafe_state_stops_the_run_and_says_why(processes, probe, arm, file,
     probe.wait_for(lambda: arm.seen()[-1:] == ["running"], "running")
     fault(arm)
     probe.wait_for(lambda: done(arm), "it comes to rest")
-    assert arm.states[-1]["reason"].startswith(reason)
-    assert arm.states[-1]["complete"] is False
+    last = arm.states[-1]
+    assert last["reason"].startswith(reason)
+    assert last["complete"] is False and last["restarts"] == 0
     check_smooth(arm)
     probe.wait_for(lambda: reason in probe.statuses["trajectory"].message, "the reason on /diagnostics")
 
@@ -264,6 +274,71 @@ def test_interrupted_it_stops_the_arm_before_itself(processes, probe, arm, file)
     check_smooth(arm)
     assert np.array_equal(arm.q()[-1], arm.q()[-200])
     assert arm.states[-1]["reason"] == "the trajectory node was ended"
+
+
+def test_joints_of_a_gripper_and_messages_of_others_are_no_hindrance(processes, probe, file):
+    """Another order, more joints, and a gripper's own messages on the same topic between the arm's."""
+    from sensor_msgs.msg import JointState
+
+    arm = Arm(probe, others=("finger", "thumb"))
+    other = probe.node.create_publisher(JointState, "/joint_states", STREAM)
+    message = JointState(name=["finger"], position=[0.02])
+    probe.node.create_timer(0.01, lambda: other.publish(message))
+    try:
+        node(processes, file)
+        start(probe, arm)
+        probe.wait_for(lambda: done(arm), "the run ends")
+        assert arm.states[-1]["complete"] is True and arm.states[-1]["reason"] == ""
+        assert np.allclose(arm.q()[0], HOME, atol=1e-9), "it begins where the arm is, not where another joint is"
+    finally:
+        arm.close()
+
+
+class SimulatedClock:
+    """`/clock`, at another pace than this machine's, from another epoch."""
+
+    PACE, EPOCH_S = 2.0, 1000.0
+
+    def __init__(self, probe):
+        from rosgraph_msgs.msg import Clock
+
+        self._publisher = probe.node.create_publisher(Clock, "/clock", 10)
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._work, args=(Clock,))
+        self._thread.start()
+
+    def _work(self, kind):
+        begin = time.monotonic()
+        while not self._ending.wait(0.005):
+            now_ns = round(1e9 * (self.EPOCH_S + self.PACE * (time.monotonic() - begin)))
+            message = kind()
+            message.clock.sec, message.clock.nanosec = divmod(now_ns, 10**9)
+            self._publisher.publish(message)
+
+    def close(self):
+        self._ending.set()
+        self._thread.join()
+
+
+def test_under_simulated_time_stamps_and_pace_are_the_graphs(processes, probe, arm, file):
+    clock = SimulatedClock(probe)
+    try:
+        node(processes, file, "use_sim_time:=true")
+        start(probe, arm)
+        probe.wait_for(lambda: arm.seen()[-1:] == ["running"], "running")
+        first = len(arm.commands)
+        probe.wait_for(lambda: arm.seen()[-1:] == ["returning"], "the periods end")
+        stamps = arm.stamps()
+        assert stamps[0] > 1e9 * clock.EPOCH_S and stamps[-1] < 1e9 * (clock.EPOCH_S + 1000.0)
+        # Three periods of 2 s of the graph's time; a machine that holds the clock up makes them longer here, not there.
+        assert 1e-9 * (stamps[-1] - stamps[first]) == pytest.approx(6.0, abs=1.0)
+        last = arm.states[-1]
+        assert last["t1_ns"] - last["t0_ns"] == pytest.approx(6e9, abs=2)
+        probe.wait_for(lambda: done(arm), "the run ends")
+        assert arm.states[-1]["complete"] is True
+        check_smooth(arm)
+    finally:
+        clock.close()
 
 
 def refusal(probe) -> str:
@@ -311,7 +386,7 @@ def test_refusals_say_why(processes, probe, arm, file, series, tmp_path):
     assert "within the limits" in refusal(probe)
     save_trajectory(Trajectory(JOINTS[:5], (Rest(HOME[:5], 1.0),)), tmp_path / "five.yaml")
     use(tmp_path / "five.yaml")
-    assert "but /joint_states has joint_1, " in refusal(probe)
+    assert "but the arm has joint_1, " in refusal(probe)
     use(tmp_path / "fine.yaml")
     # A start asked before the new state has arrived would be granted: give it its way there first.
     arm.velocity = np.full(6, 0.3)

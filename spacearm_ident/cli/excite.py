@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from ..canbus.arm_bus import EXTRAPOLATION
+from ..driver.playback import BRIDGED_ACCELERATION, EASED_ACCELERATION, acceleration_for_stalls
+from ..driver.safety import Margins
 from ..dynamics.arm import load_arm
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.model_file import load_model
@@ -19,10 +22,11 @@ from ..excitation.composite import PURPOSES, compose, with_slow_segment
 from ..excitation.constraints import Margin, Requirements, check, limits_for_excitation
 from ..excitation.criteria import CRITERIA, CRITERION_WORDS, DEFAULT_CRITERION, Question
 from ..excitation.genetic import evolve
+from ..excitation.joint_trajectory import PATH_RATE_HZ, save_joint_trajectory
 from ..excitation.nominal import nominal_model
 from ..excitation.optimise import Excitation, optimise, optimise_harmonics
 from ..excitation.problem import Problem
-from ..excitation.segments import FloatArray
+from ..excitation.segments import FloatArray, MotionLimits
 from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import save_trajectory
 from . import common
@@ -44,6 +48,12 @@ def add(commands: Any) -> None:
     common.add_arm_options(command)
     command.add_argument("--model", type=Path, metavar="FILE", help="model.yaml: what is known so far; default: CAD")
     command.add_argument("--out", required=True, type=Path, metavar="FILE", help="trajectory file to write")
+    command.add_argument(
+        "--joint-trajectory",
+        type=Path,
+        metavar="FILE",
+        help="the run also as a trajectory_msgs/msg/JointTrajectory in YAML, for 'ros2 topic pub --stdin'",
+    )
     command.add_argument(
         "--for", dest="purpose", choices=tuple(PURPOSES), help="a composite run for this instead of a Fourier series"
     )
@@ -84,6 +94,12 @@ def _add_limit_options(command: argparse.ArgumentParser) -> None:
         "--clearance", type=float, default=NEEDED_M, metavar="M", help=f"least distance (default {NEEDED_M:g})"
     )
     command.add_argument(
+        "--no-stall-margin",
+        dest="stall_margin",
+        action="store_false",
+        help="use up torque and acceleration: for an arm that is not driven by this package's driver",
+    )
+    command.add_argument(
         "--noise", type=float, nargs="+", metavar="NM", help="torque noise a joint (default: by torque limit)"
     )
 
@@ -108,7 +124,11 @@ def run(options: argparse.Namespace) -> int:
             if options.slow:
                 trajectory = with_slow_segment(trajectory, needs, options.slow)
         margins = check(trajectory, needs) if excitation is None or options.slow else excitation.margins
-    save_trajectory(trajectory, options.out, common.origin(options, options.arm, options.model))
+    origin = common.origin(options, options.arm, options.model)
+    save_trajectory(trajectory, options.out, origin)
+    if options.joint_trajectory is not None:
+        save_joint_trajectory(trajectory, options.joint_trajectory, origin)
+        notes.append(f"{options.joint_trajectory}: {PATH_RATE_HZ:g} points a second, begins in the posture of rest")
     for line in notes:
         common.note(options, line)
     if options.json:
@@ -155,6 +175,12 @@ def requirements(
     if jerk is not None and not np.all(jerk > 0):
         raise UserError("--jerk must be above zero")
     limits, notes = limits_for_excitation(arm, start, jerk)
+    accelerations: tuple[float, ...] = (1.0,)
+    if options.stall_margin:
+        accelerations = (1.0, BRIDGED_ACCELERATION, EASED_ACCELERATION)
+        slower = acceleration_for_stalls(limits.velocity, limits.acceleration, EXTRAPOLATION, Margins().velocity)
+        notes += _stall_notes(limits, slower)
+        limits = replace(limits, acceleration=slower)
     clearance = Clearance(arm, _ground(options.ground, arm.gravity), limits.lower, limits.upper, options.clearance)
     notes.append(f"clearance by {clearance.source}: {len(clearance.pairs)} pairs")
     if clearance.unchecked:
@@ -163,7 +189,25 @@ def requirements(
     if options.model is None:
         notes.append("torque by the CAD links alone: give --model for friction and rotors")
     structural = options.structural_frequency
-    return Requirements.of(identified, limits, structural_hz=structural, clearance=clearance), notes
+    needs = Requirements.of(
+        identified, limits, structural_hz=structural, clearance=clearance, accelerations=accelerations
+    )
+    return needs, notes
+
+
+def _stall_notes(limits: MotionLimits, acceleration: FloatArray) -> list[str]:
+    """What the margin for stalls of the driver's cycle asks for, a line each."""
+    lines = [
+        f"torque kept with {BRIDGED_ACCELERATION:g} times the planned acceleration, as after a held-up cycle of the "
+        "driver (--no-stall-margin: as planned alone)"
+    ]
+    if np.any(acceleration < limits.acceleration):
+        lines.append(
+            "acceleration kept below its limit, so that a held-up cycle does not break the velocity limit: "
+            + ", ".join(f"{value:.3g}" for value in acceleration.tolist())
+            + " rad/s²"
+        )
+    return lines
 
 
 def best(

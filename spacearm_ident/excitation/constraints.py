@@ -53,6 +53,8 @@ class Requirements:
         identified: The model that predicts torque.
         structural_hz: The structure's first resonance, which no excited frequency may reach; None: not stated.
         clearance: Distances; None: not checked.
+        accelerations: Multiples of the planned acceleration with which torque must be kept, 1 among them: what leads
+            the arm back to its path after a stall asks for more of it, or for less.
     """
 
     motion: MotionLimits
@@ -60,6 +62,7 @@ class Requirements:
     identified: IdentifiedModel
     structural_hz: float | None = None
     clearance: Clearance | None = None
+    accelerations: tuple[float, ...] = (1.0,)
 
     @classmethod
     def of(
@@ -70,10 +73,11 @@ class Requirements:
         torque_share: float = TORQUE_SHARE,
         structural_hz: float | None = None,
         clearance: Clearance | None = None,
+        accelerations: tuple[float, ...] = (1.0,),
     ) -> Requirements:
         """Those of a model's arm."""
         torque = torque_share * np.array([joint.effort_limit for joint in identified.model.arm.joints])
-        return cls(motion, torque, identified, structural_hz, clearance)
+        return cls(motion, torque, identified, structural_hz, clearance, accelerations)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -159,7 +163,7 @@ def check(run: Trajectory, needs: Requirements) -> tuple[Margin, ...]:
     if needs.motion.jerk is not None:
         margins += _extremes("jerk", needs.joints, _jerk(run, times), needs.motion.jerk, "rad/s³", times)
     if np.isfinite(needs.torque_Nm).any():
-        torque = model_torque(needs.identified, motion, 1.0 / STEP_S)
+        torque = largest_torque(needs, motion, 1.0 / STEP_S)
         margins += _extremes("torque", needs.joints, torque, needs.torque_Nm, "N·m", times)
     margins += frequency_margin(run, needs.structural_hz)
     if needs.clearance is not None:
@@ -190,6 +194,24 @@ def model_torque(identified: IdentifiedModel, motion: Motion, rate_hz: float) ->
         q, qd, qdd = (values[part] for values in motion)
         torque[part] = identified.torque(SampledMotion(names, rate_hz, 0.0, q, qd, qdd, 0 * q, zero, zero))
     return torque
+
+
+def largest_torque(needs: Requirements, motion: Motion, rate_hz: float) -> FloatArray:
+    """(T, n) N·m: of all `needs.accelerations` what is largest along a motion, with its sign.
+
+    Torque is linear in the acceleration at given positions and velocities: two of them tell all.
+    """
+    planned = model_torque(needs.identified, motion, rate_hz)
+    most = max(needs.accelerations)
+    if most == 1.0:
+        return planned
+    more = model_torque(needs.identified, Motion(motion.q, motion.qd, most * motion.qdd), rate_hz)
+    slope = (more - planned) / (most - 1.0)
+    worst = planned
+    for factor in needs.accelerations:
+        other = planned + (factor - 1.0) * slope
+        worst = np.where(np.abs(other) > np.abs(worst), other, worst)
+    return worst
 
 
 def motion_margins(joints: Sequence[str], motion: Motion, limits: MotionLimits, times: FloatArray) -> list[Margin]:

@@ -6,6 +6,7 @@ finite only where they hold at the samples.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -90,6 +91,8 @@ class Problem:
             motion = self.space.motion(z, basis)
             at = columns.at(motion)
             barrier, by_torque = torque_barrier(at.torque, self.needs.torque_Nm)
+            led_back, back_by = self._led_back(columns, motion)
+            barrier += led_back
             if not np.isfinite(barrier):
                 return barrier, np.zeros_like(z)
             nearness, by_posture = self._clearance(z, sparse)
@@ -99,12 +102,35 @@ class Problem:
             if not slopes:
                 return value + barrier + nearness, np.zeros_like(z)
             gradient = self.space.gradient(at.back(self.weights, slope, by_torque), basis)
+            if back_by is not None:
+                gradient += self.space.gradient(back_by(), basis)
             if nearness > 0.0:
                 nothing = np.zeros_like(by_posture)
                 gradient += self.space.gradient(Motion(by_posture, nothing, nothing), sparse)
             return value + barrier + nearness, gradient
 
         return function
+
+    def _led_back(self, columns: SmoothColumns, motion: Motion) -> tuple[float, Callable[[], Motion] | None]:
+        """The torque barrier of the largest of `needs.accelerations`, and its derivatives by the states.
+
+        That of the least is left to the check: torque lies between those of less and of more acceleration, and only
+        gravity against inertia makes less of it the worse.
+        """
+        most = max(self.needs.accelerations)
+        if most == 1.0:
+            return 0.0, None
+        at = columns.at(Motion(motion.q, motion.qd, most * motion.qdd))
+        barrier, by_torque = torque_barrier(at.torque, self.needs.torque_Nm)
+        if by_torque is None or not np.isfinite(barrier):
+            return barrier, None
+
+        def back() -> Motion:
+            none = np.zeros((columns.size, columns.size))
+            by = at.back(self.weights, none, by_torque)
+            return Motion(by.q, by.qd, most * by.qdd)
+
+        return barrier, back
 
     def _clearance(self, z: FloatArray, basis: Basis) -> tuple[float, FloatArray]:
         postures = self.space.motion(z, basis).q

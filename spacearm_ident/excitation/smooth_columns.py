@@ -8,13 +8,13 @@ Terms beyond rigid body, rotor inertia, springs, offsets and friction are left o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.friction import ViscousFriction
 from ..dynamics.rigid_body import RigidBody
 from .criteria import Question
 from .regressor_gradient import DifferentiableRegressor
@@ -22,7 +22,6 @@ from .segments import Motion
 
 Shape = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """A joint's own q, qd or qdd (T,) -> the column (T,) and its derivative by it."""
-Options = Mapping[str, Any]
 Made = tuple[str, Shape] | None
 """Which signal, and the column's shape; None where there is no such column here."""
 
@@ -134,7 +133,8 @@ def _own_columns(question: Question, softness: FloatArray, rigid: list[int]) -> 
         for index, parameter in enumerate(term.parameters):
             joint = model.arm.joint_names.index(parameter.joint)
             peak = float(constants[0]) if len(constants) and question.resolved(joint, float(constants[0])) else 0.0
-            made = _SHAPES[term.kind](parameter.symbol, softness[joint], peak, term.options)
+            odd = isinstance(term, ViscousFriction) and term.is_odd(parameter)
+            made = _SHAPES[term.kind](parameter.symbol, softness[joint], peak, odd)
             if made is None:
                 continue
             slot = None
@@ -150,7 +150,7 @@ def _direction(speed: FloatArray, softness: float) -> tuple[FloatArray, FloatArr
     return speed / root, softness**2 / root**3
 
 
-def _stribeck(symbol: str, softness: float, peak: float, options: Options) -> Made:
+def _stribeck(symbol: str, softness: float, peak: float, odd: bool) -> Made:
     """f_c: sgn (1 - e), f_b: sgn e, e = exp(-(qd/v_b)^2); all of it to f_c where the peak is not resolved."""
 
     def shape(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -166,9 +166,8 @@ def _stribeck(symbol: str, softness: float, peak: float, options: Options) -> Ma
     return ("qd", shape) if symbol == "f_c" or (symbol == "f_b" and peak > 0) else None
 
 
-def _viscous(symbol: str, softness: float, peak: float, options: Options) -> Made:
+def _viscous(symbol: str, softness: float, peak: float, odd: bool) -> Made:
     order = int(symbol[3])
-    odd = order == 2 and (symbol.endswith("odd") or options.get("quadratic") == "odd")
 
     def shape(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         if odd:
@@ -178,11 +177,11 @@ def _viscous(symbol: str, softness: float, peak: float, options: Options) -> Mad
     return "qd", shape
 
 
-def _signal(name: str) -> Callable[[str, float, float, Options], Made]:
-    return lambda symbol, softness, peak, options: (name, lambda values: (values, np.ones_like(values)))
+def _signal(name: str) -> Callable[[str, float, float, bool], Made]:
+    return lambda symbol, softness, peak, odd: (name, lambda values: (values, np.ones_like(values)))
 
 
-_SHAPES: dict[str, Callable[[str, float, float, Options], Made]] = {
+_SHAPES: dict[str, Callable[[str, float, float, bool], Made]] = {
     "rotor_inertia": _signal("qdd"),
     "joint_spring": _signal("q"),
     "stribeck_friction": _stribeck,

@@ -200,6 +200,11 @@ class Chain:
         return {pair.key: pair.value for pair in found.values} if found else {}
 
     @property
+    def domain(self) -> int:
+        """The `ROS_DOMAIN_ID` of the nodes."""
+        return self._domain.number
+
+    @property
     def processes(self) -> Mapping[str, int]:
         """Process id of each node."""
         return {name: process.pid for name, process in self._processes.items()}

@@ -12,7 +12,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Final
 
@@ -24,6 +24,7 @@ from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 from ..recording.background import Topic
 from ..recording.definitions import definition_text
 from ..recording.messages import MessageType
+from ..recording.qos import Qos
 from .runtime import STREAM
 
 _TAKE_S: Final = 0.02
@@ -116,7 +117,7 @@ class GraphReader:
 
     def _look(self) -> None:
         for name, kinds in self._node.get_topic_names_and_types():
-            if not topic_or_service_is_hidden(name) and self._recorded(name) is not None:
+            if not topic_or_service_is_hidden(name) and self._recorded(name):
                 publishers = self._node.get_publishers_info_by_topic(name)
                 try:
                     if publishers:
@@ -142,24 +143,25 @@ class GraphReader:
         if python_type is None:
             self._complain(f"{name} is not recorded: its type {kind} is not installed here")
             return
-        topic = self._topic(name, publishers[0], latched=wanted.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+        # A topic is declared once, with the offers that were known then, as rosbag2 does.
+        topic = tap.topic if tap is not None else self._topic(name, publishers)
         subscription = self._node.create_subscription(python_type, name, _never, wanted, raw=True)
         count = self.counts.setdefault(name, Count())
         self._taps[name] = _Tap(topic, subscription, wanted, len(publishers) == 1, count)
 
-    def _topic(self, name: str, publisher: TopicEndpointInfo, *, latched: bool) -> Topic:
-        text = definition_text(publisher.topic_type)
+    def _topic(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> Topic:
+        kind = publishers[0].topic_type
+        text = definition_text(kind)
         if text is None:
-            self._complain(f"{name} is recorded without its message definition: no .msg file of {publisher.topic_type}")
-        kind = MessageType(publisher.topic_type, text or "", str(publisher.topic_type_hash))
-        return replace(Topic(self._recorded(name) or name, kind), latched=latched, described=text is not None)
+            self._complain(f"{name} is recorded without its message definition: no .msg file of {kind}")
+        offers = tuple(_offer(publisher.qos_profile) for publisher in publishers)
+        declared = MessageType(kind, text or "", str(publishers[0].topic_type_hash))
+        return Topic(name, declared, offers, described=text is not None)
 
-    def _recorded(self, name: str) -> str | None:
-        """The name of a topic of the graph in the recording, None where it is not to be in there."""
+    def _recorded(self, name: str) -> bool:
+        """Whether a topic of the graph is to be in the recording."""
         namespace = self._node.get_namespace().rstrip("/")
-        if name.startswith(f"{namespace}/"):
-            return name.removeprefix(namespace)
-        return name if name in self._shared else None
+        return name.startswith(f"{namespace}/") or name in self._shared
 
     def _complain(self, sentence: str) -> None:
         if sentence not in self.problems:
@@ -199,6 +201,21 @@ def _profile(offered: Sequence[QoSProfile]) -> QoSProfile:
         depth=_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _offer(profile: QoSProfile) -> Qos:
+    """A publisher's offer as discovery tells it, in the words of a bag."""
+    return Qos(
+        history=profile.history.name.lower(),
+        depth=profile.depth,
+        reliability=profile.reliability.name.lower(),
+        durability=profile.durability.name.lower(),
+        liveliness=profile.liveliness.name.lower(),
+        deadline_ns=profile.deadline.nanoseconds,
+        lifespan_ns=profile.lifespan.nanoseconds,
+        lease_ns=profile.liveliness_lease_duration.nanoseconds,
+        avoid_ros_names=profile.avoid_ros_namespace_conventions,
     )
 
 

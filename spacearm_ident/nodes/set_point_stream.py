@@ -11,8 +11,11 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64MultiArray
 
 from ..canbus.realtime import Pacer, prepare_thread
 from ..excitation.run import Brake, Phase, Run
@@ -24,6 +27,79 @@ HOLD_S = 1.0
 
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
+_POLL_S = 1e-3
+"""How often a graph's clock that is not this machine's is looked at."""
+
+
+class Encoder(Protocol):
+    """A set-point as the message of some topic."""
+
+    def encode(self, stamp_ns: int, q: FloatArray, qd: FloatArray) -> bytes:
+        """The message (CDR) with this header stamp, positions and velocities, (n,) each."""
+
+
+class Slots(Protocol):
+    """Slots on absolute deadlines, as `canbus.realtime.Pacer`."""
+
+    slots: int
+    missed: int
+
+    def wait(self) -> float:
+        """Sleep until the next slot; returns how late it begins, s."""
+
+    def lateness(self, quantile: float) -> float:
+        """Lateness that this share of the slots stayed below, s."""
+
+
+class ClockPacer:
+    """Slots by the clock of the graph (`use_sim_time`), which may stand still, or run at another pace.
+
+    Attributes:
+        slots: Slots that began.
+        missed: Slots that had passed before they could begin.
+    """
+
+    def __init__(self, period: float, now_ns: Callable[[], int]) -> None:
+        """Slots of `period` seconds, from the first `wait` on, by a clock in ns."""
+        self._period_ns, self._now_ns = round(1e9 * period), now_ns
+        self._begin_ns = 0
+        self.slots = self.missed = 0
+
+    def wait(self) -> float:
+        """Sleep until the next slot begins; skip, and count, slots that are over."""
+        self._begin_ns = self._begin_ns or self._now_ns()
+        due_ns = self._begin_ns + (self.slots + self.missed) * self._period_ns
+        while (now := self._now_ns()) < due_ns:
+            time.sleep(_POLL_S)
+        over, late_ns = divmod(now - due_ns, self._period_ns)
+        self.missed += over
+        self.slots += 1
+        return late_ns * 1e-9
+
+    def lateness(self, quantile: float) -> float:
+        """Not known: the steps of such a clock are coarser than a slot."""
+        return 0.0
+
+
+class PositionsMessage:
+    """A `std_msgs/msg/Float64MultiArray` with positions in the order of a controller's joints, patched in place.
+
+    Args:
+        joints: Order of the positions given.
+        order: Order in the message, the same names.
+    """
+
+    def __init__(self, joints: Sequence[str], order: Sequence[str]) -> None:
+        marks = np.arange(1.0, len(order) + 1)
+        encoded = serialize_message(Float64MultiArray(data=marks.tolist()))
+        self._buffer = bytearray(encoded)
+        self._data = np.frombuffer(self._buffer, "<f8", len(order), encoded.index(marks.tobytes()))
+        self._columns = [list(joints).index(name) for name in order]
+
+    def encode(self, stamp_ns: int, q: FloatArray, qd: FloatArray) -> bytes:
+        """The message with these positions (n,); it carries neither stamp nor velocities."""
+        self._data[:] = q[self._columns]
+        return bytes(self._buffer)
 
 
 class SetPointMessage:
@@ -52,7 +128,10 @@ class SetPointStream:
         reason: Why it was stopped early; empty otherwise.
         warning: What keeps the thread from being on time, or None.
         start_ns: Stamp of the first set-point, ns since 1970.
+        lag_s: How far the arm is behind, s; whoever sees the arm sets it.
     """
+
+    lag_s = 0.0
 
     def __init__(
         self,
@@ -62,6 +141,9 @@ class SetPointStream:
         rate_hz: float,
         publish: Callable[[bytes], None],
         priority: int = 0,
+        *,
+        message: Encoder | None = None,
+        now_ns: Callable[[], int] | None = None,
     ) -> None:
         """Begin to stream.
 
@@ -72,14 +154,17 @@ class SetPointStream:
             rate_hz: Set-points a second.
             publish: Given each message (CDR), in the stream's thread.
             priority: Of `SCHED_FIFO`; 0 for none.
+            message: How a set-point is written; a `SetPointMessage` unless given.
+            now_ns: Clock of the graph, where it is not this machine's.
         """
         self.reason = ""
         self.warning: str | None = None
         self._run, self._motion, self._limits = run, motion, limits
-        self._message = SetPointMessage(run.trajectory.joints)
+        self._message: Encoder = message or SetPointMessage(run.trajectory.joints)
         self._publish, self._priority = publish, priority
         self._period_s = 1.0 / rate_hz
-        self._pacer = Pacer(self._period_s)
+        self._now_ns = now_ns or time.time_ns
+        self._pacer: Slots = Pacer(self._period_s) if now_ns is None else ClockPacer(self._period_s, now_ns)
         self._stop = threading.Event()
         self._slot = 0
         self._stopped_s: float | None = None
@@ -99,6 +184,11 @@ class SetPointStream:
     def set_points(self) -> int:
         """Set-points published."""
         return self._pacer.slots + self._pacer.missed
+
+    @property
+    def time_s(self) -> float:
+        """Time along the run, s from its start, of the last set-point sent."""
+        return self._slot * self._period_s
 
     @property
     def late(self) -> int:
@@ -142,7 +232,7 @@ class SetPointStream:
 
     def _work(self) -> None:
         self.warning = prepare_thread(self._priority)
-        self.start_ns = time.time_ns()
+        self.start_ns = self._now_ns()
         self._begun.set()
         try:
             self._stream()

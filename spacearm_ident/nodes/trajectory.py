@@ -1,15 +1,21 @@
-"""`trajectory`: streams an excitation on `/joint_command`, from where the arm is and back there.
+"""`trajectory`: an excitation for the arm, from where it is and back there.
 
 `/excitation/start` reads the file named by the parameter `trajectory_file` (which may be changed between
-runs), checks everything there is to check, and streams approach, excitation and return; or refuses with the
+runs), checks everything there is to check, and begins approach, excitation and return; or refuses with the
 reason. `/excitation/stop` brings the arm to rest along its path, within the limits, from any moment; so does
-the node itself when feedback ceases or is not a number, when the drives are no longer enabled, and when it is
-interrupted.
+the node itself when feedback ceases or is not a number, when the arm may no longer be moved
+(`trajectory_interlock`) or does not follow, and when it is interrupted. How the run reaches the arm is the
+parameter `output` (`trajectory_output`).
+
+A run that the driver stopped because its machine was too busy is begun again, `restarts` times at most
+(`trajectory_restart`).
 
 `/excitation/state` (std_msgs/msg/String, latched) is a JSON object, published at every change:
 
-    state: idle, approach, running, returning, stopping or done
-    run: id of the run, or null before the first
+    state: idle, approach, running, returning, stopping, recovering (about to begin again) or done
+    run: id of the run, or null before the first; a run begun again has another
+    begun_as: the id /excitation/start answered with, the same for all that it began again
+    restarts: how often it was begun again
     period, periods: the period running, from 1 (0 outside), and how many there are
     t0_ns, t1_ns: header stamps, ns since 1970, between which the periodic part lies; planned at first, and cut
         to where braking began when the run was stopped (t0_ns = t1_ns: there is none)
@@ -21,15 +27,11 @@ from __future__ import annotations
 
 import gc
 import json
-import math
-import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
-from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ..canbus.realtime import prepare_process
@@ -37,18 +39,22 @@ from ..config import config_path
 from ..dynamics.arm import load_arm
 from ..errors import UserError
 from ..excitation.run import Run, check_limits, limits_of, plan_run
-from ..excitation.trajectory import FloatArray, MotionLimits
 from ..excitation.trajectory_file import load_trajectory
-from ..recording import cdr
-from .runtime import LATCHED, STREAM, Level, LiveNode, Newest, Status, local_name, run
-from .set_point_stream import SetPointStream
+from .main import RESTARTS
+from .runtime import LATCHED, Level, LiveNode, Status, run
+from .trajectory_feedback import Feedback
+from .trajectory_interlock import Interlock
+from .trajectory_output import JOINT_COMMAND, Output, Stream
+from .trajectory_path import PathWatch
+from .trajectory_restart import Restart
 
 _WATCH_S = 0.05
-_STATUS_AGE_S = 3.0
 _AT_REST = 0.05
 """An arm that stands may seem to move with this share of its velocity limit."""
 _LONGEST_STOP_S = 15.0
-_DRIVER = "canopen_driver"
+LONGEST_LAG_S = 1.0
+"""A run the arm is further behind, s, is not at the pace it was planned with: the way of a message and a controller's
+delay are a tenth of it, and on a machine with a load of 16 on two cores half of it was seen."""
 
 
 class TrajectoryNode(LiveNode):
@@ -58,37 +64,43 @@ class TrajectoryNode(LiveNode):
         super().__init__("trajectory")
         self.parameter("trajectory_file", "", "excitation file to stream; read at every start", read_only=False)
         arm = self.parameter("arm", "", "URDF or arm YAML with the limits to keep; empty: config/paper_arm.yaml")
-        self._rate_hz = self.parameter("rate_hz", 1000.0, "set-points a second, Hz", low=10.0, high=5000.0)
-        self._require_enabled = self.parameter(
-            "require_enabled", True, "refuse to start unless the driver's diagnostics say that the drives are enabled"
-        )
         self._timeout_s = self.parameter(
             "feedback_timeout_s", 0.2, "stop when /joint_states is older than this, s", low=0.01, high=10.0
         )
-        self._priority = self.parameter("realtime_priority", 60, "SCHED_FIFO; 0 for none", low=0, high=99)
+        self._restarts = self.parameter(
+            "restarts", RESTARTS, "how often a run is begun again that a busy machine broke off", low=0, high=100
+        )
+        self._tolerance = self.parameter(
+            "path_tolerance",
+            0.1,
+            "stop where a joint is so far from the path, rad",
+            low=1e-3,
+            high=3.2,
+        )
+        self._longest_lag_s = self.parameter(
+            "path_lag_s", LONGEST_LAG_S, "stop where the arm is so far behind the run, s", low=0.05, high=60.0
+        )
+        self._output = Output(self)
+        self._interlock = Interlock(self)
         self._arm = load_arm(Path(arm).expanduser() if arm else config_path("paper_arm.yaml"))
         self.hardware_id = self._arm.name
-        self._enabled: dict[str, tuple[bool, float]] = {}
-        self._stream: SetPointStream | None = None
+        self._stream: Stream | None = None
+        self._path: PathWatch | None = None
         self._run: Run | None = None
         self._run_id: str | None = None
+        self._begun_as: str | None = None
+        self._again = 0
+        self._restart: Restart | None = None
+        self._may_restart = False
+        self._in_the_end = ""
         self._said: dict[str, object] = {}
-        self._command = self.create_publisher(JointState, "joint_command", STREAM)
         self._state = self.create_publisher(String, "excitation/state", LATCHED)
-        self._feedback = Newest(self, JointState, "joint_states")
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._keep_status, 100)
+        self._feedback = Feedback(self)
         self.offer("excitation/start", self.start)
         self.offer("excitation/stop", self.stop)
-        self.create_timer(_WATCH_S, self._watch)
+        self.every(_WATCH_S, self._watch)
         self._announce()
         prepare_process()
-
-    def _keep_status(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if _DRIVER in (local_name(status.name, self.get_namespace()) or ""):
-                for pair in status.values:
-                    if pair.key == "operation_enabled":
-                        self._enabled[status.name] = (pair.value == "true", time.monotonic())
 
     def start(self) -> str:
         """Begin a run; returns the reply.
@@ -96,30 +108,42 @@ class TrajectoryNode(LiveNode):
         Raises:
             UserError: It cannot begin, with the reason.
         """
+        if self._restart is not None:
+            raise UserError("about to begin the last run again; stop that first, or wait until it is done")
         if self._stream is not None:
             if self._stream.moving:
                 raise UserError(f"already {self._stream.phase.state}; stop first, or wait until the run is done")
             self._stream.wait(_LONGEST_STOP_S)
+        reply = self._begin()
+        self._begun_as, self._again = self._run_id, 0
+        self._announce()
+        return reply
+
+    def _begin(self) -> str:
+        """Plan and begin the run of the file, from where the arm stands.
+
+        Raises:
+            UserError: It cannot begin, with the reason.
+        """
         gc.collect()  # prepare_process left that to us
         file = self.get_parameter("trajectory_file").value
         if not file:
             raise UserError("no trajectory: set the parameter trajectory_file to an excitation file, then start")
         excitation = load_trajectory(Path(file).expanduser())
         limits = limits_of(self._arm, excitation.joints)
-        position = self._standing_at(excitation.joints, limits)
-        if self._require_enabled and self._drives_enabled() is not True:
-            unknown = self._drives_enabled() is None
-            raise UserError(
-                f"the drives are {'not known to be' if unknown else 'not'} enabled; "
-                f"call {self.resolve_service_name('driver/enable')} first"
-                + (f" (no operation_enabled of {_DRIVER} on /diagnostics)" if unknown else "")
-            )
+        self._output.require(excitation.joints, self._arm.joint_names)
+        self._feedback.follow(excitation.joints)
+        position = self._feedback.standing(self._timeout_s, _AT_REST * limits.velocity)
+        self._interlock.require()
         plan = plan_run(excitation, limits, position)
-        motion = plan.set_points(self._rate_hz)
-        check_limits(excitation.joints, motion, limits, self._rate_hz)
+        rate_hz = self._output.rate_hz
+        motion = plan.set_points(rate_hz)
+        check_limits(excitation.joints, motion, limits, rate_hz)
         self._run, self._run_id = plan, f"{datetime.now():%Y%m%d-%H%M%S-%f}"
-        self._stream = SetPointStream(plan, motion, limits, self._rate_hz, self._command.publish, self._priority)
-        self._announce()
+        self._may_restart, self._in_the_end, self._path = False, "", None
+        if self._output.kind != JOINT_COMMAND:  # our driver watches the tracking error itself, every cycle
+            self._path = PathWatch(excitation.joints, motion, rate_hz, self._tolerance, self._longest_lag_s)
+        self._stream = self._output.start(plan, motion, limits)
         return f"run {self._run_id}: {plan.duration_s:.1f} s, {plan.periods} periods"
 
     def stop(self) -> str:
@@ -128,14 +152,27 @@ class TrajectoryNode(LiveNode):
         Raises:
             UserError: None is running.
         """
+        if self._restart is not None:
+            self._give_up("stopped by /excitation/stop")
+            return "not beginning again"
         if self._stream is None or not self._stream.moving:
             raise UserError("nothing is running")
+        self._may_restart = False
         self._stream.stop("stopped by /excitation/stop")
         self._announce()
         return "stopping within the limits"
 
+    def readiness(self) -> str | None:
+        """What the next run would be."""
+        file, start = self.get_parameter("trajectory_file").value, self.resolve_service_name("excitation/start")
+        if not file:
+            return f"no trajectory yet: set the parameter trajectory_file, then call {start}"
+        return f"{start} runs {Path(file).expanduser().absolute()}"
+
     def close(self) -> None:
         """Bring the arm to rest."""
+        if self._restart is not None:
+            self._give_up("the trajectory node was ended")
         if self._stream is not None:
             if self._stream.moving:
                 self._stream.stop("the trajectory node was ended")
@@ -143,49 +180,81 @@ class TrajectoryNode(LiveNode):
             self._stream.wait(_LONGEST_STOP_S)
             self._announce()
 
-    def _standing_at(self, joints: Sequence[str], limits: MotionLimits) -> FloatArray:
-        """Where the arm stands, in the order of `joints`.
-
-        Raises:
-            UserError: That is not known, or it does not stand.
-        """
-        payload, age = self._feedback.take()
-        if payload is None or age > self._timeout_s:
-            since = "there is none" if math.isinf(age) else f"the last is {age:.1f} s old"
-            raise UserError(f"no feedback on /joint_states ({since}); start the driver")
-        blocks, _ = cdr.decode_joint_states([payload])
-        if not blocks or blocks[0].position is None:
-            raise UserError("/joint_states carries no positions; check the driver")
-        block = blocks[0]
-        if set(block.names) != set(joints):
-            raise UserError(f"the trajectory moves {', '.join(joints)}, but /joint_states has {', '.join(block.names)}")
-        order = [block.names.index(name) for name in joints]
-        position = blocks[0].position[0, order]
-        velocity = np.zeros(len(order)) if block.velocity is None else block.velocity[0, order]
-        if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
-            raise UserError("/joint_states is not a number; check the driver")
-        fast = np.flatnonzero(np.abs(velocity) > _AT_REST * limits.velocity)
-        if fast.size:
-            raise UserError(f"{joints[fast[0]]} moves at {velocity[fast[0]]:.3f} rad/s; wait until the arm stands")
-        return position
-
-    def _drives_enabled(self) -> bool | None:
-        """What the driver says; None if it has said nothing lately."""
-        now = time.monotonic()
-        fresh = [enabled for enabled, at in self._enabled.values() if now - at < _STATUS_AGE_S]
-        return all(fresh) if fresh else None
-
     def _watch(self) -> None:
-        """Stop a run that is no longer safe; tell of its progress."""
-        if self._stream is not None and self._stream.moving:
-            payload, age = self._feedback.take()
-            if payload is None or age > self._timeout_s:
-                self._stream.stop(f"feedback on /joint_states ceased {age:.2f} s ago")
-            elif not _finite(payload):
-                self._stream.stop("feedback on /joint_states is not a number")
-            elif self._require_enabled and self._drives_enabled() is False:
-                self._stream.stop("the drives are no longer enabled")
+        """Stop a run that is no longer safe, begin one again that may; tell of the progress."""
+        self._interlock.look()
+        stream = self._stream
+        if stream is not None and self._restart is None:
+            if stream.moving and stream.stopped_s is None and not stream.reason:
+                self._check(stream)
+            elif self._may_restart and stream.phase.state == "done":
+                self._consider()
+        if self._restart is not None:
+            self._go_on(self._restart)
         self._announce()
+
+    def _check(self, stream: Stream) -> None:
+        """Stop a run that is no longer safe."""
+        age = self._feedback.age_s
+        position = self._feedback.position()
+        if position is None or age > self._timeout_s:
+            self._may_restart = self._interlock.of_driver
+            stream.stop(f"feedback on /joint_states ceased {age:.2f} s ago")
+        elif not np.isfinite(position).all():
+            stream.stop("feedback on /joint_states is not a number")
+        elif loss := self._interlock.loss():
+            self._may_restart = self._interlock.of_driver
+            stream.stop(loss)
+        elif self._path is not None:
+            # Where the arm was when that was heard, beside where it should have been then.
+            wrong = self._path.judge(position, stream.time_s - age)
+            stream.lag_s = self._path.lag_s
+            if wrong:
+                stream.stop(wrong)
+
+    def _consider(self) -> None:
+        """The arm is at rest after a stop that the driver may know to be harmless: ask it, unless too often."""
+        assert self._stream is not None
+        self._may_restart = False
+        if self._whole:
+            return
+        if self._again >= self._restarts:
+            self._in_the_end = f"begun again {self._again} times, then given up" if self._restarts else ""
+            return
+        self.get_logger().warning(
+            f"run {self._run_id} was stopped: {self._stream.reason}; beginning again, "
+            f"{self._again + 1} of {self._restarts} times"
+        )
+        self._restart = Restart(self, self._begin)
+
+    def _go_on(self, restart: Restart) -> None:
+        try:
+            if restart.step():
+                self._again += 1
+                self._restart = None
+                restart.close()
+        except UserError as error:
+            self._give_up(f"not begun again: {error}")
+
+    def _give_up(self, reason: str) -> None:
+        """Begin nothing again, and say why."""
+        assert self._restart is not None
+        self._restart.close()
+        self._restart, self._in_the_end = None, reason
+        self.get_logger().error(f"run {self._run_id}: {self._reason}")
+        self._announce()
+
+    @property
+    def _whole(self) -> bool:
+        """Whether the periodic part of the last run has not been cut short so far."""
+        cut = self._stream.stopped_s if self._stream is not None else None
+        return cut is None or (self._run is not None and cut >= self._run.periodic[1])
+
+    @property
+    def _reason(self) -> str:
+        """Why the last run was stopped early, and what came of it."""
+        reason = self._stream.reason if self._stream is not None else ""
+        return "; ".join(filter(None, (reason, self._in_the_end)))
 
     def _announce(self) -> None:
         """Publish the state where it has changed."""
@@ -201,53 +270,56 @@ class TrajectoryNode(LiveNode):
         stream, plan = self._stream, self._run
         if stream is None or plan is None:
             empty: dict[str, object] = {"state": "idle", "run": None, "period": 0, "periods": 0}
+            empty |= {"begun_as": None, "restarts": 0}
             return empty | {"t0_ns": None, "t1_ns": None, "complete": None, "reason": ""}
         state, period = stream.phase
         begin, end = plan.periodic
         cut = stream.stopped_s
-        whole = cut is None or cut >= end
+        whole = self._whole
         if cut is not None:
             begin, end = min(begin, cut), min(end, cut)
         over = state in ("returning", "done") or not whole
+        # Whoever waits for the end of a run must not take this for it.
+        to_come = self._restart is not None or (self._may_restart and not whole and self._again < self._restarts)
         return {
-            "state": state,
+            "state": "recovering" if state == "done" and to_come else state,
             "run": self._run_id,
+            "begun_as": self._begun_as,
+            "restarts": self._again,
             "period": period,
             "periods": plan.periods,
             "t0_ns": stream.start_ns + round(begin * 1e9),
             "t1_ns": stream.start_ns + round(end * 1e9),
             "complete": whole if over else None,
-            "reason": stream.reason,
+            "reason": self._reason,
         }
 
     def diagnose(self) -> Sequence[Status]:
         """The run's state and how well its set-points keep time."""
         described = self._describe()
-        enabled = self._drives_enabled()
+        enabled = self._interlock.enabled
         values: dict[str, object] = {
             **described,
             "trajectory_file": self.get_parameter("trajectory_file").value,
-            "rate_hz": self._rate_hz,
-            "feedback_age_s": self._feedback.take()[1],
+            "output": self._output.kind,
+            "rate_hz": self._output.rate_hz,
+            "feedback_age_s": self._feedback.age_s,
             "drives_enabled": "unknown" if enabled is None else enabled,
         }
         stream = self._stream
         if stream is None:
             return (Status(Level.OK, "idle", values),)
         values |= {"set_points": stream.set_points, "late": stream.late, "late_p99_s": stream.late_s}
+        values |= {"lag_s": stream.lag_s}
         state, period, periods = described["state"], described["period"], described["periods"]
         message = f"running period {period} of {periods}" if state == "running" else str(state)
-        if stream.reason:
-            return (Status(Level.WARN, f"{message}: {stream.reason}", values),)
+        if self._again:
+            message += f"; begun again {self._again} of {self._restarts} times"
+        if described["reason"]:
+            return (Status(Level.WARN, f"{message}: {described['reason']}", values),)
         if stream.late:
             return (Status(Level.WARN, f"{message}; {stream.late} set-points sent late", values),)
         return (Status(Level.OK, message + (f"; {stream.warning}" if stream.warning else ""), values),)
-
-
-def _finite(payload: bytes) -> bool:
-    """Whether all positions of a joint state are numbers."""
-    blocks, _ = cdr.decode_joint_states([payload])
-    return bool(blocks) and blocks[0].position is not None and bool(np.isfinite(blocks[0].position).all())
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -1,0 +1,258 @@
+"""Whether the arm may be moved: what its driver, its controller or anybody else says of it.
+
+The parameter `enabled_from` names one source or several; all of them must agree.
+
+- `driver`: this package's CANopen driver; `operation_enabled` of its status on `/diagnostics`.
+- `controller`: a controller of ros2_control; controller_manager publishes the state of each once a second on
+  `/diagnostics`, in the status `controller_manager: Controllers Activity` under the controller's name (since a later
+  release of Jazzy `NAME.state`): only `active` will do.
+- `topic`: a std_msgs/msg/Bool, latched or not, such as `robot_program_running` of Universal Robots' driver. A value
+  holds as long as its publisher is there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Final, Protocol
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+
+from ..errors import UserError
+from .runtime import LiveNode, local_name
+
+STATUS_AGE_S: Final = 3.0
+"""A status older than this says nothing: diagnostics come every second."""
+DRIVER: Final = "canopen_driver"
+ACTIVITY: Final = "Controllers Activity"
+"""Name of controller_manager's status of its controllers, behind the node's name."""
+
+
+class Source(Protocol):
+    """One that knows whether the arm may be moved."""
+
+    @property
+    def enabled(self) -> bool | None:
+        """What it says; None where it has said nothing lately."""
+
+    @property
+    def refusal(self) -> str:
+        """Why a run cannot begin, and what to do; asked where `enabled` is not true."""
+
+    @property
+    def loss(self) -> str:
+        """Why a run was stopped; asked where `enabled` is false."""
+
+
+class DriverSource:
+    """This package's driver.
+
+    Args:
+        node: Whose namespace counts.
+    """
+
+    def __init__(self, node: LiveNode) -> None:
+        self._node = node
+        self._said: dict[str, tuple[bool, str, float]] = {}
+
+    def hear(self, status: DiagnosticStatus, values: Mapping[str, str]) -> None:
+        """Take in a status of `/diagnostics`."""
+        if DRIVER in (local_name(status.name, self._node.get_namespace()) or "") and "operation_enabled" in values:
+            said = (values["operation_enabled"] == "true", values.get("fault", ""), time.monotonic())
+            self._said[status.name] = said
+
+    @property
+    def enabled(self) -> bool | None:
+        """Whether the drives are enabled."""
+        now = time.monotonic()
+        fresh = [enabled for enabled, _, at in self._said.values() if now - at < STATUS_AGE_S]
+        return all(fresh) if fresh else None
+
+    @property
+    def refusal(self) -> str:
+        """They are not, or that is not known."""
+        call = f"call {self._node.resolve_service_name('driver/enable')} first"
+        if self.enabled is None:
+            return (
+                f"the drives are not known to be enabled; {call} (no operation_enabled of {DRIVER} on /diagnostics; "
+                "enabled_from names others to ask)"
+            )
+        return f"the drives are not enabled; {call}"
+
+    @property
+    def loss(self) -> str:
+        """They were, and are no longer."""
+        faults = [fault for _, fault, _ in self._said.values() if fault]
+        return "the drives are no longer enabled" + (f" ({faults[0]})" if faults else "")
+
+
+class ControllerSource:
+    """A controller of ros2_control.
+
+    Args:
+        controller: Its name.
+        manager: Name of controller_manager's node.
+    """
+
+    def __init__(self, controller: str, manager: str) -> None:
+        self._controller = controller
+        self._status = f"{manager.strip('/')}: {ACTIVITY}"
+        self._state, self._at = "", float("-inf")
+
+    def hear(self, status: DiagnosticStatus, values: Mapping[str, str]) -> None:
+        """Take in a status of `/diagnostics`."""
+        if status.name.lstrip("/") == self._status:
+            name = self._controller
+            self._state = values.get(f"{name}.state", values.get(name, "not loaded"))
+            self._at = time.monotonic()
+
+    @property
+    def enabled(self) -> bool | None:
+        """Whether it is active."""
+        return self._state == "active" if time.monotonic() - self._at < STATUS_AGE_S else None
+
+    @property
+    def refusal(self) -> str:
+        """It is not, or that is not known."""
+        if self.enabled is None:
+            return (
+                f"the controller {self._controller} is not known to be active: no status '{self._status}' came on "
+                "/diagnostics; start controller_manager, or name its node in the parameter controller_manager"
+            )
+        return (
+            f"the controller {self._controller} is {self._state}; activate it "
+            f"(ros2 control switch_controllers --activate {self._controller})"
+        )
+
+    @property
+    def loss(self) -> str:
+        """It was, and is no longer."""
+        return f"the controller {self._controller} is no longer active ({self._state})"
+
+
+class TopicSource:
+    """A std_msgs/msg/Bool.
+
+    Args:
+        node: Who subscribes.
+        topic: Its name.
+    """
+
+    def __init__(self, node: LiveNode, topic: str) -> None:
+        self._node, self._topic = node, node.resolve_topic_name(topic)
+        self._value: bool | None = None
+        self._subscribed = False
+
+    def look(self) -> None:
+        """Subscribe as soon as somebody publishes, as that offers; forget what was said when nobody does."""
+        publishers = self._node.get_publishers_info_by_topic(self._topic)
+        if not publishers:
+            self._value = None
+        elif not self._subscribed:
+            self._subscribed = True
+            qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            qos.durability = publishers[0].qos_profile.durability
+            if all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE for info in publishers):
+                qos.reliability = ReliabilityPolicy.RELIABLE
+            self._node.create_subscription(Bool, self._topic, self._hear, qos)
+
+    def _hear(self, message: Bool) -> None:
+        self._value = message.data
+
+    @property
+    def enabled(self) -> bool | None:
+        """What it says."""
+        return self._value
+
+    @property
+    def refusal(self) -> str:
+        """It says no, or nothing."""
+        said = "nothing" if self._value is None else "false"
+        return f"{self._topic} says {said}: the run may begin when it says true"
+
+    @property
+    def loss(self) -> str:
+        """It says no."""
+        return f"{self._topic} says false"
+
+
+class Interlock:
+    """All sources of a trajectory node; declares their parameters.
+
+    Args:
+        node: The trajectory node.
+
+    Raises:
+        UserError: A parameter is missing or not understood.
+    """
+
+    def __init__(self, node: LiveNode) -> None:
+        named = node.parameter(
+            "enabled_from",
+            ["driver"],
+            "who says that the arm may be moved: driver, controller, topic; all given must",
+        )
+        controller = node.parameter("controller", "", "enabled_from controller: name of the ros2_control controller")
+        manager = node.parameter(
+            "controller_manager",
+            "controller_manager",
+            "enabled_from controller: node name of its controller_manager",
+        )
+        topic = node.parameter("enabled_topic", "", "enabled_from topic: a std_msgs/msg/Bool that must be true")
+        required = node.parameter("require_enabled", True, "false: enabled_from is shown, and binds nothing")
+        if not named or set(named) - {"driver", "controller", "topic"}:
+            raise UserError(f"parameter enabled_from: {named} names other sources than driver, controller and topic")
+        if "controller" in named and not controller:
+            raise UserError("parameter controller is empty: name the controller that enabled_from asks for")
+        if "topic" in named and not topic:
+            raise UserError("parameter enabled_topic is empty: name the topic that enabled_from asks for")
+        self._required = required
+        self._topics = [TopicSource(node, topic)] if "topic" in named else []
+        self._speaking: list[DriverSource | ControllerSource] = []
+        if "driver" in named:
+            self._speaking.append(DriverSource(node))
+        if "controller" in named:
+            self._speaking.append(ControllerSource(controller, manager))
+        self._sources: list[Source] = [*self._speaking, *self._topics]
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
+
+    @property
+    def of_driver(self) -> bool:
+        """Whether this package's driver is among the sources."""
+        return any(isinstance(source, DriverSource) for source in self._speaking)
+
+    @property
+    def enabled(self) -> bool | None:
+        """False where any source says no; else None where any says nothing; else true."""
+        words = [source.enabled for source in self._sources]
+        return False if False in words else None if None in words else True
+
+    def require(self) -> None:
+        """Refuse a run unless all sources agree.
+
+        Raises:
+            UserError: The first that does not, and what to do.
+        """
+        for source in self._sources if self._required else ():
+            if source.enabled is not True:
+                raise UserError(source.refusal)
+
+    def loss(self) -> str:
+        """Why a run must be stopped now; empty where it need not be."""
+        for source in self._sources if self._required else ():
+            if source.enabled is False:
+                return source.loss
+        return ""
+
+    def look(self) -> None:
+        """Find who publishes; call it now and then."""
+        for source in self._topics:
+            source.look()
+
+    def _hear(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            for source in self._speaking:
+                source.hear(status, values)

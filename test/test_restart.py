@@ -1,0 +1,169 @@
+"""Driver, trajectory node and simulated arm as processes: which broken-off runs are begun again, and which are not."""
+
+import json
+import signal
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2 (pip install '.[ros]')")
+
+from driven_arm import CONFIG, EMERGENCY, JOINTS, DrivenArm
+from live_nodes import LIVE
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from simulated_arm import paper_limits
+
+from spacearm_ident.excitation.trajectory import Trajectory, random_feasible
+from spacearm_ident.excitation.trajectory_file import save_trajectory
+
+pytestmark = LIVE
+
+HELD_UP_S = 0.6
+"""Longer than the driver's delay (0.4 s in these tests), shorter than the drives' patience with its heartbeat."""
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory):
+    from std_msgs.msg import String
+
+    folder = tmp_path_factory.mktemp("restart")
+    series = random_feasible(
+        JOINTS, paper_limits(), seed=4, fundamental_hz=0.5, harmonics=2, periods=3, usage=0.5, smallest_usage=0.49
+    )
+    save_trajectory(Trajectory(JOINTS, (series,)), folder / "excitation.yaml")
+    arm = DrivenArm(folder)
+    try:
+        arm.processes.node(
+            "trajectory",
+            f"trajectory_file:={folder / 'excitation.yaml'}",
+            f"arm:={CONFIG / 'paper_arm.yaml'}",
+            "feedback_timeout_s:=2.0",
+            "restarts:=2",
+        )
+        arm.said = []
+        every = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        arm.probe.node.create_subscription(
+            String, "/excitation/state", lambda message: arm.said.append(json.loads(message.data)), every
+        )
+        yield arm
+    finally:
+        arm.close()
+
+
+@pytest.fixture
+def arm(live):
+    live.healthy()
+    live.probe.wait_for(
+        lambda: live.probe.values("trajectory").get("drives_enabled") == "true", "the node hears the driver"
+    )
+    live.said.clear()
+    # A run that was stopped left the arm on its way: from there one must be planned within the limits.
+    return live
+
+
+def running(arm):
+    """Start, and wait until the arm is in the periodic part, at full speed; returns the run's id."""
+    arm.probe.wait_for(lambda: arm.at_rest(), "rest")
+    done, reply = arm.call("/excitation/start")
+    assert done, reply
+    arm.wait_for(lambda: arm.said and arm.said[-1]["state"] == "running", "running")
+    arm.probe.spin(0.7)
+    return arm.said[-1]["run"]
+
+
+def the_end(arm):
+    """The state in which nothing more comes of a run."""
+    arm.probe.wait_for(lambda: arm.said[-1]["state"] == "done", f"the end; last {arm.said[-1:]}", 90.0)
+    return arm.said[-1]
+
+
+def hold_up(arm):
+    arm.driver.send_signal(signal.SIGSTOP)
+    time.sleep(HELD_UP_S)
+    arm.driver.send_signal(signal.SIGCONT)
+
+
+def test_a_run_that_a_held_up_driver_broke_off_is_begun_again_and_completed(arm):
+    first = running(arm)
+    hold_up(arm)
+    last = the_end(arm)
+    assert last["complete"] is True and last["restarts"] == 1 and last["reason"] == ""
+    assert last["begun_as"] == first != last["run"]
+    states = [state["state"] for state in arm.said]
+    assert "recovering" in states and states.index("recovering") < len(states) - states[::-1].index("running")
+    broken = next(state for state in arm.said if state["state"] == "recovering")
+    assert broken["run"] == first and broken["complete"] is False
+    assert "the drives are no longer enabled (set-points missing: the cycle was held up" in broken["reason"]
+    assert "done" not in states[:-1], "whoever waits for the end must not see one before"
+    arm.probe.wait_for(
+        lambda: "begun again 1 of 2 times" in arm.probe.statuses["trajectory"].message, "it on /diagnostics"
+    )
+
+
+def test_after_as_many_restarts_as_allowed_it_gives_up_with_the_reason(arm):
+    running(arm)
+    for attempt in range(3):
+        arm.wait_for(
+            lambda n=attempt: arm.said[-1]["state"] == "running" and arm.said[-1]["restarts"] == n, f"run {attempt}"
+        )
+        arm.probe.spin(0.5)
+        hold_up(arm)
+    last = the_end(arm)
+    assert last["complete"] is False and last["restarts"] == 2
+    assert last["reason"].endswith("begun again 2 times, then given up") and "held up" in last["reason"]
+
+
+def test_nothing_is_begun_again_after_a_halt(arm):
+    running(arm)
+    assert arm.call("/driver/halt")[0]
+    last = the_end(arm)
+    assert last["complete"] is False and last["restarts"] == 0
+    assert "not begun again: not resumed: /driver/halt was called" in last["reason"]
+    assert not arm.enabled and "halt" in arm.fault
+    assert not arm.call("/driver/resume")[0]
+
+
+def test_nothing_is_begun_again_after_a_halt_that_came_upon_a_held_up_cycle(arm):
+    """A person who presses stop while the machine is about to begin again is heard."""
+    running(arm)
+    arm.driver.send_signal(signal.SIGSTOP)
+    time.sleep(HELD_UP_S)
+    # Both wait at the driver when it wakes: it stops for the stall, and is halted before anybody asks it to resume.
+    client = arm.probe._clients["/driver/halt"]
+    future = client.call_async(client.srv_type.Request())
+    arm.driver.send_signal(signal.SIGCONT)
+    arm.probe.wait_for(future.done, "the halt")
+    last = the_end(arm)
+    assert last["restarts"] == 0 and "/driver/halt was called" in last["reason"]
+    assert not arm.enabled
+
+
+def test_nothing_is_begun_again_after_an_emergency_of_a_drive(arm):
+    running(arm)
+    arm.inject(2, EMERGENCY, 0x3210)
+    last = the_end(arm)
+    assert last["complete"] is False and last["restarts"] == 0
+    assert "no held-up cycle was the cause" in last["reason"] and not arm.enabled
+
+
+def test_nothing_is_begun_again_after_the_drives_were_disabled(arm):
+    running(arm)
+    assert arm.call("/driver/enable", False)[0]
+    last = the_end(arm)
+    assert last["restarts"] == 0
+    assert "not begun again: nothing to resume from" in last["reason"] and not arm.enabled
+
+
+def test_a_stop_while_about_to_begin_again_is_heard(arm):
+    running(arm)
+    hold_up(arm)
+    arm.wait_for(lambda: arm.said[-1]["state"] in ("stopping", "recovering"), "the stop")
+    arm.call("/excitation/stop")
+    before = len(arm.said)
+    last = the_end(arm)
+    assert last["complete"] is False
+    assert not any(state["state"] == "approach" for state in arm.said[before:])
+    position = arm.position()
+    arm.probe.spin(1.0)
+    assert np.abs(arm.position() - position).max() < 1e-3
