@@ -43,7 +43,9 @@ def bag_bytes(rows, *, topic=messages.STATES_TOPIC, others=(), finish=True, flus
     )
     for number, (log, name, payload) in enumerate(everything):
         if name not in channels:
-            kind = messages.TOPIC_TYPES.get(name, messages.MessageType("pkg/msg/Odd", "int8 x\n"))
+            kind = messages.TOPIC_TYPES.get(
+                "/" + name.rpartition("/")[2], messages.MessageType("pkg/msg/Odd", "int8 x\n")
+            )
             schema = writer.register_schema(kind.name, "ros2msg", kind.text.encode())
             channels[name] = writer.register_channel(name, "cdr", schema)
         writer.add_message(channels[name], log, payload, log)

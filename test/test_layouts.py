@@ -46,6 +46,7 @@ def graph() -> dict[str, object]:
     driver = DriverStatus(
         phase=Phase.ENABLED,
         fault=None,
+        resumable=False,
         connection="connected",
         states=dict.fromkeys(joints, State.OPERATION_ENABLED),
         **dict.fromkeys(("cycles", "missed", "incomplete", "late_frames", "malformed", "samples", "set_points"), 1),
@@ -54,6 +55,7 @@ def graph() -> dict[str, object]:
         stalls=1,
         lag_s=0.0,
         temperature_failures=0,
+        reconnections=0,
         loads=(BusLoad(0.7, 0.8),),
         warnings=(),
     )

@@ -68,7 +68,7 @@ def test_a_monstrous_message_is_lost_and_nothing_else():
 def test_a_capture_is_read_back_as_the_recording_it_was(tmp_path):
     run = small_arm.recording(4.0)
     write_recording(tmp_path / "run.mcap", run)
-    streams = read_bag(tmp_path / "run.mcap", {topic: kind.name for topic, kind in TOPIC_TYPES.items()}).streams
+    streams = read_bag(tmp_path / "run.mcap", {topic: kind.name for topic, kind in TOPIC_TYPES.items()}.get).streams
     buffer = MessageBuffer(STATES_TOPIC, 10_000)
     for payload, time_ns in zip(streams[STATES_TOPIC].payloads, streams[STATES_TOPIC].log_times_ns):
         buffer.append(time_ns, payload)

@@ -297,8 +297,10 @@ def test_real_recordings_are_read_whole(path):
     [channel] = [c.id for c in summary.channels.values() if c.topic == messages.STATES_TOPIC]
     recording = read_recording(path)
     assert len(recording.time) == summary.statistics.channel_message_counts[channel]
-    assert recording.issues == () and recording.urdf.lstrip().startswith("<")
-    assert len(recording.joints) == 6 and np.isfinite(recording.effort).all()
+    # The Panda's recorder left gaps of 9 ms; nothing else is wrong with any of them.
+    assert {issue.kind for issue in recording.issues} <= ({"gap"} if "panda" in str(path) else set())
+    assert recording.urdf.lstrip().startswith("<")
+    assert len(recording.joints) in (6, 7) and np.isfinite(recording.effort).all()
     assert sum(part.stop - part.start for part in recording.segments) == len(recording.time)
 
 

@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_arm
+import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from live_nodes import LIVE, Probe, Processes, end, output
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
@@ -134,6 +136,68 @@ def test_late_latched_best_effort_and_hidden_topics(processes, probe, tmp_path):
     with next(folder.glob("*.mcap")).open("rb") as stream:
         decoded = list(make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/late"]))
     assert decoded[0].decoded_message.status[0].values[0].value == "v"
+
+
+def test_each_topic_keeps_what_its_publishers_offer(processes, probe, tmp_path):
+    """In the channel's metadata and in metadata.yaml. Of history and depth discovery says nothing."""
+    from std_msgs.msg import String
+
+    coarse = QoSProfile(
+        depth=10,
+        reliability=ReliabilityPolicy.BEST_EFFORT,
+        deadline=Duration(seconds=2, nanoseconds=500),
+        lifespan=Duration(seconds=3),
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=4),
+    )
+    offers = {"/coarse": [coarse], "/kept": [LATCHED], "/both": [STREAM, coarse]}
+    publishers = {
+        topic: [probe.node.create_publisher(String, topic, qos) for qos in profiles]
+        for topic, profiles in offers.items()
+    }
+    probe.wait_for(
+        lambda: all(probe.node.count_publishers(topic) == len(profiles) for topic, profiles in offers.items()),
+        "the publishers",
+    )
+    processes.node("recorder", f"directory:={tmp_path}")
+    folder = started(probe)
+    everyone = [publisher for group in publishers.values() for publisher in group]
+    probe.wait_for(lambda: all(one.get_subscription_count() == 1 for one in everyone), "subscribed to all")
+
+    def heard():
+        for publisher in everyone:
+            publisher.publish(String(data="x"))
+        return all(received(probe, topic) for topic in offers)
+
+    probe.wait_for(heard, "a message of each topic")
+    assert probe.call("/recorder/stop")[0]
+    with AnyReader([folder]) as reader:
+        found = {topic: reader.topics[topic].connections[0].ext.offered_qos_profiles for topic in offers}
+    with next(folder.glob("*.mcap")).open("rb") as stream:
+        channels = {channel.topic: channel for channel in make_reader(stream).get_summary().channels.values()}
+    for topic, profiles in offers.items():
+        assert len(found[topic]) == len(profiles), topic
+        in_file = yaml.safe_load(channels[topic].metadata["offered_qos_profiles"])
+        wanted = sorted(
+            (
+                qos.reliability.name,
+                qos.durability.name,
+                qos.liveliness.name if qos is coarse else "AUTOMATIC",
+                *(qos_time.nanoseconds for qos_time in (qos.deadline, qos.lifespan) if qos is coarse),
+            )
+            for qos in profiles
+        )
+        said = sorted(
+            (
+                qos.reliability.name,
+                qos.durability.name,
+                qos.liveliness.name,
+                *(10**9 * t.sec + t.nsec for t in (qos.deadline, qos.lifespan) if t.sec < 10**9),
+            )
+            for qos in found[topic]
+        )
+        assert said == wanted, topic
+        assert sorted(qos["reliability"].upper() for qos in in_file) == [row[0] for row in wanted]
 
 
 def read_recording_urdf(folder: Path) -> str:

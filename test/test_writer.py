@@ -31,6 +31,7 @@ from spacearm_ident.recording import (
     read_recording,
     write_recording,
 )
+from spacearm_ident.recording.qos import LATCHED
 
 START = 1_753_000_000_987_654_321
 NUMBERS = st.floats(-1e6, 1e6)
@@ -234,7 +235,7 @@ def test_copying_keeps_topics_it_does_not_know(tmp_path):
     with RecordingWriter(tmp_path / "one.mcap") as writer:
         numbers = [
             writer.add_topic("/blob", camera),
-            writer.add_topic("/other", messages.STRING, latched=True),
+            writer.add_topic("/other", messages.STRING, [LATCHED]),
         ]
         written = [(numbers[row % 2], START + row, os.urandom(row), START - row) for row in range(60)]
         for channel, log_time, payload, publish_time in written:

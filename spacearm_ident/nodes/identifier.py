@@ -100,8 +100,8 @@ class Identifier(LiveNode):
         self._predicted = self.create_publisher(JointState, "identifier/predicted", STREAM)
         self._subscribe()
         self.offer("identifier/identify", self._identify_buffer)
-        self.create_timer(WATCH_S, self._watch)
-        self.create_timer(STREAM_S, self._go_on)
+        self.every(WATCH_S, self._watch)
+        self.every(STREAM_S, self._go_on)
         if self._model_file:
             self._use(load_model(self._model_file), None)
         if self._settings.replay:
@@ -371,6 +371,10 @@ class Identifier(LiveNode):
             "runs_waiting": len(self._pending),
         }
         return Status(level, message, values)
+
+    def readiness(self) -> str | None:
+        """Where results go."""
+        return f"results go to {self._settings.directory.absolute()}"
 
     def close(self) -> None:
         """End the tracking, and the worker; what that was writing is discarded."""

@@ -32,6 +32,7 @@ class JointSamples:
 
     Args:
         joints: The arm's joints (n); messages may hold more.
+        scale: (n,) N·m for each unit of effort (`Arm.effort_scale`); N·m unless given.
 
     Attributes:
         rate_hz: Of the messages, by the stamps of the first; NaN before.
@@ -39,8 +40,9 @@ class JointSamples:
         left_out: Messages without a finite position and effort of every joint, or not to be decoded.
     """
 
-    def __init__(self, joints: Sequence[str]) -> None:
+    def __init__(self, joints: Sequence[str], scale: FloatArray | None = None) -> None:
         self.joints = tuple(joints)
+        self._scale = np.ones(len(self.joints)) if scale is None else scale
         self.rate_hz = float("nan")
         self.epoch_ns = 0
         self.left_out = 0
@@ -77,7 +79,7 @@ class JointSamples:
             columns = [block.names.index(joint) for joint in self.joints]
             stamps[block.rows] = block.stamp_ns
             values[block.rows, 0] = block.position[:, columns]
-            values[block.rows, 1] = block.effort[:, columns]
+            values[block.rows, 1] = self._scale * block.effort[:, columns]
         sound = np.isfinite(values).all(axis=(1, 2))
         self.left_out += int((~sound).sum())
         return stamps[sound], values[sound, 0], values[sound, 1]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..recording import RecordingWriter
 from ..recording.messages import DESCRIPTION_TOPIC, TOPIC_TYPES
+from ..recording.qos import LATCHED, STREAMED
 
 BLOCK_MESSAGES = 2048
 LARGEST_BYTES = 1 << 20
@@ -170,8 +171,8 @@ def write_captures(path: Path, captures: Sequence[Capture]) -> None:
     with RecordingWriter(path) as writer:
         rows: list[tuple[int, int, builtins.bytes]] = []
         for capture in captures:
-            latched = capture.topic == DESCRIPTION_TOPIC
-            channel = writer.add_topic(capture.topic, TOPIC_TYPES[capture.topic], latched=latched)
+            qos = LATCHED if capture.topic == DESCRIPTION_TOPIC else STREAMED
+            channel = writer.add_topic(capture.topic, TOPIC_TYPES[capture.topic], [qos])
             rows.extend((time_ns, channel, payload) for time_ns, payload in capture.messages())
         rows.sort(key=lambda row: row[0])
         for time_ns, channel, payload in rows:

@@ -1,7 +1,7 @@
 """`recorder`: everything on the graph, into a rosbag2 folder (MCAP) that survives a killed process.
 
-In a namespace it records the topics of that namespace alone, under the names they have without it, so that a bag of
-one of two arms is a bag like any other; and `shared_topics`, which are the whole graph's.
+In a namespace it records the topics of that namespace alone, and `shared_topics`, which are the whole graph's. Names
+are those of the graph, as rosbag2 keeps them: `/arm_1/joint_states`.
 
 Services: `/recorder/start` and `/recorder/stop` (std_srvs/srv/Trigger); both replies name the folder. What
 goes wrong while recording (disk full) is on `/diagnostics` as ERROR, and in the reply to stop; the node stays
@@ -16,8 +16,8 @@ from datetime import datetime
 from pathlib import Path
 
 from ..errors import UserError
-from ..recording.background import BackgroundWriter
-from .graph_reader import GraphReader
+from ..recording.background import BackgroundWriter, Topic
+from .graph_reader import GraphReader, Sink
 from .runtime import Level, LiveNode, Status, run
 
 
@@ -68,10 +68,22 @@ class Recorder(LiveNode):
             self.publish_diagnostics()
             raise
         self._refusal = ""
-        self._writer, self._reader = writer, GraphReader(self._subscriber, writer.put, self._shared)
+        self._writer, self._reader = writer, GraphReader(self._subscriber, self._sink(writer), self._shared)
         self._started = time.monotonic()
         self.publish_diagnostics()
         return f"recording to {writer.path}"
+
+    def _sink(self, writer: BackgroundWriter) -> Sink:
+        """Where messages go: with the times they came at, or under `use_sim_time` that of the graph's clock then."""
+        if not self.simulated_time:
+            return writer.put
+        clock = self.get_clock()
+
+        def put(topic: Topic, _: int, payload: bytes, __: int) -> bool:
+            now_ns = clock.now().nanoseconds
+            return writer.put(topic, now_ns, payload, now_ns)
+
+        return put
 
     def stop(self) -> str:
         """Finish the bag; returns the reply.
@@ -89,6 +101,13 @@ class Recorder(LiveNode):
         lost = sum(count.lost for count in reader.counts.values())
         figures = f"{writer.messages} messages in {seconds:.1f} s, {lost} lost, {writer.dropped} dropped"
         return f"wrote {writer.path}: {figures}"
+
+    def readiness(self) -> str | None:
+        """Where it records to."""
+        if self._writer is not None:
+            return f"recording to {self._writer.path}"
+        start, place = self.resolve_service_name("recorder/start"), self._directory.absolute()
+        return f"not recording; {start} begins a bag in {place}"
 
     def close(self) -> None:
         """Finish the bag."""

@@ -39,7 +39,7 @@ class ResidualStream:
         self.model = model
         self.joints = model.model.arm.joint_names
         self._row_rate_hz = row_rate_hz
-        self._samples = JointSamples(self.joints)
+        self._samples = JointSamples(self.joints, model.model.arm.effort_scale)
         self._live: LiveResidual | None = None
         self._recent = np.zeros((0, len(self.joints)))
 

@@ -36,7 +36,7 @@ class TrackingStream:
     def __init__(self, model: IdentifiedModel, choice: TrackingChoice) -> None:
         self._tracked = TrackedModel(model, choice.payload, choice.temperature)
         self._tracker = Tracker(self._tracked, TrackingSettings(memory_s=choice.memory_s))
-        self._samples = JointSamples(self._tracked.joints)
+        self._samples = JointSamples(self._tracked.joints, model.model.arm.effort_scale)
         self._rows: RowStream | None = None
         self._taken = 0
         self._newest_s = float("nan")

@@ -1,5 +1,6 @@
 """Bags in and out, and the signals in them: files to arrays (`Recording`) and back."""
 
+from spacearm_ident.recording.bag import recordings_in
 from spacearm_ident.recording.reader import describe, read_recording
 from spacearm_ident.recording.recording import BaseSensor, FloatArray, Issue, Recording, Series, Source
 from spacearm_ident.recording.writer import RecordingWriter, copy_messages, write_recording
@@ -15,5 +16,6 @@ __all__ = [
     "copy_messages",
     "describe",
     "read_recording",
+    "recordings_in",
     "write_recording",
 ]

@@ -13,12 +13,10 @@ from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from ..errors import UserError
-from .mcap_reader import Channel
 from .messages import MessageType
-from .writer import RecordingWriter, qos_profile
+from .qos import STREAMED, Qos
+from .writer import RecordingWriter
 
 FLUSH_S = 0.4
 _TAKE_S = 0.05
@@ -31,13 +29,13 @@ class Topic:
     Attributes:
         name: Full topic name.
         kind: Its message type; the text may be empty.
-        latched: Whether late subscribers get the last message.
+        publishers: What each of its publishers offers.
         described: Whether `kind.text` is the type's definition; otherwise the bag names the type only.
     """
 
     name: str
     kind: MessageType
-    latched: bool = False
+    publishers: tuple[Qos, ...] = (STREAMED,)
     described: bool = True
 
 
@@ -119,10 +117,4 @@ class BackgroundWriter:
             self._taken_bytes += len(payload)
 
     def _declare(self, topic: Topic) -> int:
-        if topic.described:
-            return self._writer.add_topic(topic.name, topic.kind, latched=topic.latched)
-        metadata = {
-            "offered_qos_profiles": yaml.safe_dump(qos_profile(latched=topic.latched), sort_keys=False),
-            "topic_type_hash": topic.kind.type_hash,
-        }
-        return self._writer.add_channel(Channel(topic.name, topic.kind.name, "", b"", "cdr", metadata))
+        return self._writer.add_topic(topic.name, topic.kind, topic.publishers, described=topic.described)

@@ -11,13 +11,16 @@ import mmap
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 from mcap.writer import MCAP0_MAGIC
 
 from spacearm_ident.documents import parse_yaml, read_text
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording.mcap_reader import Channel, Defect, McapFile, Message, Progress
+from spacearm_ident.recording.messages import STATES_TOPIC
 from spacearm_ident.recording.recording import Source
 
 MAX_KEPT_BYTES = 4 * 2**30
@@ -90,6 +93,12 @@ def bag_files(path: Path) -> tuple[list[Path], list[Defect]]:
     if not found:
         raise UserError(f"{path}: no .mcap file in this folder; give an .mcap file or a rosbag2 folder")
     if listed is None:
+        if len(found) > 1 and not _parts_of_one(found):
+            raise UserError(
+                f"{path}: {len(found)} recordings that are not parts of one ({', '.join(f.name for f in found[:3])}"
+                f"{', ...' if len(found) > 3 else ''}: they overlap in time, or are not numbered in order of time); "
+                f"name them one by one: {path}/*.mcap"
+            )
         text = "no usable metadata.yaml (recording not closed?); all .mcap files are read in order of name"
         return found, [Defect("no_metadata", text)]
     present = {file.name: file for file in found}
@@ -106,6 +115,48 @@ def bag_files(path: Path) -> tuple[list[Path], list[Defect]]:
     if not files:
         raise UserError(f"{path}: metadata.yaml lists none of the .mcap files there; name one of them")
     return files, defects
+
+
+def recordings_in(path: Path) -> list[Path]:
+    """The bags that a path stands for: itself, or the bags in a folder that is none.
+
+    A folder of unrelated `.mcap` files, or of bag folders, holds several recordings; a rosbag2 folder is one.
+
+    Raises:
+        UserError: A bag folder's metadata cannot be used.
+    """
+    if not path.is_dir() or (path / "metadata.yaml").is_file():
+        return [path]
+    found = sorted(path.glob("*.mcap"), key=_natural)
+    if found:
+        return [path] if len(found) == 1 or _parts_of_one(found) else found
+    inner = [one for one in sorted(path.iterdir(), key=_natural) if one.is_dir() and any(one.glob("*.mcap"))]
+    return [bag for one in inner for bag in recordings_in(one)] or [path]
+
+
+def _parts_of_one(files: list[Path]) -> bool:
+    """Whether files are what a recorder split one recording into: one name, numbered, one after the other in time."""
+    numbered = [re.fullmatch(r"(.*)_(\d+)", file.stem) for file in files]
+    stems = {match.group(1) for match in numbered if match}
+    numbers = [int(match.group(2)) for match in numbered if match]
+    if len(numbers) < len(files) or len(stems) > 1 or np.any(np.diff(numbers) < 1):
+        return False
+    spans = [span for file in files if (span := _span_ns(file)) is not None]
+    return all(first[1] <= second[0] for first, second in pairwise(spans))
+
+
+def _span_ns(file: Path) -> tuple[int, int] | None:
+    """First and last log time of a file's joint states, as far as it can be read; None where it cannot or has none."""
+    try:
+        with _open(file) as data:
+            times = [message.log_time_ns for message in McapFile(data, _is_states).messages()]
+    except UserError:
+        return None
+    return (min(times), max(times)) if times else None
+
+
+def _is_states(channel: Channel) -> bool:
+    return channel.topic == STATES_TOPIC
 
 
 _FOREIGN = {
@@ -180,10 +231,14 @@ def messages(
         progress(1.0)
 
 
-def read_bag(path: str | Path, types: dict[str, str], progress: Progress | None = None) -> Bag:
-    """Read the topics in `types` (topic -> message type) of a bag into memory.
+def read_bag(path: str | Path, type_of: Callable[[str], str | None], progress: Progress | None = None) -> Bag:
+    """Read topics of a bag into memory.
 
-    A topic of another type or encoding is left out.
+    Args:
+        path: MCAP file or rosbag2 folder.
+        type_of: Message type that a topic must have to be read; None: it is not wanted. A topic of another type or
+            encoding is left out.
+        progress: Told the fraction done.
 
     Raises:
         UserError: The path is no readable bag, or its messages exceed `MAX_KEPT_BYTES`.
@@ -192,7 +247,7 @@ def read_bag(path: str | Path, types: dict[str, str], progress: Progress | None 
     def wanted(channel: Channel) -> bool:
         # `package/Name` is how converters from ROS 1 write `package/msg/Name`; a damaged file may have lost
         # the type altogether, and the decoder will see.
-        expected = types.get(channel.topic)
+        expected = type_of(channel.topic)
         names = (expected, expected.replace("/msg/", "/"), "") if expected else ()
         return channel.type_name in names and channel.message_encoding == "cdr"
 

@@ -133,6 +133,11 @@ def _carries_no_time(stamps: IntArray) -> bool:
     return bool((stamps == stamps[0]).all()) and (len(stamps) > 1 or stamps[0] == 0)
 
 
+def _counts_backwards(stamps: IntArray) -> bool:
+    """Whether most stamps are earlier than the one before."""
+    return len(stamps) > 2 and bool(np.mean(np.diff(stamps) < 0) > 0.5)
+
+
 def _gather(
     stamps: IntArray, blocks: Sequence[cdr.JointStateBlock], joints: tuple[str, ...]
 ) -> tuple[Samples, BoolArray]:
@@ -182,8 +187,13 @@ class Intake:
         if constant:
             text = f"the {decoded.sum()} header stamps carry no time; that of recording stands in"
             self.note("log_time_used", text, int(decoded.sum()))
+        backward = not constant and bool(decoded.any()) and _counts_backwards(stamps[decoded])
+        if backward:
+            self.note("backward_clock", "the header stamps count backwards; the order of recording stands", len(stamps))
         self.on_log_time = constant or use_log_time
-        if self.on_log_time:
+        if backward:
+            stamps = log_times if not _counts_backwards(log_times) else stamps.max() + stamps.min() - stamps
+        elif self.on_log_time:
             stamps = log_times
         elif bad and decoded.any():  # a place for the report: the stamp of the nearest message before
             before = np.maximum.accumulate(np.where(decoded, np.arange(len(decoded)), np.argmax(decoded)))

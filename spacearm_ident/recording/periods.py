@@ -28,6 +28,9 @@ PROBES = 8
 """Samples a period looked at before all of them are."""
 CERTAIN_FACTOR, NOISE_FACTOR = 100.0, 4.0
 """A harmonic with so many times the noise's power is the motion's; it may be with the smaller of the two."""
+ROUNDING = 1e-12
+"""Least standard deviation of a position, as a share of its largest value. Arithmetic in double precision leaves 1e-15;
+the finest encoders resolve 1e-9. Without it, rounding errors decide where the spectrum of computed positions ends."""
 QUIET_HARMONICS = 5
 """So many harmonics in a row inside the noise end the motion's spectrum."""
 
@@ -198,7 +201,8 @@ def project(folded: FloatArray, rate_hz: float, cutoff_hz: float) -> tuple[Float
     count, length, _ = folded.shape
     mean = folded.mean(axis=0)
     spectrum = np.fft.rfft(mean, axis=0)
-    noise_power = folded.var(axis=0, ddof=1).mean(axis=0) / count * length
+    scatter = np.maximum(folded.var(axis=0, ddof=1).mean(axis=0), (ROUNDING * np.abs(mean).max(axis=0)) ** 2)
+    noise_power = scatter / count * length
     frequency = np.fft.rfftfreq(length, 1.0 / rate_hz)
     power = np.abs(spectrum) ** 2
     # A spectrum may have gaps between its lines: what no noise could make is in, whatever lies empty below it.

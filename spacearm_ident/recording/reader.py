@@ -10,6 +10,7 @@ What counts as sound (contracts.md §1):
   most 1 % of the samples lack a finite velocity those samples are dropped, otherwise the velocity is.
 * An interval is a gap when it exceeds both 5 times the median interval and twice its 95th percentile (uneven
   sampling is no gap).
+* Topics are those of one arm, with or without a namespace: see `namespace`.
 * Where a sensor on the base is recorded, joint states without it are of no use: see `base_intake`.
 """
 
@@ -23,10 +24,11 @@ import numpy as np
 
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import cdr, messages
-from spacearm_ident.recording.bag import Bag, read_bag
+from spacearm_ident.recording.bag import Bag
 from spacearm_ident.recording.base_intake import read_base
 from spacearm_ident.recording.intake import Finding, Intake, IntArray, gap_threshold_s, increasing, int64_ns, listing
 from spacearm_ident.recording.mcap_reader import Defect, Progress
+from spacearm_ident.recording.namespace import read_arm
 from spacearm_ident.recording.recording import FloatArray, Issue, Recording, Series
 
 
@@ -152,7 +154,11 @@ def _bag_findings(bag: Bag, shift_ns: int) -> list[Finding]:
 
 
 def read_recording(
-    path: str | Path, *, joints: Sequence[str] | None = None, progress: Progress | None = None
+    path: str | Path,
+    *,
+    joints: Sequence[str] | None = None,
+    namespace: str | None = None,
+    progress: Progress | None = None,
 ) -> Recording:
     """Read a bag into arrays.
 
@@ -160,15 +166,18 @@ def read_recording(
         path: MCAP file or rosbag2 folder.
         joints: The joints wanted, in that order; None takes those of the messages that carry most data, less
             any that never have an effort.
+        namespace: Of the arm to read, such as `arm_1`; `/` is none. None: the arm without a namespace, or the only
+            one there is.
         progress: Called with the fraction done, 0 to 1.
 
     Returns:
         What is sound in the bag; `issues` says what was left out. See the module's docstring for the rules.
 
     Raises:
-        UserError: No such bag, not readable, or without usable joint states of the wanted joints.
+        UserError: No such bag, not readable, or without usable joint states of the wanted joints; or there are several
+            arms in namespaces, and none was asked for.
     """
-    bag = read_bag(path, {topic: kind.name for topic, kind in messages.TOPIC_TYPES.items()}, progress)
+    bag, others = read_arm(str(path), namespace, progress)
     states, has_velocity = _read_states(bag, str(path), joints)
     command, command_findings = _read_command(bag, states)
     temperatures, temperature_findings = _read_temperatures(bag, states)
@@ -180,6 +189,7 @@ def read_recording(
     segments, gaps = _split(time, states.seams)
     findings = [
         *_bag_findings(bag, states.clock_shift_ns),
+        *others,
         *states.findings,
         *command_findings,
         *temperature_findings,

@@ -70,6 +70,26 @@ def require_joints(recording: Recording, joints: Sequence[str]) -> None:
         )
 
 
+def require_torque(motions: Sequence[Motion]) -> None:
+    """Refuse motions in which a joint moves and none of its torque was recorded.
+
+    No arm is like that: to fit it would give all others wrong masses. A joint that stands still may be without.
+
+    Args:
+        motions: All of a fit, with the same joints.
+
+    Raises:
+        UnfitDataError: The message names the joint.
+    """
+    for k, joint in enumerate(motions[0].joints):
+        moving = [motion.torque_rows[motion.moving[:, k], k] for motion in motions]
+        if any(len(rows) for rows in moving) and not any(rows.any() for rows in moving):
+            raise UnfitDataError(
+                f"{joint} moves, and its torque is zero throughout: record its effort (current x torque constant x "
+                "gear ratio), or a run in which it stands still"
+            )
+
+
 def prepare(
     recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float | None = None, average: bool = True
 ) -> tuple[list[Motion], Bandwidth]:

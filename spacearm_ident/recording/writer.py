@@ -24,27 +24,10 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.recording import bag, cdr, messages
 from spacearm_ident.recording.mcap_reader import Channel
 from spacearm_ident.recording.messages import MessageType
+from spacearm_ident.recording.qos import LATCHED, STREAMED, Qos, offered
 from spacearm_ident.recording.recording import BaseSensor, FloatArray, Recording, Series
 
-_FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _NOTHING = 2**63 - 1
-
-
-def qos_profile(*, latched: bool) -> list[dict[str, Any]]:
-    """A reliable publisher's QoS in the words of metadata version 9; `latched` is transient local."""
-    return [
-        {
-            "history": "keep_last",
-            "depth": 1 if latched else 10,
-            "reliability": "reliable",
-            "durability": "transient_local" if latched else "volatile",
-            "deadline": dict(_FOREVER),
-            "lifespan": dict(_FOREVER),
-            "liveliness": "automatic",
-            "liveliness_lease_duration": dict(_FOREVER),
-            "avoid_ros_namespace_conventions": False,
-        }
-    ]
 
 
 class RecordingWriter:
@@ -76,17 +59,20 @@ class RecordingWriter:
         self._counts: dict[int, int] = {}
         self._first_ns, self._last_ns = _NOTHING, 0
 
-    def add_topic(self, topic: str, kind: MessageType, *, latched: bool = False) -> int:
+    def add_topic(
+        self, topic: str, kind: MessageType, publishers: Sequence[Qos] = (STREAMED,), *, described: bool = True
+    ) -> int:
         """Declare a topic of CDR messages; returns the number to `write` with.
 
         Args:
             topic: Full topic name.
             kind: Its message type, with the definition text.
-            latched: Whether late subscribers get the last message (transient local).
+            publishers: What each of its publishers offers.
+            described: Whether `kind.text` is the type's definition; otherwise the bag names the type only.
         """
-        qos = yaml.safe_dump(qos_profile(latched=latched), sort_keys=False)
-        metadata = {"offered_qos_profiles": qos, "topic_type_hash": kind.type_hash}
-        return self.add_channel(Channel(topic, kind.name, "ros2msg", kind.text.encode(), "cdr", metadata))
+        metadata = {"offered_qos_profiles": offered(publishers), "topic_type_hash": kind.type_hash}
+        encoding, text = ("ros2msg", kind.text.encode()) if described else ("", b"")
+        return self.add_channel(Channel(topic, kind.name, encoding, text, "cdr", metadata))
 
     def add_channel(self, channel: Channel) -> int:
         """Declare a channel just as another bag has it; returns the number to `write` with."""
@@ -231,7 +217,7 @@ def write_recording(path: str | Path, recording: Recording, origin: Sequence[str
         if origin:
             writer.note("origin", {str(number): line for number, line in enumerate(origin)})
         if recording.urdf is not None:
-            channel = writer.add_topic(messages.DESCRIPTION_TOPIC, messages.STRING, latched=True)
+            channel = writer.add_topic(messages.DESCRIPTION_TOPIC, messages.STRING, [LATCHED])
             rows.append((recording.start_ns, channel, cdr.encode_string(recording.urdf)))
         channel = writer.add_topic(messages.STATES_TOPIC, messages.JOINT_STATE)
         stamps = _stamps_ns(recording, recording.time)
