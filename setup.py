@@ -15,6 +15,9 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
         (f"share/{package_name}/config", glob("config/*")),
         (f"share/{package_name}/launch", glob("launch/*.launch.py")),
+        # `spacearm` on PATH once a colcon workspace is sourced (colcon.pkg names the hooks); pip has bin/ for it.
+        (f"share/{package_name}/hook", glob("environment/spacearm_path.*")),
+        (f"share/{package_name}/bin", ["environment/spacearm"]),
     ],
     python_requires=">=3.11",
     install_requires=[
@@ -35,8 +38,8 @@ setup(
     extras_require={
         # A ROS 2 Jazzy machine has these from its own packages; elsewhere they come from wheels.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        # The neural network of bench/figure2.py; everything else runs without.
-        "bench": ["scikit-learn"],
+        # The neural network of bench/figure2.py, the arms of bench/conventions.py; everything else runs without.
+        "bench": ["example-robot-data", "scikit-learn"],
         # `spacearm batch --scheduler`, on the workers of a cluster.
         "dask": ["distributed"],
         "test": [

@@ -1,79 +1,94 @@
-"""The launch file, against stand-ins of the `launch` modules: what it starts, with which arguments."""
+"""The launch file against stand-ins of the `launch` modules, where the real ones are absent: what it starts, and how.
+
+With the real `ros2 launch`: test_ros2_launch.py.
+"""
 
 import importlib.util
 import re
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 import yaml
 
+from spacearm_ident.config import config_path
 from spacearm_ident.nodes.main import NODES
 
 ROOT = Path(__file__).parent.parent
 
 
 class Made:
-    """Stands for every action and substitution: remembers how it was made."""
+    """Stands for every action, event and substitution: remembers how it was made."""
 
     def __init__(self, *args, **kwargs):
         self.args, self.kwargs = args, kwargs
 
 
 STAND_INS = {
-    "launch": ("LaunchDescription",),
-    "launch.actions": ("DeclareLaunchArgument",),
-    "launch.conditions": ("IfCondition",),
-    "launch.substitutions": ("LaunchConfiguration", "PathJoinSubstitution"),
+    "ament_index_python": (),
+    "ament_index_python.packages": ("PackageNotFoundError", "get_package_prefix"),
+    "launch": ("Action", "Event", "EventHandler", "LaunchContext", "LaunchDescription"),
+    "launch.actions": ("DeclareLaunchArgument", "EmitEvent", "LogInfo", "OpaqueFunction", "RegisterEventHandler"),
+    "launch.conditions": ("evaluate_condition_expression",),
+    "launch.event_handlers": ("OnProcessExit", "OnProcessIO"),
+    "launch.events": (),
+    "launch.events.process": ("ProcessExited", "ProcessIO"),
+    "launch.substitutions": ("LaunchConfiguration", "PathJoinSubstitution", "TextSubstitution"),
     "launch_ros": (),
     "launch_ros.actions": ("Node",),
     "launch_ros.parameter_descriptions": ("ParameterValue",),
     "launch_ros.substitutions": ("FindPackageShare",),
 }
+DEFAULTS = {
+    "arm": str(config_path("paper_arm.yaml")),
+    "can": str(config_path("paper_arm_can.yaml")),
+    "params": str(config_path("spacearm.yaml")),
+    "namespace": "",
+    "sim": "true",
+    "record": "true",
+    "trajectory": "",
+    "recordings": "",
+    "results": "",
+    "robot_state_publisher": "false",
+}
 
 
 @pytest.fixture
-def entities(monkeypatch):
+def launch(monkeypatch):
     for name, classes in STAND_INS.items():
         module = ModuleType(name)
         for made in classes:
             setattr(module, made, type(made, (Made,), {}))
         monkeypatch.setitem(sys.modules, name, module)
+    sys.modules["ament_index_python.packages"].PackageNotFoundError = KeyError
+    sys.modules["launch.conditions"].evaluate_condition_expression = lambda _, parts: parts[0].kwargs["text"] == "true"
     spec = importlib.util.spec_from_file_location("spacearm_launch", ROOT / "launch" / "spacearm.launch.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module.generate_launch_description().args[0]
+    return module
 
 
 def of_kind(entities, kind):
     return [entity for entity in entities if type(entity).__name__ == kind]
 
 
-def used(value):
-    """Names of all launch configurations in a value, however deep."""
-    if type(value).__name__ == "LaunchConfiguration":
-        return {value.args[0]}
-    if isinstance(value, Made):
-        return used([value.args, value.kwargs])
-    if isinstance(value, dict):
-        return used(list(value.values()))
-    return set().union(*map(used, value)) if isinstance(value, list | tuple) else set()
+def nodes_of(launch, **given):
+    """What is started with these arguments: name -> how the node was made."""
+    started = launch.start(SimpleNamespace(launch_configurations=DEFAULTS | given))
+    return {node.kwargs["executable"]: node.kwargs for node in of_kind(started, "Node")}
 
 
-def test_every_argument_is_described_and_used(entities):
-    arguments = of_kind(entities, "DeclareLaunchArgument")
-    assert {argument.args[0] for argument in arguments} == {
-        "namespace",
-        "arm",
-        "can",
-        "params",
-        "sim",
-        "record",
-        "trajectory",
-    }
+def plain(parameters):
+    """Parameters by name, without the wrapping that keeps their type."""
+    return {key: value.args[0] if isinstance(value, Made) else value for key, value in parameters.items()}
+
+
+def test_every_argument_is_described_and_has_a_default(launch):
+    arguments = of_kind(launch.generate_launch_description().args[0], "DeclareLaunchArgument")
+    assert {argument.args[0] for argument in arguments} == set(DEFAULTS)
     assert all(argument.kwargs["description"] for argument in arguments)
-    assert used(of_kind(entities, "Node")) == {argument.args[0] for argument in arguments}
+    assert all("default_value" in argument.kwargs for argument in arguments)
 
 
 def source_of(node: str) -> str:
@@ -81,22 +96,66 @@ def source_of(node: str) -> str:
     return "".join(path.read_text() for path in (ROOT / "spacearm_ident" / "nodes").glob(f"{node}*.py"))
 
 
-def test_every_node_is_started_by_its_name_with_its_parameters(entities):
-    nodes = of_kind(entities, "Node")
-    assert {node.kwargs["executable"] for node in nodes} == set(NODES)
+def test_every_node_is_started_by_its_name_with_parameters_that_it_declares(launch):
+    nodes = nodes_of(launch, namespace="arm_1", trajectory="run.yaml", recordings="bags", results="/out")
+    assert set(nodes) == set(NODES)
+    for name, made in nodes.items():
+        assert made["name"] == name and made["package"] == "spacearm_ident" and made["namespace"] == "arm_1"
+        assert made["parameters"][0] == DEFAULTS["params"]
+        for parameter in made["parameters"][1]:
+            assert re.search(rf'(parameter|_file)\((node, )?\s*"{parameter}"', source_of(name)), parameter
+    own = {name: plain(made["parameters"][1]) for name, made in nodes.items()}
+    assert own["recorder"] == {"start_immediately": True, "directory": str(Path("bags").absolute())}
+    assert own["identifier"]["result_directory"] == "/out"
+    assert own["trajectory"]["trajectory_file"] == str(Path("run.yaml").absolute())
+
+
+def test_what_is_not_given_is_left_to_the_parameter_file(launch):
+    nodes = nodes_of(launch)
+    assert plain(nodes["recorder"]["parameters"][1]) == {"start_immediately": True}
+    assert "result_directory" not in nodes["identifier"]["parameters"][1]
+    assert "trajectory_file" not in nodes["trajectory"]["parameters"][1]
+
+
+def test_only_the_simulated_arm_depends_on_sim(launch):
+    assert set(NODES) - set(nodes_of(launch, sim="false")) == {"simulated_arm"}
+
+
+def test_state_publisher_has_the_description_and_frames_of_its_namespace(launch):
+    made = nodes_of(launch, robot_state_publisher="true", namespace="/arm_1/")["robot_state_publisher"]
+    (parameters,) = made["parameters"]
+    assert plain(parameters)["robot_description"].startswith("<?xml") and parameters["frame_prefix"] == "arm_1/"
+    made = nodes_of(launch, robot_state_publisher="true")["robot_state_publisher"]
+    assert "frame_prefix" not in made["parameters"][0]
+
+
+def test_file_that_is_not_there_is_refused_by_the_name_of_its_argument(launch):
+    for name in ("arm", "can", "params"):
+        with pytest.raises(RuntimeError, match=f"{name}:=nowhere.yaml: no such file"):
+            nodes_of(launch, **{name: "nowhere.yaml"})
+
+
+def test_launch_says_ready_with_the_last_node_and_passes_on_why_one_failed(launch):
+    first_word = pytest.importorskip("spacearm_ident.nodes.runtime", reason="ROS 2 (rclpy) is not installed").READY
+    nodes = [Made() for _ in NODES]
+    for node, name in zip(nodes, NODES):
+        node.node_executable = name
+    watch = launch.Watch(nodes, "arm_1")
+    said = []
     for node in nodes:
-        assert node.kwargs["name"] == node.kwargs["executable"] and node.kwargs["package"] == "spacearm_ident"
-        assert used(node.kwargs["namespace"]) == {"namespace"}
-        source = source_of(node.kwargs["executable"])
-        assert used(node.kwargs["parameters"][0]) == {"params"}
-        for name in node.kwargs["parameters"][1]:
-            assert re.search(rf'(parameter|_file)\((node, )?\s*"{name}"', source)
-
-
-def test_only_the_simulated_arm_depends_on_sim(entities):
-    conditional = [node for node in of_kind(entities, "Node") if node.kwargs["condition"] is not None]
-    assert [node.kwargs["executable"] for node in conditional] == ["simulated_arm"]
-    assert used(conditional[0].kwargs["condition"]) == {"sim"}
+        text = f"[INFO] [1.0] [arm_1.{node.node_executable}]: {first_word}: place of {node.node_executable}\n".encode()
+        said.append(watch._listen(SimpleNamespace(action=node, text=text, process_name="x")))
+    assert said[:-1] == [[]] * 4
+    message = said[-1][0].kwargs["msg"]
+    assert "place of recorder" in message and "service call /arm_1/driver/enable" in message
+    watch._listen(SimpleNamespace(action=nodes[0], text=b"first\nno such file\n\n", process_name="x"))
+    running, ending = SimpleNamespace(is_shutdown=False), SimpleNamespace(is_shutdown=True)
+    assert watch._ended(SimpleNamespace(returncode=0, process_name="x", action=nodes[0]), running) == []
+    assert watch._ended(SimpleNamespace(returncode=-2, process_name="z", action="another package's"), ending) == []
+    (emitted,) = watch._ended(SimpleNamespace(returncode=2, process_name="x", action=nodes[0]), running)
+    assert emitted.kwargs["event"].reason == "x ended with exit code 2: no such file"
+    # One reason is enough: the others end for it.
+    assert watch._ended(SimpleNamespace(returncode=2, process_name="y", action=nodes[1]), ending) == []
 
 
 def test_the_parameter_file_names_only_parameters_that_exist():
