@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv demo test lint clean
+.PHONY: venv demo test test-noble lint clean
 
 venv: .venv/.ready
 
@@ -22,10 +22,20 @@ test: venv lint
 	$(BIN)/python -m pytest -m "not live" -n auto --dist worksteal
 	$(BIN)/python -m pytest -m live
 
+# The tests that keep no time, with Python 3.12 and the versions of Ubuntu 24.04: what a ROS 2 Jazzy machine has.
+test-noble: .venv-noble/.ready
+	.venv-noble/bin/python -m pytest -m "not live" -n auto --dist worksteal
+
+.venv-noble/.ready: setup.py constraints-noble.txt .ci/python3.12
+	python=$$(.ci/python3.12) && "$$python" -m venv .venv-noble
+	.venv-noble/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r constraints-noble.txt
+	.venv-noble/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --use-pep517 -e .
+	@touch $@
+
 lint: venv
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
 clean:
-	rm -rf .venv build install log demo_result *.egg-info
+	rm -rf .venv .venv-noble build install log demo_result *.egg-info

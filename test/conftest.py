@@ -1,16 +1,64 @@
 """What all tests share. Property-based inputs are the same in every run: a verdict is the code's, not the draw's.
 
-`HYPOTHESIS_PROFILE=search pytest` draws new ones; what it finds becomes a case of its own.
+`HYPOTHESIS_PROFILE=search pytest` draws new ones; what it finds becomes a case of its own. A module whose imports are
+not all installed is skipped, with the package to install as the reason.
 """
 
 import os
+import shutil
+import tempfile
+from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
-settings.register_profile("same", derandomize=True)
-settings.register_profile("search", max_examples=300)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+try:
+    from hypothesis import settings
+except ModuleNotFoundError:
+    pass
+else:
+    settings.register_profile("same", derandomize=True)
+    settings.register_profile("search", max_examples=300)
+    settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+
+OPTIONAL = {
+    "hypothesis": "python3-hypothesis",
+    "rosbags": "pip install rosbags",
+    "mcap_ros2": "pip install mcap-ros2-support",
+    "clarabel": "pip install clarabel: README.md, ROS 2 Jazzy",
+}
+"""Modules that a machine set up from package.xml may lack, and what brings them."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makemodule(module_path, parent):
+    """Keep launch_testing, a plugin that ROS 2 brings, from importing all modules to see which are its own: none is."""
+    return pytest.Module.from_parent(parent, path=module_path)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_make_collect_report(collector):
+    """Turn the collection error of a module that imports what is optional, and not there, into a skip."""
+    outcome = yield
+    report = outcome.get_result()
+    if reason := lacking(report.call.excinfo.value.__cause__ if report.failed and report.call.excinfo else None):
+        report.outcome = "skipped"
+        report.longrepr = (str(collector.path), 0, f"Skipped: {reason}")
+
+
+def lacking(error):
+    """The reason to skip where an error says that something optional is not installed, else empty."""
+    module = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    return f"needs {module} ({OPTIONAL[module]})" if module in OPTIONAL else ""
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item, call):
+    """The same where a test or a fixture imports it."""
+    outcome = yield
+    if reason := lacking(call.excinfo.value if call.excinfo else None):
+        report = outcome.get_result()
+        report.outcome = "skipped"
+        report.longrepr = (str(item.path), item.location[1] or 0, f"Skipped: {reason}")
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -35,6 +83,21 @@ def rippled():
     from changed_arm import explained, ripple
 
     return explained(ripple)
+
+
+@pytest.fixture(scope="session")
+def workspace():
+    """The checkout built by colcon, with the real `ros2` beside it; on a ROS domain that no other test is on."""
+    from ros2_tools import Workspace, environment
+
+    # Short: there are sockets in it.
+    folder = Path(tempfile.mkdtemp(prefix="ws-", dir="/tmp"))
+    built = Workspace(environment(), folder, 70 + 2 * (os.getpid() % 15))
+    # It knows the graph already when a command asks.
+    built.run("ros2", "daemon", "start")
+    yield built
+    built.run("ros2", "daemon", "stop")
+    shutil.rmtree(folder)
 
 
 @pytest.fixture
