@@ -13,13 +13,14 @@ from .dynamics.arm import Arm
 from .dynamics.model import IdentifiedModel
 from .dynamics.model_file import load_model
 from .errors import UserError
+from .identification.effort import in_newton_metres
 from .identification.identify import Progress
 from .mismatch.explain import explain
 from .mismatch.finding import Explanation
 from .recording import Recording
 from .report.folder import refuse_to_replace
 from .report.mismatch_folder import write_mismatch
-from .session import find_arm, read_bags, within
+from .session import corrected, find_arm, read_bags, within
 
 MODEL_SUFFIXES = (".yaml", ".yml")
 
@@ -43,6 +44,7 @@ def explain_session(
     gravity: Sequence[float] | None = None,
     excluded: Sequence[str] = (),
     fixed_base: bool = False,
+    namespace: str | None = None,
     command: str | None = None,
     progress: Progress | None = None,
 ) -> MismatchSession:
@@ -57,6 +59,7 @@ def explain_session(
         gravity: (3,) m/s^2 instead of the arm's.
         excluded: Effects that are not to be considered.
         fixed_base: Take the base for fixed though the bags hold its motion.
+        namespace: Of the arm, where a bag holds several.
         command: How to do it again; kept with the result.
         progress: Called with a share done in 0..1 and what is being done.
 
@@ -67,21 +70,25 @@ def explain_session(
     reading = within(report, 0.0, 0.1)
     for path in reference:
         refuse_to_replace(path, directory)
-    known = _reference(reference, reading, fixed_base)
-    bags, judges = read_bags(field, reading, fixed_base), read_bags(judged, reading, fixed_base)
+    known = _reference(reference, reading, fixed_base, namespace)
+    bags, judges = (read_bags(paths, reading, fixed_base, namespace) for paths in (field, judged))
     healthy = [] if isinstance(known, IdentifiedModel) else known
+    its_arm = _arm(arm, gravity, known, (*bags, *healthy, *judges))
+    bags, healthy, judges = (corrected(in_newton_metres(runs, its_arm), its_arm) for runs in (bags, healthy, judges))
+    known = known if isinstance(known, IdentifiedModel) else healthy
     recordings = (*bags, *healthy, *judges)
-    its_arm = _arm(arm, gravity, known, recordings)
     explanation = explain(its_arm, known, bags, judges, excluded, progress=within(report, 0.1, 0.95))
     page = write_mismatch(explanation, its_arm, bags, judges, healthy, directory, command)
     return MismatchSession(explanation, page, recordings)
 
 
-def _reference(paths: Sequence[Path], progress: Progress, fixed_base: bool) -> list[Recording] | IdentifiedModel:
+def _reference(
+    paths: Sequence[Path], progress: Progress, fixed_base: bool, namespace: str | None
+) -> list[Recording] | IdentifiedModel:
     """Bags, or the one model file."""
     models = [path for path in paths if path.suffix in MODEL_SUFFIXES]
     if not models:
-        return read_bags(paths, progress, fixed_base)
+        return read_bags(paths, progress, fixed_base, namespace)
     if len(paths) > 1:
         raise UserError("give bags of the healthy arm or one model file as reference, not both")
     return load_model(models[0])

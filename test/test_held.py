@@ -52,7 +52,7 @@ def test_the_shift_is_that_of_a_fit_with_the_spring_free():
     residuals = [
         rows.torque - block @ held.parameters[number] for rows, block, number in zip(regression.rows, columns, numbers)
     ]
-    shifts = hidden_shifts(regression, inverse, weighted, numbers, residuals)
+    shifts = hidden_shifts(regression, inverse, prior.rows, weighted, numbers, residuals)
     assert [joint for joint, _ in held_columns(regression)] == [0, 1]
     moved = np.abs(expected) > 1e-3
     assert moved.sum() >= 5

@@ -43,8 +43,8 @@ def node(request, monkeypatch, tmp_path):
     monkeypatch.setattr(LiveNode, "__init__", remembered)
     file = [f"{REFUSED[request.param]}:={tmp_path / 'nowhere.yaml'}"] if request.param in REFUSED else []
     words = [word for value in file for word in ("--ros-args", "-p", value)]
-    rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
     kind = getattr(importlib.import_module(f"spacearm_ident.nodes.{request.param}"), CLASSES[request.param])
+    rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
     try:
         if file:
             with pytest.raises(UserError, match="nowhere"):

@@ -1,57 +1,115 @@
-"""What the data demand beyond the paper's law is found where it was planted, and nowhere else."""
+"""Optional terms are in the model where they predict held-out data better, and nowhere else."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from planted_arm import Friction, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
-from spacearm_ident.identification.identified import Identified
-from spacearm_ident.identification.identify import identify
-from spacearm_ident.identification.structure import GATE
+from spacearm_ident.dynamics.model import structure_of
+from spacearm_ident.identification.identified import Determination, Identified
+from spacearm_ident.identification.identify import Settings, identify
+from spacearm_ident.identification.joint_terms import WORDS, JointTerms, structure_with
 
 LAWS = (Friction(), Friction(f_c=3.0, k_v1=2.0, J_m=0.2))
-ODD = "quadratic friction"
-LOAD = "friction that grows with the load at"
-OFFSET = "constant torque offset at"
+PLAIN = tuple(replace(law, k_v2=0.0, k_v3=0.0, f_b=law.f_c) for law in LAWS)
+SEEDS = range(4)
 
 
 def found(result: Identified) -> set[str]:
-    return {choice.term for choice in result.choices if choice.accepted}
+    """Terms beyond the plain law."""
+    return {choice.term for choice in result.choices if choice.accepted and "offset" not in choice.term}
 
 
-def run(shoulder: Friction, elbow: Friction, seed: int = 0, speed: float = 2.0) -> Identified:
-    planted = two_link_run((shoulder, elbow), seconds=40.0, seed=seed, speed=speed)
+def run(shoulder: Friction, elbow: Friction, seed: int = 0, speed: float = 2.0, seconds: float = 40.0) -> Identified:
+    planted = two_link_run((shoulder, elbow), seconds=seconds, seed=seed, speed=speed)
     return identify([planted.recording(noise=0.2, seed=seed)], arm_from_urdf(planted.urdf))
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_papers_law_asks_for_nothing_more(seed):
-    result = run(*LAWS, seed=seed)
-    assert found(result) == set()
-    assert len(result.choices) == 5
-    assert all(choice.gain < GATE for choice in result.choices)
+def test_plain_friction_gets_at_most_one_further_term_in_four_arms():
+    # The level is 5 % a joint: one of eight joints at most by chance in 94 of 100 such tests.
+    assert sum(len(found(run(*PLAIN, seed=seed))) for seed in SEEDS) <= 1
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_load_friction_is_found_at_its_joint(seed):
-    result = run(replace(LAWS[0], mu=0.08), LAWS[1], seed=seed)
-    assert found(result) == {f"{LOAD} shoulder"}
-    assert result.model.value("mu", "shoulder") == pytest.approx(0.08, rel=0.15)
+    result = run(replace(PLAIN[0], mu=0.08), PLAIN[1], seed=seed)
+    assert WORDS["load"].format("shoulder") in found(result)
+    assert WORDS["load"].format("elbow") not in found(result)
+    assert result.model.value("mu", "shoulder") == pytest.approx(0.08, rel=0.2)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_an_offset_is_found_at_its_joint(seed):
-    result = run(LAWS[0], replace(LAWS[1], offset=0.6), seed=seed, speed=1.0)
-    assert found(result) == {f"{OFFSET} elbow"}
+@pytest.mark.parametrize("seed", SEEDS)
+def test_offset_is_estimated_where_it_is_planted(seed):
+    result = run(PLAIN[0], replace(PLAIN[1], offset=0.6), seed=seed, speed=1.0)
     assert result.model.value("offset", "elbow") == pytest.approx(0.6, abs=0.15)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_quadratic_friction_that_always_resists_is_told_from_the_papers(seed):
-    laws = [replace(law, k_v2=1.0, k_v3=0.0, odd=True) for law in LAWS]
-    result = run(*laws, seed=seed)
-    assert any(term.startswith(ODD) for term in found(result))
-    assert not any(term.startswith((LOAD, OFFSET)) for term in found(result))
+@pytest.mark.parametrize("seed", SEEDS)
+def test_quadratic_friction_is_found_in_its_own_form(seed):
+    odd, even = replace(PLAIN[0], k_v2=2.0, odd=True), replace(PLAIN[1], k_v2=1.0)
+    result = run(odd, even, seed=seed)
+    assert WORDS["odd"].format("shoulder") in found(result)
+    assert WORDS["even"].format("elbow") in found(result)
+    assert result.model.value("k_v2", "shoulder") == pytest.approx(2.0, rel=0.2)
+
+
+def test_recording_too_short_to_hold_out_blocks_gets_the_plain_law():
+    result = run(replace(PLAIN[0], k_v2=2.0, odd=True), PLAIN[1], seconds=2.5)
+    assert found(result) == set()
+
+
+def test_terms_that_are_not_chosen_are_zero_and_marked():
+    result = run(*PLAIN, seed=0)
+    absent = {name for name in WORDS if WORDS[name].format("elbow") not in found(result)}
+    assert "cubic" in absent
+    estimate = next(one for one in result.estimates if one.name == "k_v3[elbow]")
+    assert estimate.value == 0.0
+    assert estimate.determination is Determination.FIXED
+    assert "held-out" in estimate.note
+    static = next(one for one in result.estimates if one.name == "f_b[elbow]")
+    assert static.value == result.model.value("f_c", "elbow")
+
+
+def test_recording_with_a_gap_in_its_speed_range_gets_no_curvature():
+    """Below a quarter of the velocity limit a curvature is not decided."""
+    law = replace(PLAIN[0], k_v2=30.0, odd=True)
+    planted = two_link_run((law, PLAIN[1]), seconds=40.0, seed=0, speed=0.3)
+    arm = arm_from_urdf(planted.urdf)
+    slow = replace(arm, joints=tuple(replace(joint, velocity_limit=50.0) for joint in arm.joints))
+    result = identify([planted.recording(noise=0.02, seed=0)], slow)
+    assert not any("quadratic" in term or "cubic" in term for term in found(result))
+
+
+def test_higher_orders_grow_linearly_beyond_the_identified_speed():
+    planted = two_link_run(LAWS, seconds=5.0, seed=0, speed=2.0)
+    arm = arm_from_urdf(planted.urdf)
+    laws = [JointTerms(quadratic="odd"), JointTerms(quadratic="even", cubic=True)]
+    structure = structure_with(structure_of(arm), arm.joint_names, laws, [0.5, 0.5])
+    result = identify([planted.recording(noise=0.1, seed=0)], arm, Settings(structure=structure))
+    term = next(one for one in result.model.model.terms if one.kind == "viscous_friction")
+    names = [parameter.name for parameter in term.parameters]
+
+    class Moving:
+        joints = arm.joint_names
+        velocity = np.array([[0.4, 0.4], [1.0, 1.0], [2.0, 2.0], [-2.0, -2.0]])
+
+    columns = {
+        names[index]: column
+        for _, (indices, block) in term.columns(Moving(), (), None).items()  # type: ignore[arg-type]
+        for index, column in zip(indices, block.T)
+    }
+    first, second = arm.joint_names
+    np.testing.assert_allclose(columns[f"k_v2[{first}]"], [0.16, 0.5, 1.0, -1.0])
+    np.testing.assert_allclose(columns[f"k_v2[{second}]"], [0.16, 0.5, 1.0, 1.0])
+    np.testing.assert_allclose(columns[f"k_v3[{second}]"], [0.064, 0.25, 0.5, -0.5])
+
+
+def test_settings_with_a_structure_choose_nothing():
+    planted = two_link_run(PLAIN, seconds=10.0, seed=0, speed=2.0)
+    arm = arm_from_urdf(planted.urdf)
+    result = identify([planted.recording(noise=0.2, seed=0)], arm, Settings(structure=structure_of(arm)))
+    assert result.choices == ()

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..documents import parse_yaml, read_text
 from ..errors import UserError
+from ..recording.corrections import Corrections, read_corrections
 from .urdf_check import check_urdf
 
 FloatArray = NDArray[np.float64]
@@ -41,6 +42,7 @@ class Joint:
         acceleration_limit: From the arm YAML (infinite where none).
         gear_ratio: Motor turns a joint turn.
         torque_constant: N·m/A at the motor.
+        effort_scale: N·m on the output side for each unit of what the arm's driver publishes as effort.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Joint:
     acceleration_limit: float = np.inf
     gear_ratio: float = 1.0
     torque_constant: float = 1.0
+    effort_scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -69,13 +72,25 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Arm:
-    """An open chain (or tree) of n revolute and prismatic joints on a fixed base."""
+    """An open chain (or tree) of n revolute and prismatic joints on a fixed base.
+
+    Attributes:
+        effort_declared: Whether somebody has said what unit its driver publishes effort in.
+        corrections: Of its recordings, whose conventions may be others; nothing of the arm itself.
+    """
 
     name: str
     joints: tuple[Joint, ...]
     urdf: str
     gravity: FloatArray = field(default_factory=lambda: np.array(EARTH))
     couplings: tuple[Coupling, ...] = ()
+    effort_declared: bool = False
+    corrections: Corrections = field(default_factory=Corrections)
+
+    @property
+    def effort_scale(self) -> FloatArray:
+        """(n,) N·m for each unit of published effort."""
+        return np.array([joint.effort_scale for joint in self.joints])
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -169,7 +184,7 @@ def load_arm(path: Path) -> Arm:
     data = parse_yaml(text, str(path))
     if not isinstance(data, dict) or data.get("schema") != ARM_SCHEMA:
         raise UserError(f"{path} is not an arm description: its first line should be 'schema: {ARM_SCHEMA}'")
-    unknown = set(data) - {"schema", "name", "urdf", "gravity_m_s2", "joints", "couplings"}
+    unknown = set(data) - {"schema", "name", "urdf", "gravity_m_s2", "joints", "couplings", "effort", "corrections"}
     if unknown:
         raise UserError(f"{path}: unknown key {sorted(unknown, key=str)[0]!r}")
     if "urdf" not in data:
@@ -190,7 +205,10 @@ def arm_from_description(urdf: str, data: Mapping[str, Any], where: str) -> Arm:
     if not isinstance(listed, list):
         raise UserError(f"{where}: couplings is a list of 'name' and 'ratios', not {listed!r}")
     couplings = tuple(_coupling(item, arm.joint_names, where) for item in listed)
-    return replace(arm, name=str(data.get("name", arm.name)), joints=joints, couplings=couplings)
+    corrections = read_corrections(data.get("corrections"), arm.joint_names, f"{where}: corrections")
+    name = str(data.get("name", arm.name))
+    arm = replace(arm, name=name, joints=joints, couplings=couplings, corrections=corrections)
+    return arm if data.get("effort") is None else _with_effort(arm, data["effort"], given, f"{where}: effort")
 
 
 JOINT_KEYS = {
@@ -214,6 +232,48 @@ def _with_drive(joint: Joint, given: Any, where: str) -> Joint:
         JOINT_KEYS[key]: _number(value, f"{where}: {joint.name}: {key}") for key, value in data.items()
     }
     return replace(joint, **values)
+
+
+EFFORT_UNITS = ("N m", "A", "percent")
+"""What a driver may publish as effort; `A` of the motor, `percent` of the rated torque."""
+
+
+def _with_effort(arm: Arm, data: Any, joints: Mapping[str, Any], where: str) -> Arm:
+    """Read `{unit: A, constants: {JOINT: N·m/A, ...}}`; in A, gear ratio × torque constant of a joint stands in.
+
+    Args:
+        arm: The arm.
+        data: What is given.
+        joints: The joints' own keys.
+        where: For errors.
+    """
+    data = _mapping(data, where)
+    unit = data.get("unit")
+    if set(data) - {"unit", "constants"} or unit not in EFFORT_UNITS:
+        raise UserError(f"{where} needs 'unit', one of {', '.join(EFFORT_UNITS)}, and 'constants', not {dict(data)!r}")
+    constants = _mapping(data.get("constants"), f"{where}: constants")
+    unknown = set(constants) - set(arm.joint_names)
+    if unknown:
+        raise UserError(f"{where}: constants: joint {sorted(unknown, key=str)[0]!r} is not in the URDF")
+    if unit == "N m":
+        if constants:
+            raise UserError(f"{where}: N m needs no constants: leave them out, or correct the unit")
+        return replace(arm, effort_declared=True)
+    scaled = []
+    for joint in arm.joints:
+        per_cent = 0.01 if unit == "percent" else 1.0
+        own = _mapping(joints.get(joint.name), where)
+        if joint.name in constants:
+            constant = _number(constants[joint.name], f"{where}: constants: {joint.name}")
+        elif unit == "A" and {"gear_ratio", "torque_constant_Nm_per_A"} <= set(own):
+            constant = joint.gear_ratio * joint.torque_constant
+        else:
+            what = "N·m on the output side for each A" if unit == "A" else "N·m on the output side at 100 %"
+            raise UserError(f"{where}: constants has no {joint.name}: give {what}")
+        if not np.isfinite(constant) or constant == 0.0:
+            raise UserError(f"{where}: constants: {joint.name}: {constant:g} turns nothing into torque")
+        scaled.append(replace(joint, effort_scale=per_cent * constant))
+    return replace(arm, joints=tuple(scaled), effort_declared=True)
 
 
 def _coupling(data: Any, joints: tuple[str, ...], where: str) -> Coupling:

@@ -11,7 +11,7 @@ import yaml
 
 from ..documents import read_text, read_yaml
 from ..errors import UserError
-from .arm import JOINT_KEYS, FloatArray, arm_from_description
+from .arm import JOINT_KEYS, Arm, FloatArray, arm_from_description
 from .model import IdentifiedModel, Structure, TorqueModel
 
 MODEL_SCHEMA = "spacearm_ident/model/1"
@@ -45,11 +45,21 @@ def model_to_dict(identified: IdentifiedModel) -> dict[str, Any]:
             }
             for joint in arm.joints
         },
+        **_effort(arm),
         "couplings": [{"name": c.name, "ratios": dict(c.ratios)} for c in arm.couplings],
         "terms": terms,
         "provenance": dict(identified.provenance or {}),
         "urdf": arm.urdf,
     }
+
+
+def _effort(arm: Arm) -> dict[str, Any]:
+    """The unit of published effort, where it was declared: in A, whatever unit it was, for the constants say it all."""
+    if not arm.effort_declared:
+        return {}
+    if all(joint.effort_scale == 1.0 for joint in arm.joints):
+        return {"effort": {"unit": "N m"}}
+    return {"effort": {"unit": "A", "constants": {joint.name: joint.effort_scale for joint in arm.joints}}}
 
 
 def save_model(identified: IdentifiedModel, path: Path) -> None:
@@ -82,6 +92,7 @@ def _model_from_dict(data: Mapping[str, Any], path: Path) -> IdentifiedModel:
         "gravity_m_s2": data["gravity_m_s2"],
         "joints": data.get("drives") or {},
         "couplings": data.get("couplings") or [],
+        "effort": data.get("effort"),
     }
     arm = arm_from_description(urdf, description, str(path))
     structure: Structure = {term["kind"]: dict(term.get("options") or {}) for term in data["terms"]}

@@ -20,6 +20,9 @@ KNOWN_SHARE = 0.25
 KNOWN_LOGARITHM = 0.5
 """A constant whose logarithm is less certain than this is not seen by the data."""
 BOUND_SHARE = 1e-6
+NOT_IN_THE_MODEL = "not in the model: no better prediction of held-out data"
+ABSENT = {"k_v2": NOT_IN_THE_MODEL, "k_v3": NOT_IN_THE_MODEL, "f_b": f"equal to f_c, {NOT_IN_THE_MODEL}"}
+"""Why a friction parameter is held, by its symbol."""
 
 
 def judge(
@@ -74,7 +77,7 @@ def _parameter(
     parameter: Parameter, number: int, base: BaseParameters, error: float, scale: float
 ) -> tuple[Determination, str]:
     if scale == 0.0:
-        return Determination.FIXED, "zero by default"
+        return Determination.FIXED, ABSENT.get(parameter.symbol, "zero by default")
     if number in base.unseen:
         return Determination.PRIOR, "moves no torque, whatever the motion"
     if not base.alone(number):
@@ -124,7 +127,7 @@ def _constant(
     nan = float("nan")
     positive = grid[grid > 0]
     if constant.grid[-1] <= 0:
-        return estimate(nan, Determination.FIXED, "not part of the model")
+        return estimate(nan, Determination.FIXED, NOT_IN_THE_MODEL)
     if at_rest:
         return estimate(nan, Determination.PRIOR, "the joint never moves")
     if value <= 0:

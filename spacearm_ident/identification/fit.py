@@ -14,6 +14,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.base_parameters import BaseParameters, base_parameters
 from ..dynamics.model import TorqueModel
 from ..recording.motion import Motion
+from ..recording.signals import require_torque
 from . import pso_lm
 from .environment import GRAVITY_SCALE
 from .prior import Prior, make_prior
@@ -40,7 +41,12 @@ class Fit:
 
 
 def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: Fit | None = None) -> Fit:
-    """Solve, weight the rows by what the residual shows, solve again."""
+    """Solve, weight the rows by what the residual shows, solve again.
+
+    Raises:
+        UnfitDataError: A joint moves without any torque.
+    """
+    require_torque(motions)
     shared = start.regression if start and start.regression.model.arm is model.arm else None
     regression = Regression(model, motions, shared)
     prior = make_prior(model, motions)
@@ -49,9 +55,15 @@ def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: 
     else:
         for rows, known in zip(regression.rows, start.regression.rows):
             rows.set_weight(known.weight)
-        solution = solve(regression, prior, start.solution.constants)
+        solution = solve(regression, prior, allowed(regression, start.solution.constants))
     solution, noise = reweighted(regression, prior, solution)
     return Fit(regression, prior, solution, residuals_of(regression, solution), noise)
+
+
+def allowed(regression: Regression, constants: FloatArray) -> FloatArray:
+    """Constants of another structure of the same terms: zero where this one does not have them."""
+    absent = np.array([grid[-1] <= 0.0 for grid in regression.grids], dtype=bool)
+    return np.where(absent, 0.0, constants)
 
 
 def searched(regression: Regression, prior: Prior, search: Search) -> Solution:
@@ -78,7 +90,12 @@ def reweighted(regression: Regression, prior: Prior, solution: Solution) -> tupl
 
 
 def fit_as_published(model: TorqueModel, motions: list[Motion], seed: int) -> Fit:
-    """PSO-LM on rows of equal weight; what its residual shows is for the standard errors only."""
+    """PSO-LM on rows of equal weight; what its residual shows is for the standard errors only.
+
+    Raises:
+        UnfitDataError: A joint moves without any torque.
+    """
+    require_torque(motions)
     regression = Regression(model, motions)
     prior = make_prior(model, motions)
     solution, found = pso_lm.solve(regression, prior, seed)

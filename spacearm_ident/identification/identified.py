@@ -69,7 +69,8 @@ class Choice:
 
     Attributes:
         term: What was considered, such as `load friction at elbow_joint`.
-        gain: Drop in weighted squares it brings when everything is fitted again (chi-square units).
+        gain: What it brings when everything is fitted again: mean drop of the squares of held-out blocks over its
+            standard error (t); in the base model of a mismatch, drop in weighted squares (chi-square units).
         accepted: Whether it joined the model.
     """
 

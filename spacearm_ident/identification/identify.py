@@ -51,7 +51,8 @@ class Settings:
 
     Attributes:
         cutoff_hz: Low-pass cut-off; chosen from the data where None.
-        structure: Terms and options; None: the paper's, and what of `structure.OPTIONAL` the data demand.
+        structure: Terms and options; None: what `choose` makes of the paper's.
+        choose: Chooses the structure from a fit of the paper's; by default by held-out prediction (`structure.py`).
         solver: One of `solvers.SOLVERS`. `pso-lm` takes the paper's unknowns, and nothing the data might demand.
         seed: Of the particle swarms: the same seed gives the same result.
         temperature: What of friction follows the joints' temperatures, some of `model.OVER_TEMPERATURE`; beside
@@ -68,6 +69,7 @@ class Settings:
     temperature: tuple[str, ...] = ()
     gravity: str = ""
     prior: GroundPrior | None = None
+    choose: Callable[[Fit], tuple[Structure, tuple[Choice, ...]]] = choose_structure
 
 
 def identify(
@@ -140,10 +142,9 @@ def _fitted(
     fit = weighing.settle(fit_model(model, motions, search))
     if settings.structure is not None:
         return fit, ()
-    report(0.5, "testing what else the data demand")
-    structure, choices = choose_structure(fit.regression, fit.solution)
-    if structure != fit.regression.model.structure:
-        fit = weighing.settle(fit_model(TorqueModel(fit.regression.model.arm, structure), motions, search, fit))
+    report(0.5, "choosing the terms that predict held-out data better")
+    structure, choices = settings.choose(fit)
+    fit = weighing.settle(fit_model(TorqueModel(fit.regression.model.arm, structure), motions, search, fit))
     return fit, choices
 
 
@@ -205,6 +206,7 @@ def _conclude(
     spread = covariance_of(fit, further)[:whole, :whole]
     matrix, _ = system(regression, prior, solution.constants)
     consistent = make_consistent(model, matrix, solution.parameters, prior.scale)
+    consistent = static_as_coulomb(model, consistent)
     base = revealed(regression)
     values = base.regrouping @ solution.parameters
     errors = base.errors(spread)
@@ -238,6 +240,15 @@ def _conclude(
         notes=(*_notes(regression.motions, at_rest), *environment.notes, *fit.stages),
         environment=environment,
     )
+
+
+def static_as_coulomb(model: TorqueModel, parameters: FloatArray) -> FloatArray:
+    """Parameters (p,) with f_b = f_c at every joint whose friction has no Stribeck term; it changes no torque."""
+    filled, places = parameters.copy(), {parameter.name: k for k, parameter in enumerate(model.parameters)}
+    for k, parameter in enumerate(model.parameters):
+        if parameter.symbol == "f_b" and parameter.scale == 0.0:
+            filled[k] = parameters[places[f"f_c[{parameter.joint}]"]]
+    return filled
 
 
 def _notes(motions: Sequence[Motion], at_rest: Sequence[str]) -> tuple[str, ...]:

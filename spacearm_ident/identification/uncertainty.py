@@ -46,8 +46,8 @@ def covariance(
         (u, u), zero for unknowns that are not estimated.
     """
     weighted = [block * rows.weight[:, None] for block, rows in zip(columns, regression.rows)]
-    hessian = np.zeros((width, width))
-    hessian[: prior.rows.shape[1], : prior.rows.shape[1]] = prior.rows.T @ prior.rows
+    beliefs = np.pad(prior.rows, ((0, 0), (0, width - prior.rows.shape[1])))
+    hessian = beliefs.T @ beliefs
     score = hessian.copy()
     for unknowns, block in zip(numbers, weighted):
         hessian[np.ix_(unknowns, unknowns)] += block.T @ block
@@ -64,7 +64,7 @@ def covariance(
             residual = residuals[joint][mine] * rows.weight[mine] * trust
             kernel = _kernel(residual, rows.place[mine], motion.white_correlation, correlation[joint][number])
             score[index] += freedom * _score(weighted[joint][mine] / trust[:, None], rows.place[mine], kernel)
-    shifts = hidden_shifts(regression, inverse, weighted, numbers, residuals)
+    shifts = hidden_shifts(regression, inverse, beliefs, weighted, numbers, residuals)
     return np.asarray(inverse @ score @ inverse + shifts.T @ shifts)
 
 

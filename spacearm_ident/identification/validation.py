@@ -36,7 +36,10 @@ def validate(model: IdentifiedModel, recordings: Sequence[Recording], what: str,
         UserError: A recording lacks a joint of the model.
     """
     joints = model.model.arm.joint_names
-    motions, _ = prepare(placed(recordings, model.model.arm), joints, model.cutoff_hz)
+    try:
+        motions, _ = prepare(placed(recordings, model.model.arm), joints, model.cutoff_hz)
+    except UnfitDataError as error:
+        raise UnfitDataError(f"validation {what}: {error}, or name another recording with --validate") from error
     traces, full = [], []
     for motion in motions:
         torque = model.torque(motion)
@@ -66,8 +69,8 @@ def split(recording: Recording, share: float = HOLD_OUT) -> tuple[Recording, Rec
     cut = recording.time[0] + (1.0 - share) * (recording.time[-1] - recording.time[0])
     if recording.time[-1] - cut < SHORTEST_HOLD_OUT_S:
         raise UnfitDataError(
-            f"{recording.time[-1] - recording.time[0]:.1f} s are too short to hold a part out: "
-            "give another recording with --validate"
+            f"{recording.time[-1] - recording.time[0]:.1f} s are too short to hold {share:.0%} out, at least "
+            f"{SHORTEST_HOLD_OUT_S:g} s: record a longer run, or give another recording with --validate"
         )
     return recording.between(-np.inf, cut), recording.between(cut, np.inf)
 

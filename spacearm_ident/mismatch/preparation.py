@@ -17,10 +17,10 @@ from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..identification.identified import Choice
 from ..identification.identify import Settings, identify
-from ..identification.structure import GATE, RESISTS
 from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
+from .base_structure import GATE, RESISTS, choose_base
 from .evidence import Evidence, Unseen
 from .scene import Scene, Whitener, coarse, fit_whitener, louder
 
@@ -83,7 +83,7 @@ def prepare_evidence(
     cutoff = min(CUTOFF_HZ, 0.2 * min(rates))
     choices: tuple[Choice, ...] = ()
     if known is None:
-        identified = identify(healthy or field, arm, Settings(cutoff_hz=cutoff))
+        identified = identify(healthy or field, arm, Settings(cutoff_hz=cutoff, choose=choose_base))
         base, choices = identified.model, identified.choices
     else:
         base = known

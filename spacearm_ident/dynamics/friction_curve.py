@@ -1,0 +1,110 @@
+"""Friction over velocity, as an identified model has it: each joint swept alone, steadily, in one pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..recording.motion import Motion
+from .arm import FloatArray
+from .friction import ViscousFriction
+from .model import IdentifiedModel
+
+SLOWEST = 1e-4
+"""Smallest speed of the curve, as a share of its largest."""
+STEADY_HZ = 1e-9
+"""A sample rate so low that any presliding distance is long travelled between two samples: steady friction."""
+
+
+def friction_curve(
+    identified: IdentifiedModel, joint: int, top_speed: float, pose: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Steady friction torque of one joint.
+
+    Args:
+        identified: The model.
+        joint: Its index.
+        top_speed: Largest speed of the sweep, rad/s.
+        pose: (n,) position it is taken in, rad: friction that grows with the load depends on it.
+
+    Returns:
+        (K,) velocities from -top_speed to top_speed without zero, and (K,) N·m.
+    """
+    motion = _sweep(identified, joint, top_speed, pose)
+    return motion.velocity[:, joint], identified.torque(motion, identified.model.friction_kinds)[:, joint]
+
+
+def friction_error(
+    identified: IdentifiedModel, joint: int, top_speed: float, pose: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """(K,) standard error of `friction_curve`, N·m, for given constants (v_b, d_s).
+
+    Args:
+        identified: The model.
+        joint: Its index.
+        top_speed: Largest speed of the sweep, rad/s.
+        pose: (n,) position it is taken in, rad.
+        covariance: (p + c, p + c) of parameters and constants, or of more.
+    """
+    numbers, rows = _columns(identified, _sweep(identified, joint, top_speed, pose), joint)
+    return _errors(rows, covariance[np.ix_(numbers, numbers)])
+
+
+def viscosity(
+    identified: IdentifiedModel, joint: int, speed: float, covariance: FloatArray
+) -> tuple[float, float] | None:
+    """Slope of one joint's viscous friction between -speed and speed: k_v1 + k_v3 speed^2, even terms cancel.
+
+    Args:
+        identified: The model.
+        joint: Its index.
+        speed: Of the joint, rad/s.
+        covariance: (p + c, p + c) of parameters and constants, or of more.
+
+    Returns:
+        The slope and its standard error, N·m s/rad; None where the model has no viscous friction there.
+    """
+    still = np.zeros(len(identified.model.arm.joint_names))
+    motion = _steady(identified, joint, np.array([-speed, speed]), still)
+    numbers, rows = _columns(identified, motion, joint, ViscousFriction.kind)
+    if not numbers:
+        return None
+    slope = (rows[1:] - rows[:1]) / (2.0 * speed)
+    error = _errors(slope, covariance[np.ix_(numbers, numbers)])
+    return float((slope @ identified.parameters[numbers])[0]), float(error[0])
+
+
+def _columns(
+    identified: IdentifiedModel, motion: Motion, joint: int, kind: str | None = None
+) -> tuple[list[int], FloatArray]:
+    """Numbers (k) and columns (N, k) of the parameters of friction, or of one kind of it, that act on a joint."""
+    model = identified.model
+    background = model.background(motion, identified.parameters, identified.constants)
+    numbers: list[int] = []
+    columns = [np.empty((len(motion.position), 0))]
+    for term, first, first_constant in model.numbered():
+        if term.friction if kind is None else term.kind == kind:
+            constants = identified.constants[first_constant : first_constant + len(term.constants)]
+            indices, found = term.columns(motion, constants, background).get(joint, ([], columns[0]))
+            numbers += [first + index for index in indices]
+            columns.append(found)
+    return numbers, np.concatenate(columns, axis=1)
+
+
+def _errors(rows: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(N,) standard error of rows (N, k) times parameters."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", rows, covariance, rows), 0.0)))
+
+
+def _sweep(identified: IdentifiedModel, joint: int, top_speed: float, pose: FloatArray) -> Motion:
+    speeds = np.unique(np.concatenate([np.geomspace(SLOWEST, 1.0, 120), np.linspace(0.01, 1.0, 80)])) * top_speed
+    return _steady(identified, joint, np.concatenate([-speeds[::-1], speeds]), pose)
+
+
+def _steady(identified: IdentifiedModel, joint: int, speeds: FloatArray, pose: FloatArray) -> Motion:
+    """One joint at each of some speeds (K,), rad/s, the others still, without acceleration."""
+    position = np.tile(pose, (len(speeds), 1))
+    velocity = np.zeros_like(position)
+    velocity[:, joint] = speeds
+    zero = np.zeros(position.shape[1])
+    still = np.zeros_like(position)
+    return Motion(identified.model.arm.joint_names, STEADY_HZ, 0.0, position, velocity, still, still, zero, zero)

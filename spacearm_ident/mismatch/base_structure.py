@@ -1,0 +1,144 @@
+"""Terms of the base model that a mismatch is explained beside: the paper's law, and what chi-square demands beyond it.
+
+Every term of the paper's friction law stays in this base whether or not it predicts better, because an effect competes
+with all of them: a column that is missing here would be found as an effect. That is why it is wider than what
+`identification.structure` chooses for prediction. A model that has every optional column is set up once; each option
+competes by joint refit on the compressed system, its gain being the drop in whitened squares. One that gains more than
+`GATE` joins, the largest first, and the others are tried again beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lstsq
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.friction import ViscousFriction
+from ..dynamics.model import Structure, TorqueModel
+from ..identification.fit import Fit
+from ..identification.identified import Choice
+from ..identification.prior import make_prior
+from ..identification.regression import Regression
+from ..identification.separable import Solution, system
+
+RESISTS = "quadratic friction that resists in both directions (qd |qd| instead of qd^2)"
+GATE = 30.0
+"""Chi-square an option must gain. Far above the 5 % point of one parameter, 3.8: the whitening is approximate, and
+a column too many costs more on other motions than one too few."""
+
+
+@dataclass(frozen=True)
+class _Option:
+    """One thing that may join the model: its columns, those it replaces, and how the structure says so."""
+
+    words: str
+    adds: frozenset[str]
+    drops: frozenset[str]
+    apply: Callable[[Structure], Structure]
+
+
+def choose_base(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
+    """Add to a fitted model what the data demand.
+
+    Args:
+        fit: Its rows, weighted by its residual, and its solution; the constants stay as they are while options are
+            compared.
+
+    Returns:
+        The structure, and every decision with its evidence.
+    """
+    regression, solution = fit.regression, fit.solution
+    model = regression.model
+    pending = _options(model)
+    full, matrix, vector = _everything(regression, solution)
+    names = [parameter.name for parameter in full.parameters]
+    free = {name for name, scale in zip(names, make_prior(full, regression.motions).scale) if scale > 0}
+    active = free & {parameter.name for parameter in model.parameters}
+
+    def cost(chosen: set[str], new: frozenset[str] = frozenset()) -> float:
+        """Squares left; infinite where a new parameter has a value no such thing could have."""
+        columns = [k for k, name in enumerate(names) if name in chosen]
+        answer = lstsq(matrix[:, columns], vector, lapack_driver="gelsy")[0]
+        for k, value in zip(columns, answer):
+            if names[k] in new and not full.parameters[k].lower <= value <= full.parameters[k].upper:
+                return float("inf")
+        return float(np.sum((matrix[:, columns] @ answer - vector) ** 2))
+
+    structure, current = model.structure, cost(active)
+    choices: list[Choice] = []
+    while pending:
+        gains = [current - cost((active - option.drops) | option.adds, option.adds) for option in pending]
+        best = int(np.argmax(gains))
+        if gains[best] < GATE:
+            choices += [Choice(option.words, gain, False) for option, gain in zip(pending, gains)]
+            break
+        option = pending.pop(best)
+        choices.append(Choice(option.words, gains[best], True))
+        active = (active - option.drops) | option.adds
+        structure, current = option.apply(structure), current - gains[best]
+    return structure, tuple(choices)
+
+
+def _options(model: TorqueModel) -> list[_Option]:
+    joints = model.arm.joint_names
+    options = [
+        _Option(
+            f"friction that grows with the load at {joint}",
+            frozenset({f"mu[{joint}]"}),
+            frozenset(),
+            _joint_adder("stribeck_friction", "load", joint),
+        )
+        for joint in joints
+    ]
+    options += [
+        _Option(
+            f"constant torque offset at {joint}",
+            frozenset({f"offset[{joint}]"}),
+            frozenset(),
+            _joint_adder("torque_offset", "joints", joint),
+        )
+        for joint in joints
+    ]
+    even, odd = ({f"{symbol}[{joint}]" for joint in joints} for symbol in ("k_v2", ViscousFriction.ODD))
+    options.append(
+        _Option(
+            RESISTS,
+            frozenset(odd),
+            frozenset(even),
+            lambda structure: {**structure, "viscous_friction": {"quadratic": "odd"}},
+        )
+    )
+    return options
+
+
+def _joint_adder(kind: str, option: str, joint: str) -> Callable[[Structure], Structure]:
+    """A change of structure that adds one joint to the list under an option of a term."""
+
+    def apply(structure: Structure) -> Structure:
+        options = structure.get(kind, {})
+        return {**structure, kind: {**options, option: [*options.get(option, ()), joint]}}
+
+    return apply
+
+
+def _everything(regression: Regression, solution: Solution) -> tuple[TorqueModel, FloatArray, FloatArray]:
+    """The model with every option, and its compressed system under the weights and constants of the fitted one."""
+    fitted = regression.model
+    structure: Structure = {
+        **fitted.structure,
+        "stribeck_friction": {**fitted.structure["stribeck_friction"], "load": True},
+        "viscous_friction": {"quadratic": "both"},
+        "torque_offset": {},
+    }
+    model = TorqueModel(fitted.arm, structure)
+    full = Regression(model, regression.motions, regression)
+    for rows, known in zip(full.rows, regression.rows):
+        rows.set_weight(known.weight)
+    by_name = {parameter.name: value for parameter, value in zip(fitted.parameters, solution.parameters)}
+    start = np.array([by_name.get(parameter.name, 0.0) for parameter in model.parameters])
+    full.update_background(start, solution.constants)
+    matrix, vector = system(full, make_prior(model, regression.motions), solution.constants)
+    return model, matrix, vector
