@@ -10,6 +10,7 @@ from typing import Any
 
 from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
+from ..identification.effort import in_newton_metres
 from ..identification.temperature import (
     WANTED_SHARE,
     TemperatureCalibration,
@@ -44,6 +45,7 @@ def add(commands: Any) -> None:
         help="refuse a joint whose alpha is not known to this share of its friction a kelvin (default %(default)g)",
     )
     common.add_arm_options(command)
+    common.add_namespace_option(command)
     common.add_output_options(command)
     command.set_defaults(run=run)
 
@@ -61,18 +63,19 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         refuse_to_replace(options.model, options.out)
     with common.progress(options) as report:
-        recordings = common.read_bags(options.bags, report)
+        recordings = common.read_bags(options.bags, report, namespace=options.namespace)
     common.note_findings(options, recordings)
     model = load_model(options.model) if options.model else None
     if model is not None and options.gravity is not None:
         wider = replace(model.model, arm=model.model.arm.with_gravity(options.gravity))
         model = replace(model, model=wider)
+    arm = None
     if model is not None:
-        joints = model.model.arm.joint_names
+        arm = model.model.arm
     elif options.arm is not None:
-        joints = common.arm_of(options, recordings).joint_names
-    else:
-        joints = recordings[0].joints
+        arm = common.arm_of(options, recordings)
+    joints = recordings[0].joints if arm is None else arm.joint_names
+    recordings = recordings if arm is None else in_newton_metres(recordings, arm)
     calibration = calibrate_temperature(recordings, joints, model, options.error / 100.0)
     result = calibration_dict(calibration)
     if options.out is not None:

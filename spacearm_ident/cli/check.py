@@ -1,4 +1,4 @@
-"""`spacearm check`: a line for everything that must be well before the arm moves."""
+"""`spacearm check`: recordings against their conventions, or everything that must be well before the arm moves."""
 
 from __future__ import annotations
 
@@ -18,30 +18,97 @@ from ..commissioning.machine_check import check_machine
 from ..commissioning.params_check import check_params
 from ..commissioning.result import CheckResult, Level
 from ..commissioning.starter import ARM_FILE, CAN_FILE, NODES_FILE
+from ..conventions.check import check_conventions
+from ..conventions.finding import ConventionReport, sureness
+from ..conventions.finding import Level as Weight
 from ..errors import UserError
+from ..session import corrected, within
 from . import common
 
 DESCRIPTION = """
-Check this machine (packages, ROS, real time, disk) and, where they are named, an arm file, its CAN configuration
-against arm, EDS and bus load, and a file of ROS parameters. Nothing is sent on a bus. A folder that 'spacearm new-arm'
-wrote stands for all its files. Exit code 1 where something fails; warnings alone are 0.
+With BAGs (MCAP files, rosbag2 folders, or folders of them): test on the data whether units, signs, joint order, encoder
+zeros, gravity, clock and gains are what an identification takes for granted; exit code 1 where the data are unfit.
+Otherwise check this machine (packages, ROS, real time, disk) and, where they are named, an arm file, its CAN
+configuration against arm, EDS and bus load, and a file of ROS parameters. Nothing is sent on a bus. A folder that
+'spacearm new-arm' wrote stands for all its files. Exit code 1 where something fails; warnings alone are 0.
 """
 COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.FAIL: "bold red"}
+FINDING_COLOURS = {Weight.UNFIT: "bold red", Weight.NOTE: "yellow"}
 
 
 def add(commands: Any) -> None:
     """Add the command to a parser."""
-    command = commands.add_parser("check", help="check machine, arm and CAN configuration", description=DESCRIPTION)
-    command.add_argument("arm", nargs="?", type=Path, metavar="ARM", help="URDF, arm YAML, or a folder of new-arm")
+    command = commands.add_parser("check", help="check recordings, or machine and files", description=DESCRIPTION)
+    command.add_argument(
+        "paths", nargs="*", type=Path, metavar="BAG|ARM", help="recordings; or one URDF, arm YAML or folder of new-arm"
+    )
+    common.add_arm_options(command)
+    common.add_base_option(command)
     command.add_argument("--can", type=Path, metavar="FILE", help="CAN YAML")
     command.add_argument("--params", type=Path, metavar="FILE", help="ROS parameters of the nodes")
-    command.add_argument("--json", action="store_true", help="print the results as JSON")
+    common.add_output_options(command)
     command.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check, print; returns 1 where something fails."""
-    arm, can, params = files(options.arm, options.can, options.params)
+    """Check, print; returns 1 where something fails.
+
+    Raises:
+        UserError: Bags and files of an arm together, or options of the one with the other.
+    """
+    bags = [path for path in options.paths if is_bag(path)]
+    if bags:
+        if len(bags) < len(options.paths) or options.can or options.params:
+            raise UserError("check recordings and files apart: name bags alone, the arm with --arm")
+        return check_bags(options, bags)
+    if len(options.paths) > 1 or options.arm or options.gravity:
+        what = options.paths[0] if options.paths else "recordings"
+        raise UserError(
+            f"{what}: no recording; --arm and --gravity go with bags, and files of one arm are checked alone"
+        )
+    return check_files(options, options.paths[0] if options.paths else None)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a recording or a folder of recordings, and not an arm's configuration."""
+    if not path.is_dir():
+        return path.suffix == ".mcap"
+    return (path / "metadata.yaml").is_file() or any(path.glob("*.mcap")) or any(path.glob("*/*.mcap"))
+
+
+def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:
+    """Test recordings against their conventions; returns 1 where they are unfit."""
+    with common.progress(options) as report:
+        recordings = common.read_bags(bags, within(report, 0.0, 0.2), options.fixed_base)
+        arm = common.arm_of(options, recordings)
+        found = check_conventions(corrected(recordings, arm), arm, progress=within(report, 0.2, 1.0))
+    common.note_findings(options, recordings)
+    if options.json:
+        common.print_json(found.as_dict())
+    else:
+        show_findings(found)
+    return 0 if found.fit else 1
+
+
+def show_findings(report: ConventionReport) -> None:
+    """The verdict, each finding with where, how sure and what mends it, and what stays open."""
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(Text(report.verdict, "bold" if report.fit else "bold red"))
+    for finding in report.findings:
+        where = f" in {', '.join(finding.recordings)}" if len(report.recordings) > 1 else ""
+        line = Text.assemble((f"{finding.level:<6}", FINDING_COLOURS[finding.level]), f"{finding.kind}{where}: ")
+        line.append(finding.statement)
+        console.print(line)
+        if finding.log_odds is not None:
+            console.print(Text(f"      {sureness(finding)}", "dim"))
+        console.print(Text(f"      -> {finding.remedy}", "italic"))
+    if report.undecided:
+        console.print(Text(f"not decided by these data: {'; '.join(report.undecided)}", "dim"))
+
+
+def check_files(options: argparse.Namespace, path: Path | None) -> int:
+    """Check this machine and an arm's files; returns 1 where something fails."""
+    arm, can, params = files(path, options.can, options.params)
     results = check_machine(Path.cwd(), os.environ)
     if arm is not None:
         results += check_arm(arm)

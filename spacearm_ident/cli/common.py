@@ -46,6 +46,15 @@ def add_base_option(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_namespace_option(command: argparse.ArgumentParser) -> None:
+    """`--namespace`."""
+    command.add_argument(
+        "--namespace",
+        metavar="NAME",
+        help="where bags hold several arms: the one in this namespace (arm_1: /arm_1/joint_states); /: the one in none",
+    )
+
+
 def add_output_options(command: argparse.ArgumentParser) -> None:
     """`--json` and `--quiet`."""
     command.add_argument("--json", action="store_true", help="print the result as JSON on standard output")

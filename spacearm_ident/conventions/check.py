@@ -1,0 +1,207 @@
+"""`check_conventions`: whether recordings keep the conventions that an identification takes for granted.
+
+Cheap and certain things first (clock, rest, dead torque, recorded velocity, the bag's own description), then every
+ordinary mistake as a hypothesis: how much better does the arm of the URDF explain the torque if it was made?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..dynamics.arm import Arm, FloatArray
+from ..errors import UnfitDataError
+from ..recording.recording import Recording
+from ..recording.signals import prepare, require_joints
+from .change import Kind
+from .description import compare_description
+from .finding import Alternative, ConventionReport, Finding, Level, merged
+from .plain import Plain, read_off
+from .rows import rows_of
+from .search import SUSPECTED, Court, Scored, Step, loaded_joints, search, zero_error
+from .setup import Setup
+from .words import is_unit, joint_names, remedy, statement
+
+SURE_PROBABILITY = 0.99
+"""What a change at the limit of certainty is called; log odds are scaled to it."""
+SUSPECTED_PROBABILITY = 0.8
+"""Probability below which a suspicion names nothing."""
+ZERO_SMALL, ZERO_LARGE = 0.03, 0.1
+"""Encoder zero below which nothing is said, and from which the data are unfit, rad."""
+ZERO_UNKNOWN = 0.15
+"""Standard error of an encoder zero from which the data cannot tell it, rad."""
+VELOCITY_BONUS = 5.0
+"""Log-likelihood of a position mistake that explains a recorded velocity as well, a joint."""
+
+Progress = Callable[[float, str], None]
+
+
+def check_conventions(
+    recordings: Sequence[Recording], arm: Arm, *, gravity_known: bool = True, progress: Progress | None = None
+) -> ConventionReport:
+    """Check recordings against the conventions, each by itself.
+
+    Args:
+        recordings: At least one, of the arm's joints.
+        arm: The arm; its CAD inertials are the prior, its corrections are taken to have been applied.
+        gravity_known: Whether the arm's gravity is to be believed; else another one is a note.
+        progress: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UserError: A recording lacks a joint of the arm.
+    """
+    reports = []
+    for number, recording in enumerate(recordings):
+        if progress is not None:
+            progress(number / len(recordings), "checking conventions")
+        reports.append(_check(recording, arm))
+    found = merged(reports)
+    return found if gravity_known else replace(found, findings=tuple(_gravity_noted(one) for one in found.findings))
+
+
+def _gravity_noted(finding: Finding) -> Finding:
+    """A finding about gravity as a note, where gravity is estimated anyway."""
+    return replace(finding, level=Level.NOTE) if finding.kind == Kind.GRAVITY else finding
+
+
+def recording_name(recording: Recording) -> str:
+    """What a finding calls a recording."""
+    return Path(recording.sources[0].path).name if recording.sources else "recording"
+
+
+def _check(recording: Recording, arm: Arm) -> ConventionReport:
+    require_joints(recording, arm.joint_names)
+    ordered = recording.in_order(arm.joint_names)
+    plain = read_off(ordered)
+    findings = [*compare_description(recording, arm), *plain.findings]
+    undecided: list[str] = []
+    if recording.base is not None:
+        undecided.append("signs, units, order, zeros and gravity (the base moves: give --fixed-base where it does not)")
+    elif len(plain.still) < len(arm.joints) and len(plain.dead) < len(arm.joints):
+        try:
+            inferred, undecided = _infer(ordered, arm, plain)
+            findings = _explained(findings, inferred) + inferred
+        except UnfitDataError as error:
+            findings.append(
+                Finding(
+                    "too_little_motion", Level.UNFIT, (), str(error), "record an excitation run of ten seconds or more"
+                )
+            )
+    name = recording_name(recording)
+    found = tuple(replace(finding, recordings=(name,)) for finding in findings)
+    return merged([ConventionReport(found, tuple(undecided), (name,))])
+
+
+def _explained(findings: Sequence[Finding], inferred: Sequence[Finding]) -> list[Finding]:
+    """Without the remarks on a velocity that a mistake of the position explains."""
+    kinds = (Kind.DEGREES, Kind.POSITION_SIGN, Kind.POSITIONS_EXCHANGED, Kind.TIME_REVERSED)
+    causes = [one for one in inferred if one.kind in kinds and one.level is Level.UNFIT]
+    joints = {joint for one in causes for joint in one.joints}
+    every = any(one.kind == Kind.TIME_REVERSED for one in causes)
+    return [one for one in findings if one.kind != "velocity" or not (every or set(one.joints) <= joints)]
+
+
+def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding], list[str]]:
+    """What the arm's dynamics say, and what they cannot."""
+    motions, _ = prepare([recording], arm.joint_names)
+    rows = rows_of(motions)
+    rows.moving[:, sorted(plain.dead | plain.still)] = False
+    court = Court(arm, rows, _velocity_bonus(plain.velocity_slopes), plain.dead | plain.still)
+    steps = search(court)
+    final = steps[-1].before
+    findings = [finding for step in steps if (finding := _finding(court, step, final)) is not None]
+    return findings, _undecided(court, steps[-1], plain)
+
+
+def _velocity_bonus(slopes: FloatArray) -> Callable[[Setup], float]:
+    """Log-likelihood of recorded velocities: a position scale that makes them its derivative is worth something."""
+    odd = np.isfinite(slopes) & (np.abs(slopes - 1.0) > 0.1)
+
+    def bonus(setup: Setup) -> float:
+        scale = setup.time_sign * setup.position_scale
+        explained = odd & (np.abs(slopes / scale - 1.0) < 0.1) & (setup.position_from == np.arange(len(slopes)))
+        return VELOCITY_BONUS * float(explained.sum())
+
+    return bonus
+
+
+def _finding(court: Court, step: Step, final: Scored) -> Finding | None:
+    """A round's change in words; None where there is none, or it is too small to matter."""
+    if step.gain < SUSPECTED * court.sure or not step.after.changes:
+        return None
+    change, arm = step.after.changes[-1], court.arm
+    evidence = final.evidence if change in final.changes else step.after.evidence
+    sure = step.gain > court.sure
+    level = Level.UNFIT if sure else Level.NOTE
+    if change.kind is Kind.DELAY:
+        # Friction that builds up over a distance lags behind the velocity like a late torque does: 11 of 28 sound
+        # recordings with such friction show one of 20 to 110 ms, at log odds of hundreds.
+        level = Level.NOTE
+    elif change.kind is Kind.ENCODER_ZERO:
+        if abs(change.value[0]) < ZERO_SMALL:
+            return None
+        level = level if abs(change.value[0]) > ZERO_LARGE else Level.NOTE
+    elif change.kind in (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT) and not is_unit(change, evidence):
+        level = Level.NOTE
+    alternatives, probability = _alternatives(court, step)
+    if not sure and probability < SUSPECTED_PROBABILITY:
+        return None
+    common = change.kind is Kind.EFFORT_GAIN and len(change.joints) > 1
+    joints = tuple(arm.joint_names[k] for k in loaded_joints(court, final)) if common else joint_names(arm, change)
+    suspected = "" if sure else "suspected: "
+    return Finding(
+        kind=str(change.kind),
+        level=level,
+        joints=joints,
+        statement=suspected + statement(arm, change, evidence),
+        remedy=remedy(arm, change, evidence),
+        probability=probability,
+        log_odds=step.gain,
+        values={"value": [float(v) for v in change.value]} if change.value else {},
+        alternatives=alternatives,
+    )
+
+
+def _alternatives(court: Court, step: Step) -> tuple[tuple[Alternative, ...], float]:
+    """Other changes as probable as the one taken, within the limits of certainty, and the probability of that one."""
+    arm, taken = court.arm, step.after.changes[-1]
+    rivals = [one for one in step.rivals if len(one.changes) == len(step.after.changes)]
+    temperature = court.sure / np.log(SURE_PROBABILITY / (1.0 - SURE_PROBABILITY))
+    scores = np.array([step.after.score, step.before.score, *(one.score for one in rivals)])
+    weights = np.exp((scores - scores.max()) / temperature)
+    weights /= weights.sum()
+    close = [
+        Alternative(str(one.changes[-1].kind), joint_names(arm, one.changes[-1]), float(weight))
+        for one, weight in zip(rivals, weights[2:])
+        if weight > 0.05 and (one.changes[-1].kind, one.changes[-1].joints) != (taken.kind, taken.joints)
+    ]
+    return tuple(close), float(weights[0])
+
+
+def _undecided(court: Court, last: Step, plain: Plain) -> list[str]:
+    """What these data leave open."""
+    arm, start = court.arm, last.before
+    words = []
+    for one in (*last.rivals, *last.screened):
+        change = one.changes[-1]
+        zero_or_gain = (Kind.ENCODER_ZERO, Kind.DELAY, Kind.EFFORT_GAIN, Kind.EFFORT_UNIT)
+        if change.kind not in zero_or_gain and one.score - start.score > -court.sure and change.joints:
+            words.append(f"{str(change.kind).replace('_', ' ')} of {', '.join(joint_names(arm, change))}")
+    open_zeros = [
+        name
+        for k, name in enumerate(arm.joint_names)
+        if arm.joints[k].revolute and zero_error(court, start, k) > ZERO_UNKNOWN
+    ]
+    if open_zeros:
+        words.append(f"encoder zero of {', '.join(open_zeros)}")
+    if court.frame.rough:
+        words.append("gains, units and total mass (the URDF's inertials are absent or placeholders)")
+    else:
+        loaded = loaded_joints(court, start)
+        light = [name for k, name in enumerate(arm.joint_names) if k not in loaded]
+        if light:
+            words.append(f"torque gain of {', '.join(light)} (little gravity)")
+    return words

@@ -1,0 +1,169 @@
+"""`Finding` and `ConventionReport`: what a check of recordings says, for a person and for a program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any
+
+SCHEMA = "spacearm_ident/conventions/1"
+DECISIVE = 50.0
+"""Log odds from which `identify` calls data unfit for an inferred mistake; `check` names it from less. From
+`bench/conventions.py`: the largest of 28 sound recordings is 41 (a UR5 with friction and CAD errors of its own)."""
+
+
+class Level(StrEnum):
+    """What a finding means for an identification."""
+
+    UNFIT = "unfit"
+    """A model made of these data is not to be believed."""
+    NOTE = "note"
+    """Worth knowing; the data can be used."""
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another cause that explains the same data nearly as well."""
+
+    kind: str
+    joints: tuple[str, ...]
+    probability: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, or worth knowing.
+
+    Attributes:
+        kind: Stable short name.
+        level: What it means.
+        joints: Where; empty: the whole recording.
+        statement: What was found, one sentence.
+        remedy: What to do about it.
+        probability: Of this cause, 0 to 1; 1 where it is read off and not inferred.
+        log_odds: Log-likelihood ratio against nothing being wrong, with priors; None where it is read off.
+        values: Numbers behind it, by name.
+        alternatives: Other causes the data cannot exclude.
+        recordings: Names of the recordings it was found in.
+    """
+
+    kind: str
+    level: Level
+    joints: tuple[str, ...]
+    statement: str
+    remedy: str
+    probability: float = 1.0
+    log_odds: float | None = None
+    values: Mapping[str, Any] = field(default_factory=dict)
+    alternatives: tuple[Alternative, ...] = ()
+    recordings: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "kind": self.kind,
+            "level": str(self.level),
+            "joints": list(self.joints),
+            "statement": self.statement,
+            "remedy": self.remedy,
+            "probability": round(self.probability, 4),
+            "log_odds": None if self.log_odds is None else round(self.log_odds, 1),
+            "values": dict(self.values),
+            "alternatives": [
+                {"kind": one.kind, "joints": list(one.joints), "probability": round(one.probability, 4)}
+                for one in self.alternatives
+            ],
+            "recordings": list(self.recordings),
+        }
+
+
+@dataclass(frozen=True)
+class ConventionReport:
+    """What a check of one or more recordings found.
+
+    Attributes:
+        findings: The gravest first.
+        undecided: What these data cannot decide, a clause each.
+        recordings: Names of what was checked.
+    """
+
+    findings: tuple[Finding, ...]
+    undecided: tuple[str, ...]
+    recordings: tuple[str, ...]
+
+    @property
+    def certain(self) -> bool:
+        """Whether a mistake is read off, or inferred beyond what sound recordings of other arms have shown."""
+        return any(
+            finding.level is Level.UNFIT and (finding.log_odds is None or finding.log_odds >= DECISIVE)
+            for finding in self.findings
+        )
+
+    @property
+    def fit(self) -> bool:
+        """Whether the data may be identified from."""
+        return not any(finding.level is Level.UNFIT for finding in self.findings)
+
+    @property
+    def verdict(self) -> str:
+        """One line."""
+        wrong = [finding for finding in self.findings if finding.level is Level.UNFIT]
+        if wrong:
+            kinds = ", ".join(dict.fromkeys(finding.kind.replace("_", " ") for finding in wrong))
+            return f"data unfit: {kinds}; a model made of them is not to be believed"
+        if self.findings:
+            return f"data fit, {len(self.findings)} {'notes' if len(self.findings) > 1 else 'note'}"
+        return "data fit: no mistake of convention found"
+
+    def lines(self) -> list[str]:
+        """For a person: the verdict, then a line a finding with what to do."""
+        lines = [self.verdict]
+        for finding in self.findings:
+            where = f" [{', '.join(finding.recordings)}]" if len(self.recordings) > 1 and finding.recordings else ""
+            sure = "" if finding.log_odds is None else f" ({sureness(finding)})"
+            lines.append(f"{finding.level}: {finding.kind}{where}: {finding.statement}{sure} -> {finding.remedy}")
+        if self.undecided:
+            lines.append(f"not decided by these data: {'; '.join(self.undecided)}")
+        return lines
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data, for validation.json and `--json`."""
+        return {
+            "schema": SCHEMA,
+            "fit": self.fit,
+            "verdict": self.verdict,
+            "findings": [finding.as_dict() for finding in self.findings],
+            "undecided": list(self.undecided),
+            "recordings": list(self.recordings),
+        }
+
+
+def sureness(finding: Finding) -> str:
+    """How sure an inferred finding is, in words."""
+    words = f"{finding.probability:.0%} sure, log odds {finding.log_odds:.0f}"
+    if finding.alternatives:
+        others = ", ".join(
+            f"{one.kind.replace('_', ' ')}{' of ' + ', '.join(one.joints) if one.joints else ''} {one.probability:.0%}"
+            for one in finding.alternatives
+        )
+        words += f"; not excluded: {others}"
+    return words
+
+
+def merged(reports: Sequence[ConventionReport]) -> ConventionReport:
+    """Reports of several recordings as one: the same finding in several of them is said once."""
+    found: dict[tuple[str, Level, tuple[str, ...]], Finding] = {}
+    for report in reports:
+        for finding in report.findings:
+            key = finding.kind, finding.level, finding.joints
+            if key in found:
+                names = (*found[key].recordings, *finding.recordings)
+                found[key] = replace(found[key], recordings=tuple(dict.fromkeys(names)))
+            else:
+                found[key] = finding
+    ordered = sorted(found.values(), key=lambda one: one.level is not Level.UNFIT)
+    common = [set(report.undecided) for report in reports]
+    undecided = [text for text in reports[0].undecided if all(text in one for one in common)] if reports else []
+    names = tuple(name for report in reports for name in report.recordings)
+    return ConventionReport(tuple(ordered), tuple(undecided), names)

@@ -1,0 +1,233 @@
+"""What is read off a recording without a model: joints at rest, torques that say nothing, velocity, clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..recording.recording import Recording
+from .finding import Finding, Level
+
+REST_RAD = 1e-3
+"""A joint that ranges over less is at rest: the resolution of common encoders behind a gear is finer."""
+DEAD_SHARE = 1e-6
+"""A torque that varies by less than this share of the largest joint's says nothing."""
+SLOPE_OFF = 0.1
+"""Relative deviation of recorded from differentiated velocity from which it is another quantity."""
+SHIFT_S = 0.03
+"""Shift of recorded against differentiated velocity that is worth a note, s; filters of drives reach 10 to 20 ms."""
+LEAST_CORRELATION = 0.5
+"""Correlation below which recorded velocity is no derivative of the position at all."""
+JITTER_RATIO = 2.0
+"""How many times smoother positions must be over an even clock than over the stamps for the stamps to be wrong."""
+JITTER_S = 0.002
+"""RMS error of stamps from which the data are unfit, s: a joint at 1 rad/s is then 2 mrad off, 20 times an encoder."""
+LOST_SHARE = 0.05
+"""Share of samples lost to stamps out of order from which the clock is not to be believed."""
+
+
+@dataclass(frozen=True)
+class Plain:
+    """What was read off.
+
+    Attributes:
+        findings: As they are.
+        still: Numbers of the joints at rest.
+        dead: Numbers of the joints whose torque says nothing.
+        velocity_slopes: (n,) recorded over differentiated velocity; NaN where there is nothing to compare.
+    """
+
+    findings: tuple[Finding, ...]
+    still: frozenset[int]
+    dead: frozenset[int]
+    velocity_slopes: FloatArray
+
+
+def read_off(recording: Recording) -> Plain:
+    """Look at one recording, its columns in the arm's order."""
+    names = recording.joints
+    still = frozenset(np.flatnonzero(np.ptp(recording.position, axis=0) < REST_RAD).tolist())
+    spread = recording.effort.std(axis=0)
+    dead = frozenset(np.flatnonzero(spread <= DEAD_SHARE * max(float(spread.max()), 1e-9)).tolist())
+    findings = [*_rest(names, still), *_dead(recording, dead)]
+    slopes, velocity = compare_velocity(recording, still)
+    return Plain((*findings, *velocity, *_clock(recording)), still, dead, slopes)
+
+
+def _rest(names: tuple[str, ...], still: frozenset[int]) -> list[Finding]:
+    if not still:
+        return []
+    joints = tuple(names[k] for k in sorted(still))
+    every = len(joints) == len(names)
+    text = "no joint moves" if every else f"{', '.join(joints)} {'does' if len(joints) == 1 else 'do'} not move"
+    what = (
+        "record an excitation run" if every else "record a run in which they move, or take their parameters for CAD's"
+    )
+    level = Level.UNFIT if every else Level.NOTE
+    return [Finding("at_rest", level, joints, f"{text} (less than {REST_RAD:g} rad)", what)]
+
+
+def _dead(recording: Recording, dead: frozenset[int]) -> list[Finding]:
+    if not dead:
+        return []
+    joints = tuple(recording.joints[k] for k in sorted(dead))
+    values = recording.effort[0, sorted(dead)]
+    what = "zero" if not values.any() else "constant"
+    text = f"the effort of {', '.join(joints)} is {what} throughout"
+    remedy = "have the driver publish the joint's torque in JointState.effort and record again"
+    return [Finding("no_effort", Level.UNFIT, joints, text, remedy)]
+
+
+def _blocks(recording: Recording, length_s: float = 0.04) -> list[tuple[FloatArray, FloatArray, float]]:
+    """Mean recorded velocity, velocity from positions, and block length of every segment."""
+    assert recording.velocity is not None
+    size = max(4, round(length_s * recording.rate_hz))
+    found = []
+    for segment in recording.segments:
+        time, position = recording.time[segment], recording.position[segment]
+        count = (len(time) - 1) // size
+        if count < 20:
+            continue
+        ends = np.arange(count + 1) * size
+        # The mean over a block, by the trapezoidal rule, is the difference of its ends over its time.
+        step = np.diff(time)[:, None]
+        area = 0.5 * (recording.velocity[segment][1:] + recording.velocity[segment][:-1]) * step
+        total = np.add.reduceat(area[: ends[-1]], ends[:-1], axis=0)
+        span = np.diff(time[ends])[:, None]
+        found.append((total / span, np.diff(position[ends], axis=0) / span, float(np.median(span))))
+    return found
+
+
+def compare_velocity(recording: Recording, still: frozenset[int]) -> tuple[FloatArray, list[Finding]]:
+    """Recorded over differentiated velocity (n,), and what is wrong with the recorded one."""
+    n = len(recording.joints)
+    slopes = np.full(n, np.nan)
+    if recording.velocity is None:
+        return slopes, []
+    blocks = _blocks(recording)
+    if not blocks:
+        return slopes, []
+    findings = []
+    for k in range(n):
+        if k in still:
+            continue
+        shift, correlation, slope = best_shift([(a[:, k], b[:, k], step) for a, b, step in blocks])
+        slopes[k] = slope if abs(correlation) > LEAST_CORRELATION else np.nan
+        text = _velocity_words(slope, correlation, shift)
+        if text is not None:
+            values = {"slope": round(slope, 5), "correlation": round(correlation, 4), "shift_s": round(shift, 4)}
+            findings.append(
+                Finding(
+                    "velocity",
+                    Level.NOTE,
+                    (recording.joints[k],),
+                    f"the recorded velocity of {recording.joints[k]} {text}",
+                    "the recorded velocity is not used here (positions are differentiated); mend the driver for others",
+                    values=values,
+                )
+            )
+    return slopes, findings
+
+
+def best_shift(parts: list[tuple[FloatArray, FloatArray, float]]) -> tuple[float, float, float]:
+    """Shift (s, positive: recorded late), correlation and slope at which recorded is nearest to derived velocity."""
+    best = (0.0, 0.0, 0.0)
+    scores = {}
+    for lag in range(-8, 9):
+        pairs = [_shifted(a, b, lag) for a, b, _ in parts]
+        a, b = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+        size = float(np.sqrt((a @ a) * (b @ b)))
+        scores[lag] = float(a @ b) / size if size > 0 else 0.0
+        if abs(scores[lag]) > abs(best[1]):
+            best = (float(lag), scores[lag], float(a @ b) / float(b @ b))
+    lag = int(best[0])
+    fine = 0.0
+    if lag - 1 in scores and lag + 1 in scores:
+        left, centre, right = (abs(scores[k]) for k in (lag - 1, lag, lag + 1))
+        bend = left - 2 * centre + right
+        fine = 0.5 * (left - right) / bend if bend < 0 else 0.0
+    return (lag + fine) * parts[0][2], best[1], best[2]
+
+
+def _shifted(a: FloatArray, b: FloatArray, lag: int) -> tuple[FloatArray, FloatArray]:
+    """`a` taken `lag` blocks later than `b`."""
+    if lag > 0:
+        return a[lag:], b[:-lag]
+    return (a[:lag], b[-lag:]) if lag < 0 else (a, b)
+
+
+def _velocity_words(slope: float, correlation: float, shift: float) -> str | None:
+    if abs(correlation) < LEAST_CORRELATION:
+        return f"is not the derivative of its position (correlation {correlation:.2f})"
+    turned = np.pi / 180
+    if abs(abs(slope) / turned - 1) < SLOPE_OFF:
+        return "is in rad/s where the position is in degrees"
+    if abs(abs(slope) * turned - 1) < SLOPE_OFF:
+        return "is in degrees/s where the position is in radians"
+    if abs(slope + 1) < SLOPE_OFF:
+        return "has the opposite sign of its position's derivative"
+    if abs(slope - 1) > SLOPE_OFF:
+        return f"is {slope:.3g} times its position's derivative"
+    if abs(shift) > SHIFT_S:
+        return f"is {abs(shift) * 1e3:.0f} ms {'late' if shift > 0 else 'early'} against its position's derivative"
+    return None
+
+
+def _clock(recording: Recording) -> list[Finding]:
+    """What the reader found wrong with stamps, and whether they are less even than the motion."""
+    findings = []
+    samples = len(recording.time)
+    for issue in recording.issues:
+        if issue.kind == "backward_clock":
+            remedy = "stamp joint states with a clock that counts up; check the result against another run"
+            findings.append(Finding("clock_backward", Level.UNFIT, (), issue.message, remedy))
+        if issue.kind in ("backward_stamp", "repeated_stamp", "zero_stamp"):
+            lost = issue.count / (samples + issue.count)
+            level = Level.UNFIT if lost > LOST_SHARE else Level.NOTE
+            text = f"{issue.message} ({lost:.1%} of the samples)"
+            remedy = "stamp every joint state when it is sampled, by one steady clock"
+            findings.append(Finding("clock_order", level, (), text, remedy, values={"share": round(lost, 4)}))
+    found = jitter(recording)
+    if found is not None:
+        ratio, error_s = found
+        if ratio > JITTER_RATIO and error_s > 0.1 * JITTER_S:
+            text = (
+                f"the stamps jitter by {error_s * 1e3:.2g} ms RMS where the samples are even: positions are "
+                f"{ratio:.1f} times smoother over an even clock"
+            )
+            remedy = (
+                "stamp at the sampling instant, not on arrival; 'corrections: {clock: even}' in the arm YAML mends it"
+            )
+            level = Level.UNFIT if error_s > JITTER_S else Level.NOTE
+            findings.append(
+                Finding("clock_jitter", level, (), text, remedy, values={"rms_s": error_s, "ratio": round(ratio, 2)})
+            )
+    return findings
+
+
+def jitter(recording: Recording) -> tuple[float, float] | None:
+    """How many times smoother positions are over even time than over the stamps, and the stamps' RMS error, s.
+
+    Each position is predicted from its neighbours by a straight line, over the stamps and over the sample number.
+    """
+    over_stamps = over_numbers = errors = 0.0
+    count = 0
+    for segment in recording.segments:
+        time, position = recording.time[segment], recording.position[segment]
+        if len(time) < 100:
+            continue
+        share = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
+        by_stamp = position[1:-1] - (1 - share) * position[:-2] - share * position[2:]
+        by_number = position[1:-1] - 0.5 * (position[:-2] + position[2:])
+        speed = np.abs(position[2:] - position[:-2])
+        fast = speed > np.percentile(speed, 70, axis=0)
+        over_stamps += float(np.sum(by_stamp[fast] ** 2))
+        over_numbers += float(np.sum(by_number[fast] ** 2))
+        # The centre's stamp against the middle of its neighbours' has 1.5 times the variance of one stamp.
+        errors += float(np.sum((time[1:-1] - 0.5 * (time[:-2] + time[2:])) ** 2)) / 1.5
+        count += len(time) - 2
+    if count == 0 or over_numbers <= 0:
+        return None
+    return float(np.sqrt(over_stamps / over_numbers)), float(np.sqrt(errors / count))

@@ -1,0 +1,92 @@
+"""`Rows`: a few hundred filtered samples of position, its derivatives, friction direction and torque.
+
+A change of convention (sign, unit, zero, exchange of joints) is linear in position and torque, so it commutes with
+low-pass, differentiation and decimation: everything is filtered once, and every hypothesis is applied to rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..dynamics.arm import FloatArray
+from ..errors import UnfitDataError
+from ..recording.motion import Motion
+
+MOST_ROWS = 500
+"""Rows that a hypothesis is judged on; neighbours at four rows a period of the cut-off tell little beyond these."""
+LONGEST_DELAY_S = 0.3
+"""Delays looked for, either way; rows nearer to the end of a run have no torque so much earlier or later."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Filtered samples; columns are the recording's joints in the arm's order, before any correction.
+
+    Attributes:
+        position, velocity, acceleration: (M, n) rad, rad/s, rad/s^2.
+        direction: (M, n) low-passed sign of the velocity: column of Coulomb friction.
+        moving: (M, n) whether a row is free of the joint's standstill.
+        time: (M,) seconds from the start of the recording.
+        curves: The torque of each uninterrupted run of rows as a function of time.
+        run: (M,) which of `curves` a row is of.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    direction: FloatArray
+    moving: np.ndarray
+    time: FloatArray
+    curves: tuple[CubicSpline, ...]
+    run: np.ndarray
+
+    def thinned(self, step: int) -> Rows:
+        """Every `step`-th row."""
+        pick = slice(None, None, step)
+        names = ("position", "velocity", "acceleration", "direction", "moving", "time", "run")
+        return replace(self, **{name: getattr(self, name)[pick] for name in names})
+
+    def torque(self, delay_s: FloatArray) -> FloatArray:
+        """(M, n) N·m: the torque `delay_s` (n,) later than each row, at most `LONGEST_DELAY_S` either way."""
+        torque = np.empty_like(self.position)
+        for number, curve in enumerate(self.curves):
+            rows = self.run == number
+            for delay in np.unique(delay_s):
+                columns = delay_s == delay
+                torque[np.ix_(rows, columns)] = curve(self.time[rows] + delay)[:, columns]
+        return torque
+
+
+def rows_of(motions: Sequence[Motion], most: int = MOST_ROWS) -> Rows:
+    """Rows of motions, thinned evenly to at most about `most`.
+
+    Raises:
+        UnfitDataError: No run is longer than twice `LONGEST_DELAY_S` and a second.
+    """
+    long = [motion for motion in motions if len(motion.time) and np.ptp(motion.time) > 2 * LONGEST_DELAY_S + 1.0]
+    if not long:
+        raise UnfitDataError("no uninterrupted stretch of motion is longer than two seconds: record a longer run")
+    total = sum(len(motion.time) for motion in long)
+    step = max(1, int(np.ceil(total / most)))
+    parts = []
+    for number, motion in enumerate(long):
+        inside = (motion.time - motion.time[0] >= LONGEST_DELAY_S) & (motion.time[-1] - motion.time >= LONGEST_DELAY_S)
+        pick = np.flatnonzero(inside)[::step]
+        signals = (
+            motion.reduce(motion.position),
+            motion.velocity_rows,
+            motion.reduce(motion.acceleration),
+            motion.reduce(np.sign(motion.velocity)),
+            motion.moving,
+            motion.time,
+        )
+        parts.append((*(signal[pick] for signal in signals), np.full(len(pick), number)))
+    curves = tuple(CubicSpline(motion.time, motion.torque_rows) for motion in long)
+    position, velocity, acceleration, direction, moving, time, run = (
+        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+    )
+    return Rows(position, velocity, acceleration, direction, moving, time, curves, run)

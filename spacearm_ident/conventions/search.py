@@ -1,0 +1,457 @@
+"""Which conventions explain a recording best: every `Change` against none, then what is left, until nothing gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.regressor import rigid_body_torque
+from .change import PRIOR, Change, Kind, discrete_changes
+from .evidence import (
+    CAD_SCALES,
+    GAIN_SD,
+    OWN,
+    Design,
+    Evidence,
+    Frame,
+    Measured,
+    mass_likelihood,
+    predicted,
+    rms,
+    weigh,
+)
+from .plausible import Ranges
+from .rows import LONGEST_DELAY_S, Rows
+from .setup import Setup, motion_of, torque_of
+
+SCREEN_ROWS = 130
+"""Rows of a first look."""
+SCREEN_ITERATIONS = 3
+"""Alternations of a first look."""
+SURE, CHANCE = 7.0, 0.02
+"""Log odds from which a change is a fact: `SURE`, and what explaining a share `CHANCE` of the residual's variance
+gains. The residual is what the model leaves out: a change that is wrong explains a little of it (Panda: 2 %)."""
+SUSPECTED = 0.5
+"""Share of those log odds from which a change is mentioned."""
+SHORT_LIST = 6
+"""Changes that get a second look."""
+MOST_CHANGES = 4
+"""Mistakes looked for at once."""
+ZERO_SD, ZERO_SCALE = 0.5, 0.1
+"""Standard deviation of an encoder's zero, rad, and the CAD scale at which zeros are searched."""
+BADLY_EXPLAINED = 0.15
+"""Share of a joint's torque left unexplained from which zeros off by a quarter turn are tried, too."""
+DELAY_SD = 0.05
+"""Standard deviation of a delay, s."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A setup with its score: log-likelihood of data and ranges, and log prior of its changes."""
+
+    changes: tuple[Change, ...]
+    setup: Setup
+    score: float
+    evidence: Evidence
+
+
+class Court:
+    """Scores setups of one recording; motions once computed are kept."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        rows: Rows,
+        bonus: Callable[[Setup], float] = lambda setup: 0.0,
+        dead: frozenset[int] = frozenset(),
+    ) -> None:
+        """Take a recording.
+
+        Args:
+            arm: The arm.
+            rows: Its motion and torque.
+            bonus: What else a setup explains, as a log-likelihood.
+            dead: Joints whose torque says nothing.
+        """
+        self.arm, self.rows, self.bonus, self.dead = arm, rows, bonus, dead
+        self.ranges = Ranges(arm, rows)
+        self.frame = Frame(arm, rms(rows.torque(np.zeros(len(arm.joints)))))
+        self._designs: list[tuple[Setup, Design]] = []
+        self.counts = self._independent()
+
+    @property
+    def sure(self) -> float:
+        """Log odds from which a change is taken for a fact."""
+        return SURE - 0.5 * float(np.log1p(-CHANCE)) * float(self.counts.sum())
+
+    def screen(self) -> Court:
+        """The same on fewer rows, each of which counts for more."""
+        few = copy(self)
+        few.rows = self.rows.thinned(max(1, len(self.rows.time) // SCREEN_ROWS))
+        few._designs = []
+        return few
+
+    def design(self, setup: Setup) -> Design:
+        """Columns of a setup's motion."""
+        for known, design in self._designs:
+            if known.same_motion(setup):
+                return design
+        made = Design(self.frame, motion_of(self.rows, setup))
+        self._designs = [*self._designs[-5:], (setup, made)]
+        return made
+
+    def measured(self, setup: Setup) -> Measured:
+        """Torque of a setup."""
+        return Measured(
+            torque_of(self.rows, setup), self.counts[setup.effort_from], setup.gain_sd, setup.common_gain_sd
+        )
+
+    def _independent(self) -> FloatArray:
+        """(n,) independent samples that each joint's torque counts for, from the residual as recorded."""
+        setup = Setup.as_recorded(self.arm)
+        counts = np.empty(len(self.arm.joints))
+        self.counts = np.full(len(counts), len(self.rows.time) / 5.0)
+        design, measured = self.design(setup), self.measured(setup)
+        evidence = weigh(design, measured)
+        residual = measured.torque - predicted(design, evidence)
+        for j, rows in enumerate(design.motion.moving.T):
+            counts[j] = rows.sum() / rows_a_sample(residual[rows, j], measured.torque[rows, j])
+        return np.maximum(counts, 2.0)
+
+    def score(
+        self, changes: Sequence[Change], setup: Setup, scales: Sequence[float] = CAD_SCALES, iterations: int = 8
+    ) -> Scored:
+        """Score a setup."""
+        design, measured = self.design(setup), self.measured(setup)
+        if measured.common_gain_sd or measured.gain_sd.max() > GAIN_SD:
+            iterations *= 3
+        evidence = weigh(design, measured, scales, iterations)
+        value = evidence.log_likelihood + self.ranges.log_likelihood(setup) + self.bonus(setup)
+        # A torque in other units is another density: the change of variables.
+        value += float(measured.counts @ np.log(np.abs(setup.effort_sign)))
+        if scales is CAD_SCALES:
+            value += mass_likelihood(design, evidence)
+        return Scored(tuple(changes), setup, value + sum(change.log_prior for change in changes), evidence)
+
+
+def rows_a_sample(residual: FloatArray, torque: FloatArray) -> float:
+    """Rows that one independent sample of a residual (M,) stands for, at least 1.
+
+    The larger of two: 1 plus twice its autocorrelations to the first zero; and its power spectral density where the
+    torque (M,) has its power, over its mean. The second sees a slow model error under white noise.
+    """
+    n = len(residual)
+    if n < 8 or not residual.any():
+        return float(max(n, 1))
+    power = np.abs(np.fft.rfft(residual - residual.mean(), 2 * n)) ** 2
+    correlation = np.fft.irfft(power)[:n]
+    ends = np.flatnonzero(correlation <= 0)
+    slow = 1.0 + 2.0 * float(correlation[1 : int(ends[0]) if len(ends) else n].sum()) / float(correlation[0])
+    weight = np.abs(np.fft.rfft(torque - torque.mean(), 2 * n)) ** 2
+    band = float(power @ weight / max(weight.sum(), 1e-300) / power.mean())
+    return float(max(1.0, slow, band))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One round of the search.
+
+    Attributes:
+        before: What it started from.
+        after: The best that was found.
+        rivals: Other single changes that came close, the best first.
+        screened: The rest, after a first look only.
+    """
+
+    before: Scored
+    after: Scored
+    rivals: tuple[Scored, ...]
+    screened: tuple[Scored, ...] = ()
+
+    @property
+    def gain(self) -> float:
+        """Log odds of the change against none."""
+        return self.after.score - self.before.score
+
+
+def search(court: Court) -> list[Step]:
+    """Rounds of `compete` until nothing is sure of a gain; the last one is the round that gained nothing."""
+    steps = [compete(court, court.score((), Setup.as_recorded(court.arm)))]
+    while steps[-1].gain > court.sure and len(steps) <= MOST_CHANGES:
+        last = steps[-1]
+        again = (*last.rivals, *last.screened) if last.after.changes[-1].kind is Kind.DELAY else None
+        steps.append(compete(court, last.after, again))
+    return steps
+
+
+def compete(court: Court, start: Scored, again: Sequence[Scored] | None = None) -> Step:
+    """The best single change of a setup, and those that came close.
+
+    Args:
+        court: Scores.
+        start: The setup.
+        again: Changes that were tried beside a delay that `start` has now: only the best of them are tried.
+    """
+    if again is None:
+        scale = (min(start.evidence.scale, CAD_SCALES[-2]),)
+        tried = []
+        few = court.screen()
+        for change in discrete_changes(court.arm):
+            if testable(court, start, change):
+                tried.append(few.score((*start.changes, change), change.on(start.setup), scale, SCREEN_ITERATIONS))
+        tried += zeros(few, start)
+        tried += delays(court, start)
+        tried += tilts(court, start)
+    else:
+        changes = [one.changes[-1] for one in again if one.changes[-1].kind is not Kind.DELAY]
+        tried = [replace(start, changes=(*start.changes, one), setup=one.on(start.setup)) for one in changes]
+    if again is None:
+        tried.sort(key=lambda one: -one.score)
+    # What masses add up to is looked at in the second round only: gains are always in it.
+    chosen = [one for k, one in enumerate(tried) if k < SHORT_LIST or one.changes[-1].kind in _GAINS]
+    short = [refined_gravity(court, court.score(one.changes, one.setup)) for one in chosen]
+    short = [one for one in short if one.changes[-1].kind is not Kind.EFFORT_GAIN or _gain_is_off(one)]
+    short.sort(key=lambda one: -one.score)
+    best = short[0] if short and short[0].score > start.score else start
+    # Beside a delay the others were not scored again.
+    rest = [one for one in tried if all(one is not other for other in chosen)] if again is None else []
+    return Step(start, best, tuple(one for one in short if one is not best), tuple(rest))
+
+
+_GAINS = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT)
+
+
+def _gain_is_off(one: Scored) -> bool:
+    """Whether a gain that was set free went further than gains ordinarily are off."""
+    return bool(abs(np.log(one.evidence.gains[one.changes[-1].joints[0]])) > 2.0 * GAIN_SD)
+
+
+def testable(court: Court, start: Scored, change: Change) -> bool:
+    """Whether a change is one that this arm and these data can be asked about.
+
+    A gain needs CAD inertials, and a single joint's a large gravity torque; a joint without torque says
+    nothing about its sign, gain or place.
+    """
+    if change.kind in (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT):
+        if court.frame.rough:
+            return False
+        return len(change.joints) != 1 or change.joints[0] in loaded_joints(court, start)
+    return change.kind is Kind.DEGREES or not court.dead & set(change.joints)
+
+
+def loaded_joints(court: Court, start: Scored) -> tuple[int, ...]:
+    """Joints whose torque is gravity's enough to tell a gain from CAD inertias or a payload that are not known."""
+    design = court.design(start.setup)
+    ratios = design.mass_ratios(start.evidence.parameters[: design.rigid])
+    return tuple(int(j) for j in np.flatnonzero(np.isfinite(ratios)))
+
+
+def zeros(court: Court, start: Scored) -> list[Scored]:
+    """The best encoder zero of each joint by Gauss-Newton; from a quarter turn, too, where little is explained."""
+    base = court.score(start.changes, start.setup, (ZERO_SCALE,), SCREEN_ITERATIONS)
+    design, torque = court.design(base.setup), court.measured(base.setup).torque
+    left = rms(np.where(design.motion.moving, torque - predicted(design, base.evidence), 0.0)) / (rms(torque) + 1e-12)
+    quarter = 0.5 * np.pi
+    firsts = (quarter, -quarter) if np.max(left) > BADLY_EXPLAINED else ()
+    found = []
+    for joint, one in enumerate(court.arm.joints):
+        if not one.revolute:
+            continue
+        step, gain = _zero_step(court, base, joint, 0.0)
+        ways = [_zero_from(court, base, joint, step)] if gain > 1.0 or firsts else []
+        ways += [_zero_from(court, base, joint, first) for first in firsts]
+        if ways:
+            found.append(max(ways, key=lambda scored: scored.score))
+    return found
+
+
+def _zero_from(court: Court, start: Scored, joint: int, first: float) -> Scored:
+    """The best zero of a joint on the way from a first guess, rad."""
+    zero, tried = float(np.clip(first, -2.0, 2.0)), []
+    for _ in range(4):
+        change = Change(Kind.ENCODER_ZERO, (joint,), (zero,), zero_prior(zero, len(court.arm.joints)))
+        here = court.score((*start.changes, change), change.on(start.setup), (ZERO_SCALE,), SCREEN_ITERATIONS)
+        tried.append(here)
+        if here.score < start.score - 100.0:
+            break
+        step = float(np.clip(_zero_step(court, here, joint, zero)[0], -0.4, 0.4))
+        zero = float(np.clip(zero + step, -2.0, 2.0))
+        if abs(step) < 0.01:
+            break
+    return max(tried, key=lambda scored: scored.score)
+
+
+def zero_prior(zero: float, n: int) -> float:
+    """Log prior of a zero: Gaussian, or a quarter turn."""
+    return float(np.log(PRIOR / n) - 0.5 * (zero / ZERO_SD) ** 2 - 3.0)
+
+
+def zero_error(court: Court, here: Scored, joint: int) -> float:
+    """Standard error of a joint's zero with all parameters free, before any belief about it, rad."""
+    square = float(_zero_normal(court, here, joint)[0][0, 0])
+    return float(1.0 / np.sqrt(max(square, 1e-9)))
+
+
+def _zero_step(court: Court, here: Scored, joint: int, zero: float) -> tuple[float, float]:
+    """Gauss-Newton step of one joint's zero with all parameters free, rad, and the log-likelihood it should gain."""
+    square, product = _zero_normal(court, here, joint)
+    square, product = square + 1.0 / ZERO_SD**2, product - zero / ZERO_SD**2
+    return float(product[0] / square[0, 0]), 0.5 * float(product[0] ** 2 / square[0, 0])
+
+
+def _zero_normal(court: Court, here: Scored, joint: int) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix (1, 1) and vector (1,) of a joint's zero with all parameters free."""
+    design = court.design(here.setup)
+    motion = design.motion
+    inertials = court.frame.inertials(here.evidence.parameters[: design.rigid])
+    arm = court.arm.with_gravity(motion.gravity)
+    moved = motion.position.copy()
+    moved[:, joint] += 1e-4
+    slope = (
+        rigid_body_torque(arm, inertials, moved, motion.velocity, motion.acceleration)
+        - rigid_body_torque(arm, inertials, motion.position, motion.velocity, motion.acceleration)
+    ) / 1e-4
+    return reduced(court, here, slope[:, :, None])
+
+
+def reduced(court: Court, here: Scored, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix (k, k) and vector (k,) of k further columns of the rigid arm (M, n, k), all parameters free."""
+    design, evidence = court.design(here.setup), here.evidence
+    r, weight = design.rigid, evidence.weight
+    residual = court.measured(here.setup).torque - predicted(design, evidence)
+    along = along * (evidence.gains[:, None] * design.motion.moving[:, :, None])
+    cross = np.zeros((len(evidence.parameters), along.shape[2]))
+    for j, columns in enumerate(design.columns):
+        product = weight[j] * (columns.T @ along[:, j])
+        cross[:r] += evidence.gains[j] * product[:r]
+        cross[r + OWN * j : r + OWN * (j + 1)] += product[r:]
+    square = np.einsum("mjk,j,mjl->kl", along, weight, along, optimize=True)
+    vector = np.einsum("mjk,j,mj->k", along, weight, residual, optimize=True)
+    return square - cross.T @ np.linalg.solve(evidence.precision, cross), vector
+
+
+def tilts(court: Court, start: Scored) -> list[Scored]:
+    """Gravity that explains best what is left, of the size believed: a base mounted at any angle."""
+    size = float(np.linalg.norm(start.setup.gravity))
+    if size == 0.0:
+        return []
+    vector = gravity_step(court, start, size)
+    if vector @ start.setup.gravity > np.cos(LEAST_TILT_RAD) * size**2:
+        return []
+    change = Change(Kind.GRAVITY, (), tuple(float(v) for v in vector))
+    return [court.score((*start.changes, change), change.on(start.setup), (ZERO_SCALE,), SCREEN_ITERATIONS)]
+
+
+def refined_gravity(court: Court, one: Scored) -> Scored:
+    """Where gravity was changed: its direction, searched by Gauss-Newton with all parameters free."""
+    last = one.changes[-1] if one.changes else None
+    size = 0.0 if last is None or last.kind is not Kind.GRAVITY else float(np.linalg.norm(last.value))
+    if last is None or size == 0.0:
+        return one
+    for _ in range(3):
+        vector = gravity_step(court, one, size)
+        change = replace(last, value=tuple(float(v) for v in vector))
+        setup = replace(one.setup, gravity=vector)
+        better = court.score((*one.changes[:-1], change), setup)
+        if better.score <= one.score:
+            break
+        one = better
+    return one
+
+
+def gravity_step(court: Court, one: Scored, size: float) -> FloatArray:
+    """(3,) gravity of a given size that explains what is left, all parameters free, m/s^2."""
+    design = court.design(one.setup)
+    motion = design.motion
+    inertials = court.frame.inertials(one.evidence.parameters[: design.rigid])
+    still = np.zeros_like(motion.position)
+    pulls = [
+        rigid_body_torque(court.arm.with_gravity(axis), inertials, motion.position, still, still) for axis in np.eye(3)
+    ]
+    square, product = reduced(court, one, np.stack(pulls, axis=2))
+    vector = motion.gravity + np.linalg.solve(square + np.eye(3) / size**2, product)
+    return np.asarray(size * vector / np.linalg.norm(vector))
+
+
+def delays(court: Court, start: Scored) -> list[Scored]:
+    """A delay that all joints share, and of every joint by itself where it is too long for friction to look like it."""
+    n = len(court.arm.joints)
+    found = [_best_delay(court, start, tuple(range(n)))]
+    least = LATE_S / np.maximum(1.0 - friction_shares(court, start), 0.2)
+    for joint, own in enumerate(_own_delays(court, start)):
+        if n > 1 and abs(own) > 0.5 * least[joint] and joint not in court.dead:
+            found.append(_best_delay(court, start, (joint,), own))
+    told = [one for one in found if abs(one.changes[-1].value[0]) > SHORTEST_DELAY_S]
+    return [
+        one
+        for one in told
+        if len(one.changes[-1].joints) > 1 or abs(one.changes[-1].value[0]) > least[one.changes[-1].joints[0]]
+    ]
+
+
+def friction_shares(court: Court, start: Scored) -> FloatArray:
+    """(n,) share of friction in the mean square of each joint's predicted torque, at most 1."""
+    design, evidence = court.design(start.setup), start.evidence
+    r = design.rigid
+    own = evidence.parameters[r:].reshape(-1, OWN)[:, :2]
+    friction = np.einsum("jmc,jc->mj", design.columns[:, :, r : r + 2], own)
+    whole = np.mean(court.measured(start.setup).torque ** 2, axis=0)
+    return np.asarray(np.minimum(np.mean(friction**2, axis=0) / (whole + 1e-12), 1.0))
+
+
+LEAST_TILT_RAD = 0.17
+"""Tilt of the base from which it is looked for (10 degrees); less is for `spacearm mismatch`."""
+LATE_S = 0.04
+"""Delay from which the data are unfit, s: a first-order filter at 4 Hz; sound drives and recorders have shown 29 ms."""
+CLOSE_S = 0.001
+"""Span of trial delays from which the best of them is good enough, s."""
+SHORTEST_DELAY_S = 0.01
+"""Shorter delays are not looked for, s: they leave less in the torque than the model does."""
+GRID_S = (-0.25, -0.15, -0.08, -0.04, -0.015, 0.015, 0.04, 0.08, 0.15, 0.25)
+"""Delays that are tried first, s."""
+
+
+def _own_delays(court: Court, start: Scored) -> FloatArray:
+    """(n,) delay at which each joint's torque is nearest to what is predicted without one, s."""
+    design = court.design(start.setup)
+    fitted = predicted(design, start.evidence)
+    grid = np.array([0.0, *GRID_S])
+    lost = np.empty((len(grid), len(court.arm.joints)))
+    for k, delay in enumerate(grid):
+        torque = torque_of(court.rows, replace(start.setup, delay_s=start.setup.delay_s + delay))
+        lost[k] = np.sum(np.where(design.motion.moving, torque - fitted, 0.0) ** 2, axis=0)
+    return np.asarray(grid[np.argmin(lost, axis=0)])
+
+
+def _best_delay(court: Court, start: Scored, joints: tuple[int, ...], first: float | None = None) -> Scored:
+    scale = (start.evidence.scale,)
+
+    def at(delay: float) -> Scored:
+        clipped = float(np.clip(delay, -LONGEST_DELAY_S, LONGEST_DELAY_S))
+        prior = np.log(PRIOR / (len(court.arm.joints) + 1)) - 0.5 * (clipped / DELAY_SD) ** 2 * 0.1 - 2.0
+        change = Change(Kind.DELAY, joints, (clipped,), float(prior))
+        return court.score((*start.changes, change), change.on(start.setup), scale, SCREEN_ITERATIONS)
+
+    tried = [at(delay) for delay in (GRID_S if first is None else (0.5 * first, first, 1.5 * first))]
+    for _ in range(3):
+        best = max(tried, key=lambda one: one.score)
+        centre = best.changes[-1].value[0]
+        others = sorted((one.changes[-1].value[0], one.score) for one in tried)
+        number = [value for value, _ in others].index(centre)
+        if number in (0, len(others) - 1):
+            tried.append(at(centre * 1.3))
+            continue
+        three = others[number - 1 : number + 2]
+        if three[2][0] - three[0][0] < CLOSE_S:
+            break
+        # Relative to the middle, in units of the span: a parabola in metres or seconds would be poorly conditioned.
+        span = three[2][0] - three[0][0]
+        a, b, _ = np.polyfit([(value - three[1][0]) / span for value, _ in three], [score for _, score in three], 2)
+        if a >= 0:
+            break
+        tried.append(at(float(three[1][0] - span * b / (2 * a))))
+    return max(tried, key=lambda one: one.score)

@@ -1,0 +1,77 @@
+"""`Setup`: one set of conventions under which a recording might have been made, and what follows from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import Arm, FloatArray
+from .evidence import GAIN_SD, ArmMotion
+from .rows import Rows
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How the arm's joints follow from what was recorded; n joints in the arm's order.
+
+    Attributes:
+        position_from: (n,) recorded column that holds each joint's position.
+        position_scale: (n,) factor on it: -1 where the axis is reversed, pi/180 where it is in degrees.
+        position_offset: (n,) rad added to it.
+        effort_from: (n,) recorded column that holds each joint's torque.
+        effort_sign: (n,) factor on it.
+        gain_sd: (n,) standard deviation of the logarithm of each gain.
+        common_gain_sd: The same of a gain that all joints share; 0: none.
+        delay_s: (n,) how much later than the motion the torque was stamped.
+        gravity: (3,) m/s^2 in the base frame.
+        time_sign: -1 where the clock ran backwards.
+    """
+
+    position_from: np.ndarray
+    position_scale: FloatArray
+    position_offset: FloatArray
+    effort_from: np.ndarray
+    effort_sign: FloatArray
+    gain_sd: FloatArray
+    delay_s: FloatArray
+    gravity: FloatArray
+    common_gain_sd: float = 0.0
+    time_sign: float = 1.0
+
+    @classmethod
+    def as_recorded(cls, arm: Arm) -> Setup:
+        """Everything as the contract has it."""
+        n = len(arm.joints)
+        order, one, zero = np.arange(n), np.ones(n), np.zeros(n)
+        return cls(order, one, zero, order, one, np.full(n, GAIN_SD), zero, arm.gravity)
+
+    def same_motion(self, other: Setup) -> bool:
+        """Whether both give the joints the same motion under the same gravity."""
+        return (
+            np.array_equal(self.position_from, other.position_from)
+            and np.array_equal(self.position_scale, other.position_scale)
+            and np.array_equal(self.position_offset, other.position_offset)
+            and np.array_equal(self.gravity, other.gravity)
+            and self.time_sign == other.time_sign
+        )
+
+
+def motion_of(rows: Rows, setup: Setup) -> ArmMotion:
+    """Motion of the arm's joints under a setup."""
+    source, scale, back = setup.position_from, setup.position_scale, setup.time_sign
+    return ArmMotion(
+        position=rows.position[:, source] * scale + setup.position_offset,
+        velocity=back * rows.velocity[:, source] * scale,
+        acceleration=rows.acceleration[:, source] * scale,
+        direction=back * rows.direction[:, source] * np.sign(scale),
+        moving=rows.moving[:, source],
+        gravity=setup.gravity,
+    )
+
+
+def torque_of(rows: Rows, setup: Setup) -> FloatArray:
+    """(M, n) torque of the arm's joints under a setup, N·m; a delay belongs to the joint, wherever it is recorded."""
+    delay = np.empty(len(setup.effort_from))
+    delay[setup.effort_from] = setup.delay_s
+    return np.asarray(rows.torque(delay)[:, setup.effort_from] * setup.effort_sign)

@@ -1,0 +1,171 @@
+"""Findings in words: what a change of conventions says of the recording, and the option that mends it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..dynamics.arm import Arm, FloatArray
+from .change import Change, Kind, unit_factors
+from .evidence import Evidence
+
+UNIT_FACTOR = 4.0
+"""Gain from which a torque is in another unit: no published motor constant or CAD mass is off by so much."""
+
+
+def joint_names(arm: Arm, change: Change) -> tuple[str, ...]:
+    """Names of a change's joints."""
+    return tuple(arm.joint_names[k] for k in change.joints)
+
+
+def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
+    """One sentence."""
+    names = ", ".join(joint_names(arm, change))
+    match change.kind:
+        case Kind.EFFORT_SIGN:
+            return f"the torque of {names} has the wrong sign for its motion"
+        case Kind.POSITION_SIGN:
+            return f"the position of {names} counts against its axis in the URDF"
+        case Kind.AXIS_REVERSED:
+            return f"position and torque of {names} count against its axis in the URDF"
+        case Kind.DEGREES:
+            what = "all positions are" if len(change.joints) == len(arm.joints) > 1 else f"the position of {names} is"
+            return f"{what} in degrees, not radians"
+        case Kind.POSITIONS_EXCHANGED:
+            return f"the positions of {names} are exchanged: {_order(arm, change)}"
+        case Kind.EFFORTS_EXCHANGED:
+            return f"the torques of {names} are exchanged: {_order(arm, change)}"
+        case Kind.JOINTS_EXCHANGED:
+            return f"{names} are exchanged, position and torque: {_order(arm, change)}"
+        case Kind.ENCODER_ZERO:
+            off = -change.value[0]
+            return f"the encoder zero of {names} is off by {off:+.3f} rad ({np.rad2deg(off):+.1f}°)"
+        case Kind.DELAY:
+            side = "late" if change.value[0] > 0 else "early"
+            where = "torque" if len(change.joints) == len(arm.joints) else f"the torque of {names}"
+            return f"{where} is {abs(change.value[0]) * 1e3:.0f} ms {side} against the motion"
+        case Kind.TIME_REVERSED:
+            return "time runs backwards: friction would drive every joint"
+        case Kind.GRAVITY:
+            return _gravity(arm, change)
+        case _:
+            return _gain(arm, change, evidence)
+
+
+def _order(arm: Arm, change: Change) -> str:
+    names = arm.joint_names
+    pairs = [f"{names[k]} is recorded as {names[int(change.value[k])]}" for k in change.joints]
+    return ", ".join(pairs)
+
+
+def _gravity(arm: Arm, change: Change) -> str:
+    vector = np.array(change.value)
+    told = " ".join(f"{g:.3g}" for g in arm.gravity)
+    if not vector.any():
+        return f"the torque holds no gravity, where {told} m/s² is given (compensated by the controller, or in orbit?)"
+    size = float(np.linalg.norm(arm.gravity)) or 1.0
+    angle = float(np.degrees(np.arccos(np.clip(vector @ arm.gravity / np.linalg.norm(vector) / size, -1, 1))))
+    how = "upside down" if angle > 150 else f"{angle:.0f}° off"
+    found = " ".join(f"{g:.3g}" for g in vector)
+    return f"gravity in the base frame is {found} m/s², not {told}: the base is mounted {how}"
+
+
+def _gain(arm: Arm, change: Change, evidence: Evidence) -> str:
+    gains, names = evidence.gains, arm.joint_names
+    if change.kind is Kind.EFFORT_UNIT:
+        if change.value:
+            return f"the torque is recorded in {_unit(arm, change)}, not N·m"
+        listed = ", ".join(f"{name} {gain:.3g}" for name, gain in zip(names, gains))
+        return f"the torque is not in N·m{_guess(gains)}: recorded over expected from CAD masses is {listed}"
+    joint = change.joints[0]
+    error = float(evidence.gain_errors[joint])
+    where = "that holds the arm up" if len(change.joints) > 1 else f"of {names[joint]}"
+    text = f"the torque {where} is {gains[joint]:.3g} (± {gains[joint] * error:.2g}) times what the CAD masses need"
+    if is_unit(change, evidence):
+        return f"{text}: another unit{_guess(gains)}"
+    return (
+        f"{text}: probably a gain (torque constant, gear ratio) or CAD masses that are off; these data cannot separate"
+    )
+
+
+def is_unit(change: Change, evidence: Evidence) -> bool:
+    """Whether a free gain is so far off that it is another unit."""
+    if change.kind is Kind.EFFORT_UNIT and change.value:
+        return True
+    logs = np.abs(np.log(evidence.gains[list(change.joints)]))
+    return bool(np.median(logs) > np.log(UNIT_FACTOR))
+
+
+def _unit(arm: Arm, change: Change) -> str:
+    for name, factors in unit_factors(arm).items():
+        if np.allclose(factors, change.value):
+            return name
+    return "another unit"
+
+
+def _guess(gains: FloatArray) -> str:
+    size = float(np.exp(np.median(np.log(gains))))
+    if 300 < size < 3000 and np.std(np.log(gains)) < 0.3:
+        return " (mN·m?)"
+    if size > UNIT_FACTOR:
+        return " (mA?)"
+    return " (A?)" if size < 1 / UNIT_FACTOR else ""
+
+
+def remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
+    """The option that mends it."""
+    names = joint_names(arm, change)
+    match change.kind:
+        case Kind.GRAVITY:
+            return "--gravity " + " ".join(f"{g:.3g}" for g in change.value) + ", or gravity_m_s2 in the arm YAML"
+        case Kind.TIME_REVERSED:
+            return "in the arm YAML: corrections: {clock: reversed}"
+        case Kind.EFFORT_GAIN | Kind.EFFORT_UNIT:
+            return _gain_remedy(arm, change, evidence)
+        case Kind.DELAY:
+            return _yaml(_each(arm, names, f"effort_delay_s: {change.value[0]:.4g}"))
+        case Kind.ENCODER_ZERO:
+            return _yaml([(names[0], f"position_offset_rad: {change.value[0]:.4g}")])
+        case Kind.DEGREES:
+            return _yaml(_each(arm, names, "position_scale: 0.01745329252"))
+        case Kind.EFFORT_SIGN:
+            return _yaml([(names[0], "effort_scale: -1")])
+        case Kind.POSITION_SIGN:
+            return _yaml([(names[0], "position_scale: -1")])
+        case Kind.AXIS_REVERSED:
+            return _yaml([(names[0], "position_scale: -1, effort_scale: -1")]) + "; or reverse the axis in the URDF"
+        case _:
+            return _yaml(_exchange(arm, change))
+
+
+def _each(arm: Arm, names: Sequence[str], text: str) -> list[tuple[str, str]]:
+    """The same for several joints, or once for all."""
+    return [("all", text)] if len(names) == len(arm.joints) > 1 else [(name, text) for name in names]
+
+
+def _exchange(arm: Arm, change: Change) -> list[tuple[str, str]]:
+    keys = {
+        Kind.POSITIONS_EXCHANGED: ("position_from",),
+        Kind.EFFORTS_EXCHANGED: ("effort_from",),
+        Kind.JOINTS_EXCHANGED: ("position_from", "effort_from"),
+    }[change.kind]
+    names = arm.joint_names
+    return [(names[k], ", ".join(f"{key}: {names[int(change.value[k])]}" for key in keys)) for k in change.joints]
+
+
+def _gain_remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
+    if change.kind is Kind.EFFORT_UNIT and change.value:
+        factors = np.array(change.value)
+    else:
+        factors = 1.0 / evidence.gains[list(change.joints)]
+    if change.kind is Kind.EFFORT_GAIN:
+        scales = _each(arm, joint_names(arm, change), f"effort_scale: {factors[0]:.4g}")
+    else:
+        scales = [(name, f"effort_scale: {factor:.4g}") for name, factor in zip(joint_names(arm, change), factors)]
+    return f"find torque constant, gear ratio and unit of the effort; until then {_yaml(scales)}"
+
+
+def _yaml(entries: Sequence[tuple[str, str]]) -> str:
+    inner = ", ".join(f"{name}: {{{text}}}" for name, text in entries)
+    return f"in the arm YAML: corrections: {{joints: {{{inner}}}}}"

@@ -1,0 +1,248 @@
+"""Mistakes of convention are found on the data, at the right joint; a sound recording raises no alarm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planted_arm import Friction, Link, incommensurate, plant
+
+from spacearm_ident.conventions.check import check_conventions
+from spacearm_ident.conventions.finding import ConventionReport, Level
+from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
+from spacearm_ident.recording import Recording, read_recording
+from spacearm_ident.recording.corrections import Corrections, read_corrections
+
+REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
+LINKS = (
+    Link("waist", axis=(0, 0, 1), mass=6.0, com=(0.0, 0.02, 0.1)),
+    Link(
+        "shoulder",
+        parent="waist",
+        xyz=(0, 0.1, 0.3),
+        mass=5.0,
+        com=(0.02, 0.01, 0.25),
+        inertia=(0.1, 0, 0, 0.1, 0, 0.02),
+    ),
+    Link("elbow", parent="shoulder", xyz=(0, 0, 0.5), mass=3.0, com=(0.03, 0.02, 0.2)),
+    Link(
+        "wrist", parent="elbow", xyz=(0, 0, 0.4), mass=1.5, com=(0.06, 0.02, 0.1), inertia=(0.01, 0, 0, 0.01, 0, 0.005)
+    ),
+)
+LIMITS = np.array([60.0, 200.0, 80.0, 20.0])
+LINKS = tuple(
+    replace(link, limit=f'lower="-3" upper="3" effort="{limit}" velocity="4"') for link, limit in zip(LINKS, LIMITS)
+)
+"""What the URDF says; the true links weigh up to 8 % more or less."""
+TRUE = tuple(replace(link, mass=link.mass * factor) for link, factor in zip(LINKS, (1.05, 0.95, 1.08, 0.97)))
+FRICTION = tuple(Friction(f_c=f, k_v1=0.8 * f, J_m=0.05 * f) for f in (4.0, 5.0, 2.0, 1.0))
+NAMES = tuple(link.name for link in LINKS)
+
+
+def sound(seed: int = 0, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> Recording:
+    time = np.arange(0.0, 30.0, 1 / 200)
+    motion = incommensurate(time, 4, seed=seed, speed=1.2)
+    made = plant(LINKS, FRICTION, motion, 200.0, gravity, true_links=TRUE)
+    recording = made.recording(noise=[0.2, 0.3, 0.1, 0.05], seed=seed, ar=0.5)
+    return replace(recording, velocity=motion[1])
+
+
+@pytest.fixture(scope="module")
+def run() -> Recording:
+    return sound()
+
+
+@pytest.fixture(scope="module")
+def arm(run) -> Arm:
+    return arm_from_urdf(run.urdf)
+
+
+def scaled(recording: Recording, name: str, joint: int | slice, factor: float) -> Recording:
+    values = getattr(recording, name).copy()
+    values[:, joint] *= factor
+    return replace(recording, **{name: values})
+
+
+def turned(recording: Recording, joint: int | slice, factor: float) -> Recording:
+    return scaled(scaled(recording, "position", joint, factor), "velocity", joint, factor)
+
+
+def unfit(report: ConventionReport) -> list[tuple[str, tuple[str, ...]]]:
+    return [(finding.kind, finding.joints) for finding in report.findings if finding.level is Level.UNFIT]
+
+
+def exchanged(recording: Recording, *names: str) -> Recording:
+    order = [0, 2, 1, 3]
+    return replace(recording, **{name: getattr(recording, name)[:, order] for name in names})
+
+
+def late(recording: Recording, samples: int) -> Recording:
+    return replace(
+        recording,
+        time=recording.time[:-samples],
+        position=recording.position[samples:],
+        velocity=recording.velocity[samples:],
+        effort=recording.effort[:-samples],
+        segments=(slice(0, len(recording.time) - samples),),
+    )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_sound_recording_raises_no_alarm(seed, arm):
+    report = check_conventions([sound(seed)], arm)
+    assert report.fit and not report.findings
+
+
+MISTAKES = {
+    "torque sign": (lambda r: scaled(r, "effort", 2, -1.0), "effort_sign", ("elbow",)),
+    "position sign": (lambda r: turned(r, 1, -1.0), "position_sign", ("shoulder",)),
+    "degrees, one joint": (lambda r: turned(r, 3, 180 / np.pi), "degrees", ("wrist",)),
+    "degrees, all": (lambda r: turned(r, slice(None), 180 / np.pi), "degrees", NAMES),
+    "positions exchanged": (
+        lambda r: exchanged(r, "position", "velocity"),
+        "positions_exchanged",
+        ("shoulder", "elbow"),
+    ),
+    "torques exchanged": (lambda r: exchanged(r, "effort"), "efforts_exchanged", ("shoulder", "elbow")),
+    "joints exchanged": (
+        lambda r: exchanged(r, "position", "velocity", "effort"),
+        "joints_exchanged",
+        ("shoulder", "elbow"),
+    ),
+    "amperes": (lambda r: replace(r, effort=r.effort / [9.0, 12.0, 10.0, 7.0]), "effort_unit", NAMES),
+    "milliamperes": (lambda r: replace(r, effort=100.0 * r.effort / [0.9, 1.2, 1.0, 0.7]), "effort_unit", NAMES),
+    "per cent of the limit": (lambda r: replace(r, effort=100.0 * r.effort / LIMITS), "effort_unit", NAMES),
+    "encoder zero": (
+        lambda r: replace(r, position=r.position + np.array([0.0, 0.0, 0.3, 0.0])),
+        "encoder_zero",
+        ("elbow",),
+    ),
+}
+
+
+@pytest.mark.parametrize("what", MISTAKES)
+def test_a_mistake_is_named_with_its_joint(what, run, arm):
+    make, kind, joints = MISTAKES[what]
+    report = check_conventions([make(run)], arm)
+    assert unfit(report) == [(kind, joints)], report.lines()
+
+
+@pytest.mark.parametrize("truth", [(0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, -6.94, -6.94)])
+def test_the_base_is_found_mounted_otherwise(truth, arm):
+    report = check_conventions([sound(gravity=truth)], arm)
+    (finding,) = [one for one in report.findings if one.level is Level.UNFIT]
+    assert finding.kind == "gravity"
+    found = np.array(finding.values["value"])
+    assert found @ truth > 0.97 * np.linalg.norm(found) * np.linalg.norm(truth)
+
+
+def test_a_corrected_mistake_is_none(run, arm):
+    wrong = scaled(turned(run, 1, -180 / np.pi), "effort", 2, -0.5)
+    text = {"joints": {"shoulder": {"position_scale": -np.pi / 180}, "elbow": {"effort_scale": -2.0}}}
+    mended = read_corrections(text, NAMES, "arm.yaml").applied(wrong)
+    np.testing.assert_allclose(mended.position, run.position, atol=1e-12)
+    assert check_conventions([mended], arm).fit
+
+
+def test_a_delay_is_corrected_by_its_own_remedy(run, arm):
+    wrong = late(run, 20)
+    (finding,) = check_conventions([wrong], arm).findings
+    # Friction that builds up over a distance looks the same, so the data are not called unfit.
+    assert (finding.kind, finding.joints, finding.level) == ("delay", NAMES, Level.NOTE)
+    data = {"joints": {"all": {"effort_delay_s": finding.values["value"][0]}}}
+    assert finding.values["value"][0] == pytest.approx(0.1, abs=0.01)
+    assert not check_conventions([read_corrections(data, NAMES, "arm.yaml").applied(wrong)], arm).findings
+
+
+def test_a_joint_without_torque_is_said_and_the_others_are_still_checked(run, arm):
+    report = check_conventions([scaled(scaled(run, "effort", 3, 0.0), "effort", 1, -1.0)], arm)
+    assert ("no_effort", ("wrist",)) in unfit(report)
+    assert ("effort_sign", ("shoulder",)) in unfit(report)
+
+
+def test_a_joint_at_rest_is_a_note(run, arm):
+    still = scaled(scaled(run, "position", 0, 0.0), "velocity", 0, 0.0)
+    report = check_conventions([still], arm)
+    assert ("at_rest", ("waist",), Level.NOTE) in [(f.kind, f.joints, f.level) for f in report.findings]
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda v: v * 180 / np.pi, "degrees/s"),
+        (lambda v: -v, "opposite sign"),
+        (lambda v: np.roll(v, 20, axis=0), "ms late"),
+        (lambda v: np.random.default_rng(0).standard_normal(v.shape), "not the derivative"),
+    ],
+)
+def test_a_velocity_that_is_not_the_derivative_is_noted(make, says, run, arm):
+    velocity = run.velocity.copy()
+    velocity[:, 2] = make(velocity)[:, 2]
+    report = check_conventions([replace(run, velocity=velocity)], arm)
+    assert report.fit
+    (finding,) = report.findings
+    assert (finding.kind, finding.joints) == ("velocity", ("elbow",))
+    assert says in finding.statement
+
+
+def test_stamps_that_jitter_where_the_samples_are_even_are_found(run, arm):
+    jitter = np.clip(0.002 * np.random.default_rng(1).standard_normal(len(run.time)), -0.0024, 0.0024)
+    report = check_conventions([replace(run, time=run.time + jitter)], arm)
+    assert [f.kind for f in report.findings if f.kind.startswith("clock")] == ["clock_jitter"]
+
+
+def test_samples_that_are_uneven_by_their_stamps_are_sound(arm):
+    base = sound(seed=3)
+    pick = np.sort(np.random.default_rng(0).choice(len(base.time), 3500, replace=False))
+    uneven = replace(
+        base,
+        time=base.time[pick],
+        position=base.position[pick],
+        velocity=base.velocity[pick],
+        effort=base.effort[pick],
+        segments=(slice(0, len(pick)),),
+    )
+    assert not [f for f in check_conventions([uneven], arm).findings if f.kind.startswith("clock")]
+
+
+def test_time_that_runs_backwards_is_found_by_friction(run, arm):
+    backwards = Corrections(clock="reversed").applied(run)
+    assert unfit(check_conventions([replace(backwards, velocity=None)], arm)) == [("time_reversed", ())]
+
+
+def test_another_arm_than_the_bag_describes_is_said(run):
+    longer = tuple(replace(link, xyz=(0, 0, 0.7)) if link.name == "elbow" else link for link in LINKS)
+    other = arm_from_urdf(plant(longer, FRICTION, (run.position[:9],) * 3, 200.0).urdf)
+    report = check_conventions([run], other)
+    said = next(finding for finding in report.findings if finding.kind == "robot_description")
+    assert said.joints == ("elbow",) and "200 mm" in said.statement and said.level is Level.UNFIT
+
+
+def test_a_gain_is_called_a_gain_or_a_mass_and_no_broken_convention(run, arm):
+    report = check_conventions([scaled(run, "effort", slice(None), 1.7)], arm)
+    (finding,) = report.findings
+    assert finding.kind in ("effort_gain", "effort_unit") and finding.level is Level.NOTE
+    assert "cannot separate" in finding.statement or "CAD" in finding.statement
+
+
+def test_what_no_data_can_tell_is_listed(run, arm):
+    text = " ".join(check_conventions([run], arm).undecided)
+    assert "encoder zero of waist" in text
+
+
+@pytest.mark.parametrize(
+    "name", ["ur10e/commissioning", "ur10e/field", "tx40/excitation", "airbot/run_1", "panda/run_2"]
+)
+def test_a_real_recording_is_sound_and_a_torque_sign_in_it_is_found(name):
+    path = REAL / f"{name}.mcap"
+    if not path.exists():
+        pytest.skip(f"no {path.name} in ../shared/recordings/real")
+    recording = read_recording(path)
+    arm = arm_from_urdf(recording.urdf)
+    ordered = recording.in_order(arm.joint_names)
+    assert check_conventions([ordered], arm).fit
+    found = unfit(check_conventions([scaled(ordered, "effort", 2, -1.0)], arm))
+    assert ("effort_sign", (arm.joint_names[2],)) in found
