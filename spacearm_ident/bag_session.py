@@ -16,6 +16,7 @@ from typing import Any
 from .documents import file_sha256
 from .dynamics.arm import Arm, load_arm
 from .errors import UserError
+from .identification.effort import in_newton_metres
 from .identification.from_prior import GroundPrior
 from .identification.identified import Identified
 from .identification.identify import Progress, Settings
@@ -33,6 +34,7 @@ class Options:
         arm: URDF or arm YAML; None: of the bags' `/robot_description`.
         gravity: (3,) m/s^2 instead of the arm's; None: the arm's.
         fixed_base: Take the base for fixed though a bag holds its motion.
+        namespace: Of the arm, where a bag holds several.
         friction, cutoff_hz, structure, solver, seed, temperature, estimate_gravity: As `session.settings_for`.
         prior: Result folder, or the model.yaml in one, to update.
     """
@@ -40,6 +42,7 @@ class Options:
     arm: Path | None = None
     gravity: tuple[float, float, float] | None = None
     fixed_base: bool = False
+    namespace: str | None = None
     friction: str = AUTO
     cutoff_hz: float | None = None
     structure: Path | None = None
@@ -54,6 +57,8 @@ class Options:
         words = arm_words(self.arm, self.gravity)
         if self.fixed_base:
             words += ["--fixed-base"]
+        if self.namespace is not None:
+            words += ["--namespace", self.namespace]
         if self.friction != AUTO:
             words += ["--friction", self.friction]
         if self.structure is not None:
@@ -132,12 +137,15 @@ def identify_bags(
         UserError: As `identify_session`, or a file cannot be read.
     """
     report = progress or (lambda share, what: None)
-    runs = read_bags(fitted, within(report, 0.0, 0.2), options.fixed_base)
+    runs = read_bags(fitted, within(report, 0.0, 0.2), options.fixed_base, options.namespace)
     again = tuple(validated) == tuple(fitted)
-    judges = runs if again else read_bags(validated, within(report, 0.2, 0.3), options.fixed_base)
+    judges = runs if again else read_bags(validated, within(report, 0.2, 0.3), options.fixed_base, options.namespace)
     recordings: list[Recording] = [*runs, *(() if again else judges)]
     prior = load_prior(options.prior) if options.prior else None
     arm = find_arm(options.arm, options.gravity, recordings, prior)
+    runs = in_newton_metres(runs, arm)
+    judges = runs if again else in_newton_metres(judges, arm)
+    recordings = [*runs, *(() if again else judges)]
     session = identify_session(
         runs,
         judges,

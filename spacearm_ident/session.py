@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from .conventions.check import check_conventions
+from .conventions.finding import ConventionReport
 from .dynamics.arm import Arm, arm_from_urdf, load_arm
 from .dynamics.effects import Effect
 from .dynamics.model import Structure, TorqueModel, over_temperature, structure_of
@@ -24,7 +26,7 @@ from .identification.identified import Identified, Validation
 from .identification.identify import Progress, Settings, identify, with_provenance
 from .identification.solvers import SEPARABLE, require_solver
 from .identification.validation import split, validate
-from .recording import Recording, read_recording
+from .recording import Recording, read_recording, recordings_in
 from .report.folder import write_result
 from .report.provenance import OPTIONS, provenance
 
@@ -36,11 +38,12 @@ ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fi
 
 @dataclass(frozen=True)
 class Session:
-    """What came out: the model, how well it predicts, and the report to open."""
+    """What came out: the model, how well it predicts, the report to open, and what is wrong with the data."""
 
     identified: Identified
     validation: Validation
     page: Path
+    conventions: ConventionReport
 
 
 def identify_session(
@@ -74,17 +77,20 @@ def identify_session(
         UserError: The recordings do not fit the arm, or the folder cannot be written.
     """
     report = progress or (lambda share, what: None)
-    whole, what = list(fitted), _what(fitted, validated or ())
+    whole, what = corrected(fitted, arm), _what(fitted, validated or ())
+    judges = whole if validated is fitted else corrected(validated or (), arm)
+    heard = [*whole, *([] if judges is whole else judges)]
+    conventions = check_conventions(heard, arm, gravity_known=not settings.gravity, progress=within(report, 0.0, 0.1))
     if validated:
-        judged = list(validated)
+        judged = judges
     elif settings.prior is not None:
         judged, what = whole, ON_THE_FITTED
     elif known is None:
-        first, last = split(fitted[-1])
-        whole, judged = [*fitted[:-1], first], [last]
+        first, last = split(whole[-1])
+        whole, judged = [*whole[:-1], first], [last]
     else:
         raise UserError("nothing to validate the known model on: name a recording")
-    identified = known or identify(whole, arm, settings, within(report, 0.0, 0.6))
+    identified = known or identify(whole, arm, settings, within(report, 0.1, 0.6))
     report(0.6, "validating")
     validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
     origin = provenance(fitted, validated or fitted[-1:], command)
@@ -94,9 +100,18 @@ def identify_session(
         origin[OPTIONS] = dict(asked)
     identified = with_provenance(identified, origin)
     report(0.7, "writing the report")
-    page = write_result(identified, validation, directory)
+    page = write_result(identified, validation, directory, {"conventions": conventions.as_dict()})
     report(1.0, "done")
-    return Session(identified, validation, page)
+    return Session(identified, validation, page, conventions)
+
+
+def corrected(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:
+    """Recordings with the arm's `corrections` applied.
+
+    Raises:
+        UserError: A joint that is to be corrected is not in one of them.
+    """
+    return [arm.corrections.applied(recording) for recording in recordings]
 
 
 def _what(fitted: Sequence[Recording], validated: Sequence[Recording]) -> str:
@@ -108,16 +123,28 @@ def _what(fitted: Sequence[Recording], validated: Sequence[Recording]) -> str:
     return ON_THE_FITTED if again else ON_OTHERS
 
 
-def read_bags(paths: Sequence[Path], progress: Progress, fixed_base: bool = False) -> list[Recording]:
-    """Read bags one after the other; with `fixed_base`, as if no base motion had been recorded.
+def read_bags(
+    paths: Sequence[Path], progress: Progress, fixed_base: bool = False, namespace: str | None = None
+) -> list[Recording]:
+    """Read bags one after the other, all of a folder of bags.
+
+    Args:
+        paths: MCAP files or rosbag2 folders.
+        progress: Called with a share done in 0..1 and what is being done.
+        fixed_base: Read as if no base motion had been recorded.
+        namespace: Of the arm, as `read_recording`.
+
+    Returns:
+        A recording each.
 
     Raises:
         UserError: One cannot be read, or holds no joint states.
     """
     recordings = []
+    paths = [bag for path in paths for bag in recordings_in(Path(path))]
     for number, path in enumerate(paths):
         progress(number / len(paths), f"reading {path.name}")
-        recording = read_recording(path)
+        recording = read_recording(path, namespace=namespace)
         recordings.append(replace(recording, base=None) if fixed_base else recording)
     return recordings
 
@@ -168,7 +195,7 @@ def settings_for(
 
     Args:
         arm: The arm.
-        friction: `auto` (the paper's law, and what else the data demand), or one of `FRICTION_LAWS`.
+        friction: `auto` (the terms that predict held-out data best, joint by joint), or one of `FRICTION_LAWS`.
         cutoff_hz: Bandwidth; None: chosen from the data.
         structure: Model file whose terms are identified, effects included; its values do not count.
         solver: One of `SOLVERS`.

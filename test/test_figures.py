@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_result import arm, identified_model, trace
+from made_result import arm, identification, identified_model, trace
 
-from spacearm_ident.report.figures import joint_signals
-from spacearm_ident.report.friction_curve import friction_curve
+from spacearm_ident.dynamics.friction_curve import friction_curve
+from spacearm_ident.report.figures import MARKER, joint_signals, over_time, parameters
 from spacearm_ident.report.markup import element, measured, number
 from spacearm_ident.report.plotting import decimated
 
@@ -35,6 +37,33 @@ def test_recordings_are_joined_on_one_axis() -> None:
     np.testing.assert_array_equal(signals.residual[100:], (traces[2].measured - traces[2].predicted)[:, 1])
     np.testing.assert_allclose(np.ptp(signals.time[100:]), 20.0)
     assert joint_signals([trace(2, 0)], 0, True) is None
+
+
+def test_every_standstill_is_shaded_over_its_own_time_and_garbage_is_collected_again() -> None:
+    still = np.zeros((100, 2), bool)
+    still[10:21, 0] = still[50:61, 0] = True
+    signals = joint_signals([replace(trace(2, 100, "a"), moving=~still)], 0, True)
+    drawing = str(over_time(signals, "turn"))
+    corners = [re.findall(r"[ML] ([\d.]+) ", path) for path in re.findall(r'd="([^"]*)"[^>]*var\(--band\)', drawing)]
+    # Both panels show both stretches, at the same place.
+    assert len(corners) == 4 and corners[:2] == corners[2:]
+    left, right = (sorted({float(x) for x in box}) for box in corners[:2])
+    assert len(left) == len(right) == 2
+    assert left[1] - left[0] == pytest.approx(right[1] - right[0], rel=1e-3)
+    assert right[0] - left[0] == pytest.approx(4 * (left[1] - left[0]), rel=1e-3)
+    assert gc.isenabled()
+
+
+def test_every_parameter_has_its_marker_and_every_known_error_its_interval() -> None:
+    identified = identification(identified_model(arm()))
+    drawing = str(parameters(identified))
+    for determination, (role, _, _) in MARKER.items():
+        items = [item for item in identified.estimates if item.determination is determination]
+        assert items
+        assert len(re.findall(rf"<use [^>]*var\(--{role}\)", drawing)) >= len(items)
+    lines = re.findall(r'd="([^"]*)"[^>]*fill: none; stroke: var\(--data\); stroke-width: 1.2"', drawing)
+    bars = sum(line.count("M ") for line in lines)
+    assert bars == sum(math.isfinite(item.standard_error) for item in identified.estimates)
 
 
 @settings(max_examples=40, deadline=None)

@@ -40,11 +40,11 @@ from spacearm_ident.identification.identified import (
 )
 from spacearm_ident.report import folder
 from spacearm_ident.report.folder import rewrite_report, write_result
+from spacearm_ident.report.opening import opening
 from spacearm_ident.report.provenance import provenance
 from spacearm_ident.report.store import Result, load_result, save_result
 from spacearm_ident.report.tables import PAPER_SYMBOLS
 from spacearm_ident.report.urdf import identified_urdf
-from spacearm_ident.report.verdict import judge_result
 
 
 @pytest.fixture(scope="module")
@@ -359,33 +359,21 @@ def test_page_of_an_arm_with_a_coupled_motor(tmp_path: Path) -> None:
         assert [row["name"] for row in csv.DictReader(file) if row["joint"] == "wrist"] == ["J_m", "k_v1", "f_c"]
 
 
-# --- the verdict ----------------------------------------------------------------------------------------------
+# --- its first lines ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("worst", "level"), [(0.1, "good"), (0.11, "fair"), (0.26, "poor"), (math.nan, "unknown")])
-def test_verdict_goes_by_the_worst_moving_joint(
-    worst: float, level: str, subject: tuple[Identified, Validation]
-) -> None:
-    better = 0.01 if math.isfinite(worst) else math.nan
-    joints = {
-        "turn": JointValidation(fit(0.9), fit(better), fit()),
-        "slide": JointValidation(fit(0.9), fit(worst), fit()),
-    }
-    verdict = judge_result(subject[0], replace(subject[1], joints=joints))
-    assert verdict.level == level
+def test_page_opens_with_the_verdict_and_its_reasons(subject: tuple[Identified, Validation]) -> None:
+    identified = replace(subject[0], joints_at_rest=("slide",), consistency_shift=70.0)
+    first = opening(identified, subject[1])
+    assert first.verdict.level == "suspect"
+    words = " ".join(Page(page_of(identified, subject[1])).words)
+    assert first.verdict.headline in words
+    assert first.verdict.reasons and all(reason in words for reason in first.verdict.reasons)
 
 
-def test_verdict_warns_of_what_weakens_it(subject: tuple[Identified, Validation]) -> None:
+def test_page_warns_of_what_weakens_its_figures(subject: tuple[Identified, Validation]) -> None:
     identified, figures = subject
-    assert judge_result(identified, figures).warnings == ()
+    assert opening(identified, figures).warnings == ()
     lacking = {"turn": replace(figures.joints["turn"], lack_of_fit=LackOfFit(6.0, 1e-9, 0.1))}
-    weak = replace(identified, joints_at_rest=("slide",), consistency_shift=7.0)
-    warnings = " ".join(judge_result(weak, replace(figures, joints=lacking, held_out=False)).warnings)
-    for expected in (
-        "fitted to",
-        "Not validated: slide",
-        "Never moved: slide",
-        "residual of turn repeats",
-        "by 7.0 of its standard errors",
-    ):
-        assert expected in warnings
+    warnings = " ".join(opening(identified, replace(figures, joints=lacking, held_out=False)).warnings)
+    assert "fitted to" in warnings and "residual of turn repeats" in warnings

@@ -10,15 +10,20 @@ from ..bag_session import Options, identify_bags
 from ..dynamics.model import FRICTION_LAWS
 from ..identification.gravity import GRAVITY_CHOICES, VECTOR
 from ..identification.identified import Identified, Validation
+from ..identification.joint_terms import OFFSET
 from ..identification.solvers import SEPARABLE, SOLVERS
+from ..identification.verdict import judge_result
 from ..report.tables import validation_dict
 from ..session import AUTO
 from . import common
 
 DESCRIPTION = """
 Identify an arm's dynamics from one or more recordings (MCAP files or rosbag2 folders) and write a folder with
-model.yaml, parameters.csv, identified.urdf, validation.json and report.html.
+model.yaml, parameters.csv, identified.urdf, validation.json and report.html. The first line says what the model is
+worth: good, fair, poor, or suspect (it says what no arm can be). Exit code 3: poor or suspect; the folder is written.
 """
+POOR_OR_SUSPECT = 3
+"""Exit code where it ran, and nobody should use the model before its reasons are looked into."""
 
 
 def add(commands: Any) -> None:
@@ -44,6 +49,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     """How to identify: what `options_of` reads."""
     common.add_arm_options(command)
     common.add_base_option(command)
+    common.add_namespace_option(command)
     command.add_argument(
         "--bandwidth", type=float, metavar="HZ", help="low-pass cut-off; default: chosen from the data, and said"
     )
@@ -51,7 +57,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--friction",
         choices=(AUTO, *FRICTION_LAWS),
         default=AUTO,
-        help="friction law; auto (default): the paper's, and what else the data demand",
+        help="friction law; auto (default): the terms that predict held-out data best, joint by joint",
     )
     command.add_argument(
         "--structure",
@@ -105,6 +111,7 @@ def options_of(options: argparse.Namespace) -> Options:
         arm=options.arm,
         gravity=None if options.gravity is None else tuple(options.gravity),
         fixed_base=options.fixed_base,
+        namespace=options.namespace,
         friction=options.friction,
         cutoff_hz=options.bandwidth,
         structure=options.structure,
@@ -117,7 +124,7 @@ def options_of(options: argparse.Namespace) -> Options:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, identify, validate, write."""
+    """Read, identify, validate, write; the exit code says what the model is worth."""
     with common.progress(options) as report:
         session, findings = identify_bags(
             options.bags,
@@ -130,13 +137,24 @@ def run(options: argparse.Namespace) -> int:
     identified, validation = session.identified, session.validation
     for line in findings:
         common.note(options, line)
+    if not options.json and session.conventions.findings:
+        print("\n".join(session.conventions.lines()))
     if options.json:
         surroundings = identified.environment.as_dict()
         figures = validation_dict(identified, validation)
-        common.print_json({"result": str(options.out), **figures, "environment": surroundings})
+        data = {"conventions": session.conventions.as_dict()}
+        common.print_json({"result": str(options.out), **figures, **data, "environment": surroundings})
     else:
         print(summary(identified, validation, session.page))
-    return 0
+    if session.conventions.certain:
+        return 1
+    return 0 if judge_result(identified, validation).usable else POOR_OR_SUSPECT
+
+
+def _beyond_the_plain_law(identified: Identified) -> list[str]:
+    """Lines on the terms that predict held-out data better than Coulomb and viscous friction with an offset."""
+    terms = [choice.term for choice in identified.choices if choice.accepted and not choice.term.startswith(OFFSET)]
+    return [f"in the model, because it predicts held-out data better: {term}" for term in terms]
 
 
 def _symbols(text: str) -> tuple[str, ...]:
@@ -148,10 +166,11 @@ def summary(identified: Identified, validation: Validation, page: Path) -> str:
     """The result on a terminal."""
     bandwidth = identified.bandwidth
     lines = [
+        *judge_result(identified, validation).lines,
         f"solver {identified.solver}",
         f"bandwidth {bandwidth.cutoff_hz:.3g} Hz: {bandwidth.reason}",
         *identified.notes,
-        *(f"added to the model: {choice.term}" for choice in identified.choices if choice.accepted),
+        *_beyond_the_plain_law(identified),
         f"validated {validation.what}",
         f"{'joint':<24}{'RMSE N m':>10}{'max N m':>10}{'R':>8}{'rel. RMS':>10}{'moving':>9}",
     ]

@@ -1,6 +1,7 @@
 """`spacearm`: parse, dispatch, and turn errors into one line and an exit code.
 
-Exit codes: 0 done; 1 ran, and found the data unfit; 2 usage, or input that cannot be read.
+Exit codes: 0 done; 1 ran, and found the data unfit; 2 usage, or input that cannot be read; 3 ran, and the model that
+`identify` wrote is poor or suspect.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from .. import __version__
+from ..blas_threads import one_thread
 from ..errors import UnfitDataError, UserError
 
 COMMANDS = (
@@ -31,12 +33,17 @@ COMMANDS = (
 )
 
 
+SMALL_MATRICES = ("check",)
+"""Commands whose matrices are so small that threads of BLAS cost more than they save."""
+
+
 def parser(names: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
     """The command line of some commands."""
     top = argparse.ArgumentParser(
         prog="spacearm",
         description="Identify the dynamics of a robot arm from its recordings.",
-        epilog="spacearm COMMAND --help tells more. Exit codes: 0 done, 1 data unfit, 2 usage or unreadable input.",
+        epilog="spacearm COMMAND --help tells more. Exit codes: 0 done, 1 data unfit, 2 usage or unreadable input, "
+        "3 the identified model is poor or suspect.",
     )
     top.add_argument("--version", action="version", version=f"spacearm_ident {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -53,7 +60,11 @@ def _needed(words: Sequence[str]) -> Sequence[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code."""
+    one_thread()  # The commands import numpy: not before this line.
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] and words[0] in SMALL_MATRICES:
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read once, when numpy is first imported
+            os.environ.setdefault(name, "1")
     options = parser(_needed(words)).parse_args(words)
     options.command_line = shlex.join(["spacearm", *words])
     try:
@@ -65,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"spacearm: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("spacearm: interrupted, nothing was written", file=sys.stderr)
+        print("spacearm: interrupted; what it was to write is missing or incomplete", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # The reader of our output has gone (`spacearm ... | head`): not an error of ours.

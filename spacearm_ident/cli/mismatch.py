@@ -46,6 +46,7 @@ def add(commands: Any) -> None:
     )
     common.add_arm_options(command)
     common.add_base_option(command)
+    common.add_namespace_option(command)
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="where to")
     command.add_argument(
         "--without", nargs="+", default=[], metavar="EFFECT", help="effects that are not to be considered"
@@ -70,6 +71,7 @@ def run(options: argparse.Namespace) -> int:
             gravity=options.gravity,
             excluded=options.without,
             fixed_base=options.fixed_base,
+            namespace=options.namespace,
             command=options.command_line,
             progress=report,
         )

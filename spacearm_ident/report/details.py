@@ -20,7 +20,7 @@ def structure(identified: Identified) -> Markup:
         header = element(
             "tr",
             element("th", "considered", class_="text"),
-            element("th", "drop in weighted squares"),
+            element("th", "held-out gain, t"),
             element("th", "", class_="text"),
         )
         rows = [
@@ -28,14 +28,19 @@ def structure(identified: Identified) -> Markup:
                 "tr",
                 element("td", choice.term, class_="text wrap"),
                 element("td", number(choice.gain)),
-                element("td", element("strong", "joined the model") if choice.accepted else "left out", class_="text"),
+                element("td", element("strong", "in the model") if choice.accepted else "left out", class_="text"),
                 class_=None if choice.accepted else "minor",
             )
             for choice in ordered
         ]
         parts.append(element("table", element("thead", header), element("tbody", *rows)))
         parts.append(
-            element("p", "In chi-square units, everything fitted again with the term in the model.", class_="quiet")
+            element(
+                "p",
+                "How much better held-out blocks of the data are predicted with the term, everything fitted again: "
+                "mean drop over its standard error. A term joins where chance would hardly give as much.",
+                class_="quiet",
+            )
         )
     return join(*parts)
 

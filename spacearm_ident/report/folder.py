@@ -6,11 +6,12 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from ..errors import UserError
 from ..identification.identified import Identified, Validation
@@ -35,7 +36,9 @@ RESULT_FILES = frozenset(
 _STAGING = ".writing-"
 
 
-def write_result(identified: Identified, validation: Validation, directory: Path) -> Path:
+def write_result(
+    identified: Identified, validation: Validation, directory: Path, further: Mapping[str, Any] | None = None
+) -> Path:
     """Write a result folder; an older result in it is replaced, of whatever command; anything else stays.
 
     Where the data came from is `identified.model.provenance`, as `report.provenance.provenance` makes it.
@@ -44,6 +47,7 @@ def write_result(identified: Identified, validation: Validation, directory: Path
         identified: The identification.
         validation: How well it predicts.
         directory: Made where it does not exist.
+        further: Further keys of `validation.json`, as plain data.
 
     Returns:
         The report, for opening.
@@ -59,7 +63,7 @@ def write_result(identified: Identified, validation: Validation, directory: Path
         (staging / "identified.urdf").write_text(identified_urdf(identified.model), encoding="utf-8")
         spread = json.dumps(covariance_dict(identified), indent=1, allow_nan=False)
         (staging / "covariance.json").write_text(spread + "\n", encoding="utf-8")
-        figures = json.dumps(validation_dict(identified, validation), indent=2, allow_nan=False)
+        figures = json.dumps({**validation_dict(identified, validation), **(further or {})}, indent=2, allow_nan=False)
         (staging / "validation.json").write_text(figures + "\n", encoding="utf-8")
         (staging / REPORT).write_text(report_html(result), encoding="utf-8")
     return directory / REPORT

@@ -11,14 +11,15 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..identification.identified import Fit, JointValidation
+from ..identification.verdict import FAIR, GOOD
 from . import figures
 from .details import obtained, since_the_prior, structure
 from .markup import NOTHING, Markup, breakable, element, join, number, percent
+from .opening import Opening, opening
 from .parameter_tables import base_table, determination_key, matrix, whole_list
 from .store import Result
 from .stylesheet import STYLESHEET
 from .tables import base, by_joint
-from .verdict import FAIR, GOOD, Verdict, judge_result
 
 SECURITY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """The page may not load anything, whatever text found its way into it."""
@@ -32,7 +33,7 @@ def report_html(result: Result) -> str:
     body = join(
         element("h1", title),
         element("p", f"{len(arm.joints)} joints · written {_date(result.written)}", class_="quiet"),
-        _verdict(judge_result(identified, validation)),
+        _verdict(opening(identified, validation)),
         _validation(result),
         *_signals(result),
         _parameters(result),
@@ -61,22 +62,24 @@ def _date(written: str) -> str:
     return f"{written[:10]} {written[11:16]} UTC"
 
 
-def _verdict(verdict: Verdict) -> Markup:
+def _verdict(first: Opening) -> Markup:
+    verdict = first.verdict
     box = element(
         "section",
         element("h2", verdict.headline),
-        *(element("p", sentence) for sentence in verdict.sentences),
+        element("ul", *(element("li", f"{reason}.") for reason in verdict.reasons)) if verdict.reasons else None,
+        *(element("p", sentence) for sentence in first.sentences),
         class_=f"verdict {verdict.level}",
     )
-    warnings = element("ul", *(element("li", text) for text in verdict.warnings), class_="warnings")
+    warnings = element("ul", *(element("li", text) for text in first.warnings), class_="warnings")
     return join(
         box,
-        warnings if verdict.warnings else None,
-        *(element("p", f"Note: {note.rstrip('.')}.", class_="quiet") for note in verdict.notes),
+        warnings if first.warnings else None,
+        *(element("p", f"Note: {note.rstrip('.')}.", class_="quiet") for note in first.notes),
         element(
             "p",
             f"Good: the worst joint's residual is at most {100 * GOOD:g} % of its torque (RMS) while it moves; "
-            f"fair: at most {100 * FAIR:g} %.",
+            f"fair: at most {100 * FAIR:g} %. Suspect: the model says what no arm can be, however well it fits.",
             class_="quiet",
         ),
     )

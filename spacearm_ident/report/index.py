@@ -16,6 +16,7 @@ from urllib.parse import quote
 
 from ..errors import UserError
 from ..identification.identified import Validation
+from ..identification.verdict import judge_result
 from .comparison import FAR, comparison_html, differences, moved
 from .folder import REPORT, replacing
 from .html import page
@@ -25,7 +26,6 @@ from .provenance import moment
 from .store import FIGURES, Result, load_result
 from .trend_figures import arm_section
 from .trends import arm_of, date_text, runs_by_arm
-from .verdict import judge_result
 
 INDEX: Final = "index.html"
 SUMMARY: Final = "summary.json"

@@ -32,7 +32,7 @@ p { margin: 6px 0; max-width: 84ch; } p.quiet { max-width: 100ch; }
   border-radius: 4px; }
 .verdict h2 { margin: 0 0 4px; padding: 0; border: 0; font-size: 18px; }
 .verdict.good { border-color: var(--good); } .verdict.fair { border-color: var(--fair); }
-.verdict.poor { border-color: var(--poor); } .verdict.found { border-color: var(--found); }
+.verdict.poor, .verdict.suspect { border-color: var(--poor); } .verdict.found { border-color: var(--found); }
 .card { margin: 16px 0; padding: 4px 20px 14px; border: 1px solid var(--line); border-radius: 6px; }
 .card h3 { font-size: 16.5px; margin-top: 12px; }
 .card table.narrow { width: auto; }
@@ -69,7 +69,7 @@ td.rested { color: var(--muted); }
 .swatch { display: inline-block; width: 22px; height: 0; border-top: 3px solid; margin-right: 6px;
   vertical-align: middle; }
 .swatch.block { height: 11px; border: 0; background: var(--band); }
-td.good { color: var(--good); } td.fair { color: var(--fair); } td.poor { color: var(--poor); }
+td.good { color: var(--good); } td.fair { color: var(--fair); } td.poor, td.suspect { color: var(--poor); }
 tr.moved td { font-weight: 600; } a { color: var(--predicted); }
 td.note { min-width: 38ch; }
 svg.interval { width: 96px; height: 12px; display: inline-block; vertical-align: middle; }

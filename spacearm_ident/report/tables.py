@@ -11,6 +11,7 @@ from typing import Any
 
 from ..dynamics.term import Parameter
 from ..identification.identified import Determination, Estimate, Fit, Identified, Validation
+from ..identification.verdict import judge_result
 from .provenance import VALIDATED, source_paths
 
 PAPER_SYMBOLS = (
@@ -95,16 +96,23 @@ def _base_estimate(name: str, leader: Parameter, value: float, error: float) -> 
 def validation_dict(identified: Identified, validation: Validation) -> dict[str, Any]:
     """The content of `validation.json`; a figure that does not exist (NaN) is None."""
     joints = {}
+    verdict = judge_result(identified, validation)
     for name, joint in validation.joints.items():
         lack = joint.lack_of_fit
+        judged = verdict.joints.get(name)
         joints[name] = {
             **fit_dict(joint.everything),
             "moving": fit_dict(joint.moving),
             "unfiltered": fit_dict(joint.unfiltered),
             "lack_of_fit": lack and {key: finite(value) for key, value in asdict(lack).items()},
+            "verdict": str(judged.level) if judged else None,
+            "reasons": list(judged.reasons) if judged else [],
         }
     named = source_paths(identified.model.provenance, VALIDATED)
     return {
+        "verdict": str(verdict.level),
+        "headline": verdict.headline,
+        "reasons": list(verdict.reasons),
         "joints": joints,
         "bags": named or list(dict.fromkeys(trace.source for trace in validation.traces)),
         "on": validation.what,

@@ -1,0 +1,218 @@
+"""Whether an identified model may be used: good, fair, poor or suspect, and why, per joint and for the whole.
+
+Two questions. How well does the model predict a recording (relative RMS while the joint moves)? And could an arm be
+what the model says: friction that resists, bodies that exist, a prediction better than none? A small residual does not
+answer the second: wrong signs, units or joint order may fit well with parameters that no arm has. Such a model is
+suspect, however well it fits.
+
+The one place that judges: console, JSON, `validation.json`, report and index all say what `judge_result` returns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.friction_curve import friction_curve, friction_error, viscosity
+from .identified import Determination, Estimate, Identified, JointValidation, Trace, Validation
+
+GOOD, FAIR = 0.10, 0.25
+"""Residual RMS over torque RMS of a moving joint up to which its fit is good, or fair; ratio. Ours: a tenth is what
+models of recorded arms reach where the torque is well above the noise; one that misses a quarter of the torque predicts
+little more than its largest part."""
+NO_BETTER_THAN_NOTHING = 1.0
+"""The same ratio from which predicting no torque at all would have been as good."""
+BEYOND = 3.0
+"""Standard errors by which a value must lie beyond what is possible. Three, not two: a joint is asked at hundreds of
+speeds, an arm has many joints, and the errors hold for a model that is right."""
+DRIVING_SHARE = 0.02
+"""Least torque with which friction must drive, as a share of the joint's torque RMS; ratio. Ours: less is within the
+error of the best models there are of recorded arms."""
+HELD, IMPOSSIBLE = 3.0, 10.0
+"""Standard errors by which physical consistency may move a base parameter: beyond the first it is said, beyond the
+second the model is suspect. Ours: standard errors are too small where the model leaves something out, commonly by a
+factor of three, so that three of them are no contradiction yet and ten are."""
+LACKING_P = 0.01
+"""Probability under which the F test of the lack of fit is believed."""
+
+
+class Level(StrEnum):
+    """What a verdict says; in the order of `SEVERITY`."""
+
+    GOOD = "good"
+    FAIR = "fair"
+    POOR = "poor"
+    SUSPECT = "suspect"
+    UNKNOWN = "unknown"
+
+
+SEVERITY = (Level.UNKNOWN, Level.GOOD, Level.FAIR, Level.POOR, Level.SUSPECT)
+"""From least to most: the whole is as bad as its worst joint, and unknown only where all of them are."""
+
+
+@dataclass(frozen=True)
+class JointVerdict:
+    """One joint's verdict.
+
+    Attributes:
+        level: What it comes to; `unknown` where the validation data hold no motion or no torque of it.
+        reasons: Short sentences; none where there is nothing to say but the figure.
+    """
+
+    level: Level
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict on a result.
+
+    Attributes:
+        level: Of the whole arm: that of its worst joint.
+        headline: One line, level first.
+        reasons: Why, in short sentences that name their joints; empty where a good fit is all there is.
+        joints: Joint name -> its own.
+    """
+
+    level: Level
+    headline: str
+    reasons: tuple[str, ...]
+    joints: Mapping[str, JointVerdict]
+
+    @property
+    def usable(self) -> bool:
+        """Whether nothing speaks against using the model."""
+        return self.level not in (Level.POOR, Level.SUSPECT)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """For a terminal: the headline, then a line a reason."""
+        return (f"{self.headline}.", *(f"  {reason}." for reason in self.reasons))
+
+
+def judge_result(identified: Identified, validation: Validation) -> Verdict:
+    """Judge a result.
+
+    Args:
+        identified: The identification.
+        validation: How it predicts; at its speeds friction is asked whether it resists.
+    """
+    joints = {name: _joint(name, identified, validation) for name in identified.model.model.arm.joint_names}
+    for name, impossible in _impossible(identified, validation).items():
+        if impossible:
+            joints[name] = JointVerdict(Level.SUSPECT, (*joints[name].reasons, *impossible))
+    contradiction = _contradiction(identified)
+    level = max((joint.level for joint in joints.values()), key=SEVERITY.index, default=Level.UNKNOWN)
+    level = Level.SUSPECT if identified.consistency_shift > IMPOSSIBLE else level
+    told = tuple(f"{name}: {reason}" for name, joint in joints.items() for reason in joint.reasons)
+    reasons = (contradiction, *told) if contradiction else told
+    return Verdict(level, _headline(level, identified, validation), reasons, joints)
+
+
+def relative_rms(validation: Validation) -> dict[str, float]:
+    """Joint -> residual RMS over torque RMS while it moves, of those that have one."""
+    shares = {name: joint.moving.relative_rms for name, joint in validation.joints.items()}
+    return {name: share for name, share in shares.items() if math.isfinite(share)}
+
+
+def _headline(level: Level, identified: Identified, validation: Validation) -> str:
+    known = relative_rms(validation)
+    if not known and level is not Level.SUSPECT:
+        return "No joint could be validated: no torque, or no motion, in the validation data"
+    words = f"{level.capitalize()} model" if level is Level.SUSPECT else f"{level.capitalize()} fit"
+    if not known:
+        return f"{words}; no joint could be validated"
+    worst = max(known, key=known.__getitem__)
+    every = "Every joint's torque is" if len(known) == len(identified.model.model.arm.joints) else "Torque is"
+    return f"{words}. {every} predicted to within {_percent(known[worst])} (RMS) while it moves, worst at {worst}"
+
+
+def _joint(name: str, identified: Identified, validation: Validation) -> JointVerdict:
+    """The verdict by how well the joint is predicted."""
+    rests = ("it never moves in the data of the fit: nothing is known of its friction, and less of its inertia",)
+    at_rest = rests if name in identified.joints_at_rest else ()
+    joint = validation.joints.get(name)
+    if joint is None or not math.isfinite(joint.moving.relative_rms):
+        return JointVerdict(Level.UNKNOWN, at_rest or (_why_unknown(joint),))
+    share = joint.moving.relative_rms
+    if share > NO_BETTER_THAN_NOTHING:
+        words = f"the residual is {_percent(share)} of the torque: a prediction of no torque would be nearer"
+        return JointVerdict(Level.SUSPECT, (*at_rest, words))
+    if share > FAIR:
+        return JointVerdict(Level.POOR, (*at_rest, f"the residual is {_percent(share)} of the torque"))
+    return JointVerdict(Level.GOOD if share <= GOOD else Level.FAIR, at_rest)
+
+
+def _why_unknown(joint: JointValidation | None) -> str:
+    if joint is None:
+        return "it is not in the validation data"
+    if joint.moving.rows == 0:
+        return "it does not move in the validation data"
+    return "its torque is zero throughout the validation data"
+
+
+def _impossible(identified: Identified, validation: Validation) -> dict[str, list[str]]:
+    """Joint -> what no joint could have, at the speeds of the validation data."""
+    traces = [trace for trace in validation.traces if len(trace.time)]
+    found: dict[str, list[str]] = {}
+    for joint, name in enumerate(identified.model.model.arm.joint_names):
+        moving = np.concatenate([trace.velocity[trace.moving[:, joint], joint] for trace in traces] or [np.empty(0)])
+        if len(moving):
+            words = (_negative_viscosity(joint, identified, moving), _driving(joint, identified, moving, traces))
+            found[name] = [reason for reason in words if reason]
+    return found
+
+
+def _negative_viscosity(joint: int, identified: Identified, moving: FloatArray) -> str:
+    """Viscous friction that falls below zero with speed; empty where it does not."""
+    known = viscosity(identified.model, joint, float(np.abs(moving).max()), identified.covariance)
+    if known is None or known[0] + BEYOND * known[1] >= 0.0:
+        return ""
+    return f"viscous friction is negative: {known[0]:.3g} ± {known[1]:.2g} N m s/rad up to its largest speed"
+
+
+def _driving(joint: int, identified: Identified, moving: FloatArray, traces: Sequence[Trace]) -> str:
+    """Where friction does not resist at a speed the joint had, and by how much at most; empty where it resists."""
+    where = np.mean(np.concatenate([trace.position for trace in traces]), axis=0)
+    top = float(np.abs(moving).max())
+    velocity, torque = friction_curve(identified.model, joint, top, where)
+    error = friction_error(identified.model, joint, top, where, identified.covariance)
+    size = float(np.sqrt(np.mean(np.concatenate([trace.measured[:, joint] for trace in traces]) ** 2)))
+    excess = -torque * np.sign(velocity) - np.maximum(BEYOND * error, DRIVING_SHARE * size)
+    excess[(velocity < moving.min()) | (velocity > moving.max())] = -np.inf
+    worst = int(np.argmax(excess))
+    if not excess[worst] > 0.0:
+        return ""
+    return (
+        f"friction drives the joint instead of resisting: {abs(torque[worst]):.3g} ± {error[worst]:.2g} N m along "
+        f"the motion at {velocity[worst]:.3g} rad/s"
+    )
+
+
+def _contradiction(identified: Identified) -> str:
+    """What the data say of the bodies against what bodies can be; empty where they agree."""
+    shift = identified.consistency_shift
+    if not shift > HELD:
+        return ""
+    words = f"The bound of physical consistency moved a base parameter by {shift:.2g} of its standard errors: "
+    if shift <= IMPOSSIBLE:
+        return words + "the masses and inertias rest on the bound, and errors of such parameters are too small"
+    held = [f"J_m of {item.joint}" for item in identified.estimates if _at_zero(item)]
+    if held:
+        words += f"it alone keeps the masses and inertias possible ({', '.join(held)} at zero); "
+    else:
+        words += "it alone keeps the masses and inertias possible; "
+    return words + "check the signs and constants of the torques, the gravity vector and the kinematics"
+
+
+def _at_zero(item: Estimate) -> bool:
+    return item.symbol == "J_m" and item.determination is Determination.BOUND
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
