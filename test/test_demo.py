@@ -85,6 +85,20 @@ def moving(folder: Path) -> bool:
     return any(bag.stat().st_size > 1_000_000 for bag in (folder / "result").glob("recordings/*/*.mcap"))
 
 
+def domain_of(pid: int) -> str:
+    variables = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    return next(each for each in variables if each.startswith(b"ROS_DOMAIN_ID=")).decode().partition("=")[2]
+
+
+def watched_beside(domain: str) -> set[str]:
+    """Names of the nodes that `spacearm watch` hears in a ROS domain."""
+    code = "import sys; from spacearm_ident.cli.main import main; sys.exit(main())"
+    words = [sys.executable, "-c", code, "watch", "--json", "--wait", "30"]
+    variables = {**os.environ, "ROS_DOMAIN_ID": domain, "PYTHONPATH": str(ROOT)}
+    answer = subprocess.run(words, env=variables, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+    return {row["name"].partition(":")[0] for row in json.loads(answer.stdout)["nodes"]}
+
+
 def nothing_left(demo) -> None:
     assert marked(demo.tag) == {}
     assert list(demo.scratch.iterdir()) == []
@@ -98,9 +112,13 @@ def test_the_demo_identifies_validates_and_leaves_nothing_running(demo, tmp_path
     os.kill(driver, signal.SIGSTOP)
     time.sleep(1.0)
     os.kill(driver, signal.SIGCONT)
+    domain = domain_of(driver)
+    # One look may come before every node has said something: discovery takes its time on a busy machine.
+    wait_until(lambda: watched_beside(domain) == set(NODES), process)
     output, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, errors + output
-    assert "the excitation run was stopped" in errors
+    assert "the excitation run was stopped, to be begun again" in errors
+    assert f"ROS_DOMAIN_ID={domain} spacearm watch" in errors
     result = tmp_path / "result"
     for name in ("model.yaml", "parameters.csv", "identified.urdf", "validation.json", "report.html"):
         assert (result / name).stat().st_size > 0
@@ -125,8 +143,18 @@ def test_a_signal_ends_every_process(demo, tmp_path, moment, number):
     wait_until(lambda: moving(tmp_path) if moment == "moving" else len(marked(demo.tag)) > len(NODES), process)
     process.send_signal(number)
     _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode not in (0, None)
+    assert process.returncode == 130
     assert "Traceback" not in errors
+    told = errors.splitlines()[-1]
+    assert "interrupted; every node has ended" in told and "there is no result yet" in told
+    result = tmp_path / "result"
+    names = told.partition(f"{result} has ")[2].partition(" of it;")[0].split(", ")
+    assert {"excitation.yaml", "validation.yaml", "logs"} <= set(names)
+    assert all((result / name).exists() for name in names)
+    bags = [name for name in names if name.startswith("recordings/")]
+    assert len(bags) == (moment == "moving")
+    for bag in bags:
+        assert len(read_recording(result / bag).time) > 0
     nothing_left(demo)
 
 
@@ -144,7 +172,8 @@ def test_a_killed_demo_takes_its_nodes_with_it(demo):
 class FakeChain:
     """A chain whose drives fall out before a run is started, and which refuses runs for `reason`."""
 
-    def __init__(self, falls: int, reason: str = "") -> None:
+    def __init__(self, falls: int, reason: str = "", broken: str = "") -> None:
+        self.ending = {"reason": broken, "complete": not broken}
         self.falls, self.reason, self.enabled, self.calls = falls, reason, True, []
         self.excitation = {}
 
@@ -168,7 +197,7 @@ class FakeChain:
                 self.falls, self.enabled = self.falls - 1, False
             if not self.enabled or self.reason:
                 raise UserError(f"/excitation/start refused: {self.reason or 'the drives are not enabled'}")
-            self.excitation = {"run": "1", "state": "done", "reason": "", "complete": True}
+            self.excitation = {"run": "1", "begun_as": "1", "restarts": 0, "state": "done"} | self.ending
         return "run 1: started"
 
 
@@ -194,3 +223,11 @@ def test_a_run_that_cannot_begin_ends_the_demo(impatient, falls, reason, message
     with pytest.raises(UserError, match=message):
         demo_command.go_through(chain, demo_command.FAST_PLANS[0], Path("excitation.yaml"), lambda done, doing: None)
     assert chain.calls.count("/excitation/start") == starts
+
+
+def test_a_run_that_the_node_gave_up_ends_the_demo_with_its_reason(impatient):
+    """Whether to begin again is the trajectory node's to decide, and no other's."""
+    chain = FakeChain(0, broken="the drives are no longer enabled (drive: node 3); not begun again: EMCY")
+    with pytest.raises(UserError, match="the excitation run was stopped: the drives"):
+        demo_command.go_through(chain, demo_command.FAST_PLANS[0], Path("excitation.yaml"), lambda done, doing: None)
+    assert chain.calls.count("/excitation/start") == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import json
 import signal
 import sys
 import time
@@ -19,7 +20,7 @@ from ..errors import UserError
 from ..excitation.trajectory import MotionLimits, Trajectory, random_feasible
 from ..excitation.trajectory_file import save_trajectory
 from ..report.folder import REPORT
-from ..report.store import load_result
+from ..report.store import MODEL, load_result
 from . import common, demo_orbit
 from .identify import summary
 
@@ -30,6 +31,7 @@ DESCRIPTION = """
 The whole chain on this machine: a simulated six-joint CANopen arm, the driver, the trajectory node, the recorder and
 the identifier, each a process, over real CAN frames and real DDS. One run to identify the arm, one with other
 coefficients to validate, then the report. Everything is written to DIR: result, recordings and each node's log.
+It says in which ROS domain the nodes are, for spacearm watch and ros2 beside it.
 With --orbit, offline and without ROS: the same arm simulated on the ground, then in zero gravity and vacuum from -40 to
 +60 degC; the ground's model adapts, and says what moved, by how much, and why it thinks so.
 """
@@ -37,9 +39,11 @@ OUT = Path("demo_result")
 ARM = "paper_arm.yaml"
 IDENTIFIED_S = 120.0
 ATTEMPTS = 5
-"""How often a run is begun before the demo gives up."""
+"""How often a run is begun, by drives that fell out or after a stop left to a person, before the demo gives up."""
 REASON_S = 5.0
 """How long one node may take to hear of what happened at another."""
+INTERRUPTED = 130
+"""Exit code, as a shell gives it."""
 ENABLING_S = 8.0
 """How long drives take to be enabled at most; longer, and something has stopped them."""
 
@@ -86,9 +90,14 @@ def run(options: argparse.Namespace) -> int:
         signal.signal(number, signal.default_int_handler)
     options.out.mkdir(parents=True, exist_ok=True)
     plans = FAST_PLANS if options.fast else PLANS
+    since_s = time.time()
     files = [write_trajectory(plan, options.out) for plan in plans]
-    with common.progress(options) as report:
-        _live(options.out, plans, files, report)
+    try:
+        with common.progress(options) as report:
+            _live(options.out, plans, files, report)
+    except KeyboardInterrupt:
+        print(f"spacearm: interrupted; every node has ended. {left_behind(options.out, since_s)}", file=sys.stderr)
+        return INTERRUPTED
     result = load_result(options.out)
     print(summary(result.identified, result.validation, options.out / REPORT))
     return 0
@@ -113,6 +122,8 @@ def _live(directory: Path, plans: tuple[Plan, ...], files: list[Path], report: c
     from ..nodes.chain import Chain
 
     with Chain(directory, node_parameters(directory)) as chain:
+        beside = f"ROS_DOMAIN_ID={chain.domain}"
+        print(f"spacearm: the nodes are in {beside}: {beside} spacearm watch shows them", file=sys.stderr, flush=True)
         report(0.0, "starting the nodes")
         begin(chain)
         for number, (plan, file) in enumerate(zip(plans, files)):
@@ -123,6 +134,28 @@ def _live(directory: Path, plans: tuple[Plan, ...], files: list[Path], report: c
     failed = {name: code for name, code in codes.items() if code}
     if failed:
         raise UserError(f"nodes ended with an error: {failed}; see {directory / 'logs'}")
+
+
+def left_behind(directory: Path, since_s: float) -> str:
+    """What an interrupted demo has written, in a sentence.
+
+    Args:
+        directory: Where it wrote to; it may hold an earlier demo, too.
+        since_s: When it began, s since the epoch.
+    """
+
+    def written(place: Path) -> bool:
+        return place.stat().st_mtime >= since_s if place.is_file() else any(map(written, place.iterdir()))
+
+    places = [*directory.glob("recordings/*"), *(place for place in directory.iterdir() if place.name != "recordings")]
+    names = sorted(str(place.relative_to(directory)) for place in places if written(place))
+    result = "there is no result yet"
+    if (model := directory / MODEL).exists():
+        bags = json.loads((directory / "validation.json").read_text())["bags"]
+        validated = any(Path(bag).stem == PLANS[1].name for bag in bags)
+        result = "the result is of " + ("both runs" if validated else "the first run, not validated on another")
+        result = result if written(model) else "the result in it is of an earlier demo"
+    return f"{directory} has {', '.join(names) or 'nothing'} of it; {result}"
 
 
 def node_parameters(directory: Path) -> dict[str, dict[str, object]]:
@@ -180,8 +213,9 @@ def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None
 def go_through(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None:
     """Run a trajectory; returns when the arm has come through it.
 
-    A run that breaks off, on a machine too busy for the cycle, is told and begun again: `ATTEMPTS` times in all. So is
-    one that cannot begin because the drives have fallen out meanwhile.
+    A run that breaks off because the machine is too busy, the trajectory node begins again by itself. Drives that have
+    fallen out, and runs that the driver leaves to a person, are begun again here, `ATTEMPTS` times in all: the arm is
+    simulated.
 
     Raises:
         UserError: It did not come through, or was refused though the drives are enabled.
@@ -189,20 +223,19 @@ def go_through(chain: Chain, plan: Plan, file: Path, report: common.Report) -> N
     chain.set_parameter("trajectory", "trajectory_file", str(file.resolve()))
     for _ in range(ATTEMPTS):
         try:
-            run_id = _start(chain)
+            begun_as = _start(chain)
         except UserError as refusal:
             if enabled(chain):
                 raise
             print(f"spacearm: {refusal}; enabling again", file=sys.stderr)
             enable(chain)
             continue
-        reason = _moved(chain, plan, run_id, report)
-        complete = chain.excitation["complete"]
-        if reason:
-            print(f"spacearm: the {plan.name} run was stopped: {reason}", file=sys.stderr)
-            enable(chain)
-        if complete:
+        reason = _moved(chain, plan, begun_as, report)
+        if chain.excitation["complete"]:
             return
+        # The driver leaves such a stop to a person; nobody is hurt by this arm, which is simulated.
+        print(f"spacearm: the {plan.name} run was stopped: {reason}; the demo begins it again", file=sys.stderr)
+        enable(chain)
     raise UserError(f"the {plan.name} run was stopped, or could not begin, {ATTEMPTS} times: is this machine too busy?")
 
 
@@ -218,20 +251,27 @@ def _start(chain: Chain) -> str:
         time.sleep(0.1)
 
 
-def _moved(chain: Chain, plan: Plan, run_id: str, report: common.Report) -> str:
-    """Wait until a run is over; returns why it was stopped, or nothing."""
+def _moved(chain: Chain, plan: Plan, begun_as: str, report: common.Report) -> str:
+    """Wait until a run, or the last that was begun in its place, is over; returns why it was stopped, or nothing."""
+    from ..nodes.main import RESTARTS
+
+    told = 0
 
     def over() -> bool:
+        nonlocal told
         state = chain.excitation
-        if state.get("run") != run_id:
+        if state.get("begun_as") != begun_as:
             return False
+        if state["state"] == "recovering" and state["restarts"] == told:
+            told += 1
+            print(f"spacearm: the {plan.name} run was stopped, to be begun again: {state['reason']}", file=sys.stderr)
         done = state.get("period", 0) / plan.periods if state.get("state") == "running" else 0.0
         report(0.8 * done, f"{plan.name}: {state.get('state', 'starting')}")
         return state.get("state") == "done"
 
-    chain.wait(over, f"the end of the {plan.name} run", 60.0 + plan.periods / plan.fundamental_hz)
-    reason = chain.excitation["reason"]
-    return f"{reason}{_why(chain)}" if reason else ""
+    patience = (1 + RESTARTS) * (60.0 + plan.periods / plan.fundamental_hz)
+    chain.wait(over, f"the end of the {plan.name} run", patience)
+    return str(chain.excitation["reason"])
 
 
 def _identified(chain: Chain, plan: Plan, report: common.Report) -> None:
@@ -246,14 +286,3 @@ def _identified(chain: Chain, plan: Plan, report: common.Report) -> None:
         return values.get("bags", "").endswith(bag)
 
     chain.wait(identified, f"the identification from the {plan.name} run", IDENTIFIED_S)
-
-
-def _why(chain: Chain) -> str:
-    """The driver's reason, where it stopped the arm; it may be known only a little later."""
-    end = time.monotonic() + REASON_S
-
-    def fault() -> str:
-        return chain.values("canopen_driver").get("fault", "")
-
-    chain.wait(lambda: fault() or time.monotonic() > end, "the driver's reason", 2 * REASON_S)
-    return f" ({fault()})" if fault() else ""
