@@ -35,10 +35,11 @@ PLACES = {
     "orbit_session": Place(9, 20, 128, "to orbit"),
     "mismatch_session": Place(9, 460, 600, "to explanation"),
     "session": Place(8, 20, 600, "bags to validated model, one pass for command and node"),
-    "report": Place(7, 20, 600, "pages, figures and files out of results"),
+    "report": Place(7, 20, 470, "pages, figures and files out of results"),
     "mismatch": Place(6, 20, 300, "what physics was left out"),
     "identification": Place(5, 20, 300, "fit, errors, validation, tracking"),
-    "excitation": Place(5, 320, 600, "motions, limits, criteria"),
+    "conventions": Place(5, 480, 600, "signs, units, zeros"),
+    "excitation": Place(5, 310, 470, "motions, limits, criteria"),
     "simulation": Place(5, 620, 900, "the arm and its drives, apart"),
     "driver": Place(4, 620, 900, "safety, set-points, 1 kHz loop"),
     "dynamics": Place(3, 20, 700, "arm, regressor, friction, effects: the terms of the torque"),
@@ -46,10 +47,12 @@ PLACES = {
     "canbus": Place(2, 720, 900, "CANopen, CiA 402"),
     "documents": Place(1, 20, 600, "files that others wrote, read safely"),
     "config": Place(1, 920, 1060, "where config/ is"),
-    "errors": Place(0, 20, 1060, "the one line a user sees"),
+    "errors": Place(0, 20, 700, "the one line a user sees"),
+    "blas_threads": Place(0, 720, 1060, "one thread for BLAS"),
 }
 FLOORS = 1 + max(place.floor for place in PLACES.values())
 STEP, HEIGHT, WIDTH = 68, 44, 1080
+LOWEST = {name for name, place in PLACES.items() if place.floor == 0}
 
 
 def packages() -> set[str]:
@@ -92,7 +95,7 @@ def imports() -> dict[str, set[str]]:
 
 
 def shown(table: dict[str, set[str]]) -> list[tuple[str, str]]:
-    """The imports that no longer way stands for; `errors`, the floor, is everyone's and without arrows."""
+    """The imports that no longer way stands for; the lowest floor is everyone's and without arrows."""
 
     def below(name: str) -> set[str]:
         return {further for one in table[name] for further in {one} | below(one)}
@@ -101,7 +104,7 @@ def shown(table: dict[str, set[str]]) -> list[tuple[str, str]]:
         (name, one)
         for name, direct in table.items()
         for one in direct
-        if one != "errors" and not any(one in below(other) for other in direct - {one})
+        if one not in LOWEST and not any(one in below(other) for other in direct - {one})
     )
 
 

@@ -12,7 +12,8 @@ sys.path.insert(0, str(ROOT / "docs"))
 import draw_architecture  # noqa: E402
 
 PACKAGE = ROOT / "spacearm_ident"
-ROS = {"rclpy", "builtin_interfaces", "diagnostic_msgs", "nav_msgs", "rcl_interfaces", "sensor_msgs", "std_msgs"}
+MESSAGES = {"builtin_interfaces", "diagnostic_msgs", "nav_msgs", "rcl_interfaces", "sensor_msgs", "std_msgs"}
+ROS = {"rclpy", "trajectory_msgs", *MESSAGES}
 
 
 def modules(folder: Path) -> list[Path]:
