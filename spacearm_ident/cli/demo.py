@@ -221,22 +221,27 @@ def go_through(chain: Chain, plan: Plan, file: Path, report: common.Report) -> N
         UserError: It did not come through, or was refused though the drives are enabled.
     """
     chain.set_parameter("trajectory", "trajectory_file", str(file.resolve()))
+    reason = ""
     for _ in range(ATTEMPTS):
         try:
             begun_as = _start(chain)
         except UserError as refusal:
             if enabled(chain):
                 raise
+            reason = str(refusal)
             print(f"spacearm: {refusal}; enabling again", file=sys.stderr)
             enable(chain)
             continue
         reason = _moved(chain, plan, begun_as, report)
         if chain.excitation["complete"]:
             return
-        # The driver leaves such a stop to a person; nobody is hurt by this arm, which is simulated.
+        # The driver leaves such a stop to a person. This arm is simulated: the demo stands in for one, and says so.
         print(f"spacearm: the {plan.name} run was stopped: {reason}; the demo begins it again", file=sys.stderr)
         enable(chain)
-    raise UserError(f"the {plan.name} run was stopped, or could not begin, {ATTEMPTS} times: is this machine too busy?")
+    raise UserError(
+        f"the {plan.name} run was stopped, or could not begin, {ATTEMPTS} times (is this machine too busy?), "
+        f"at last: {reason}"
+    )
 
 
 def _start(chain: Chain) -> str:
