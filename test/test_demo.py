@@ -228,7 +228,7 @@ def test_a_run_that_cannot_begin_ends_the_demo(impatient, falls, reason, message
 def test_a_run_that_the_node_gave_up_is_begun_again_aloud_and_ends_the_demo_with_its_reason(impatient, capsys):
     """The driver leaves the stop to a person, for whom the demo stands in: the arm is simulated."""
     chain = FakeChain(0, broken="the drives are no longer enabled (drive: node 3); not begun again: EMCY")
-    with pytest.raises(UserError, match="5 times .*at last: the drives are no longer enabled .drive: node 3"):
+    with pytest.raises(UserError, match=r"5 times .*at last: the drives are no longer enabled .drive: node 3"):
         demo_command.go_through(chain, demo_command.FAST_PLANS[0], Path("excitation.yaml"), lambda done, doing: None)
     assert chain.calls.count("/excitation/start") == demo_command.ATTEMPTS
     assert capsys.readouterr().err.count("was stopped: the drives are no longer enabled") == demo_command.ATTEMPTS
