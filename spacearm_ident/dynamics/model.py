@@ -224,15 +224,29 @@ class TorqueModel:
 
 
 @dataclass(frozen=True)
+class Unbounded:
+    """Least squares without the bounds of physical consistency, where that predicts held-out torque better.
+
+    Attributes:
+        parameters: (p,) values that no arm need be able to have.
+        share: (n,) how far each joint's prediction goes from the possible parameters to these, 0 to 1.
+    """
+
+    parameters: FloatArray
+    share: FloatArray
+
+
+@dataclass(frozen=True)
 class IdentifiedModel:
     """A torque model with values: everything needed to predict torque again.
 
     Attributes:
         model: Structure.
-        parameters: (p,) values of `model.parameters`.
+        parameters: (p,) values of `model.parameters`; identified ones are physically consistent.
         constants: (c,) values of `model.constants`.
         cutoff_hz: Bandwidth it was identified in, Hz; None where it was not identified.
         provenance: Where it comes from (sources with checksums, versions, configuration).
+        unbounded: What is blended into predicted torque; None: nothing. Bodies are those of `parameters`.
     """
 
     model: TorqueModel
@@ -240,10 +254,15 @@ class IdentifiedModel:
     constants: FloatArray
     cutoff_hz: float | None = None
     provenance: Mapping[str, Any] | None = None
+    unbounded: Unbounded | None = None
 
     def torque(self, motion: Motion, kinds: Sequence[str] | None = None) -> FloatArray:
         """(N, n) predicted torque at full rate, N·m."""
-        return self.model.torque(motion, self.parameters, self.constants, kinds)
+        possible = self.model.torque(motion, self.parameters, self.constants, kinds)
+        if self.unbounded is None:
+            return possible
+        free = self.model.torque(motion, self.unbounded.parameters, self.constants, kinds)
+        return np.asarray(possible + self.unbounded.share * (free - possible))
 
     def value(self, symbol: str, joint: str) -> float:
         """A parameter or constant by name.

@@ -12,7 +12,7 @@ import yaml
 from ..documents import read_text, read_yaml
 from ..errors import UserError
 from .arm import JOINT_KEYS, Arm, FloatArray, arm_from_description
-from .model import IdentifiedModel, Structure, TorqueModel
+from .model import IdentifiedModel, Structure, TorqueModel, Unbounded
 
 MODEL_SCHEMA = "spacearm_ident/model/1"
 
@@ -20,11 +20,9 @@ MODEL_SCHEMA = "spacearm_ident/model/1"
 def model_to_dict(identified: IdentifiedModel) -> dict[str, Any]:
     """Plain data of a model file: terms with options and values by symbol and joint, the URDF inside."""
     arm = identified.model.arm
-    values: dict[str, dict[str, dict[str, float]]] = {kind: {} for kind in identified.model.structure}
-    for term, first, first_constant in identified.model.numbered():
+    values = _by_kind(identified.model, identified.parameters)
+    for term, _, first_constant in identified.model.numbered():
         own = values[term.kind]
-        for k, parameter in enumerate(term.parameters):
-            own.setdefault(parameter.symbol, {})[parameter.joint] = float(identified.parameters[first + k])
         for k, constant in enumerate(term.constants):
             own.setdefault(constant.symbol, {})[constant.joint] = float(identified.constants[first_constant + k])
     terms = [
@@ -48,9 +46,28 @@ def model_to_dict(identified: IdentifiedModel) -> dict[str, Any]:
         **_effort(arm),
         "couplings": [{"name": c.name, "ratios": dict(c.ratios)} for c in arm.couplings],
         "terms": terms,
+        **_unbounded(identified),
         "provenance": dict(identified.provenance or {}),
         "urdf": arm.urdf,
     }
+
+
+def _by_kind(model: TorqueModel, parameters: FloatArray) -> dict[str, dict[str, dict[str, float]]]:
+    """Parameters by kind of term, symbol and joint."""
+    values: dict[str, dict[str, dict[str, float]]] = {kind: {} for kind in model.structure}
+    for term, first, _ in model.numbered():
+        for k, parameter in enumerate(term.parameters):
+            values[term.kind].setdefault(parameter.symbol, {})[parameter.joint] = float(parameters[first + k])
+    return values
+
+
+def _unbounded(identified: IdentifiedModel) -> dict[str, Any]:
+    """Parameters that predict better than possible ones, and their share at each joint; empty where there are none."""
+    if identified.unbounded is None:
+        return {}
+    names, share = identified.model.arm.joint_names, identified.unbounded.share
+    values = _by_kind(identified.model, identified.unbounded.parameters)
+    return {"unbounded": {"share": dict(zip(names, share.tolist())), "values": values}}
 
 
 def _effort(arm: Arm) -> dict[str, Any]:
@@ -104,7 +121,15 @@ def _model_from_dict(data: Mapping[str, Any], path: Path) -> IdentifiedModel:
         _values(model, values, "constants"),
         data.get("bandwidth_hz"),
         data.get("provenance") or {},
+        _read_unbounded(model, data.get("unbounded")),
     )
+
+
+def _read_unbounded(model: TorqueModel, data: Mapping[str, Any] | None) -> Unbounded | None:
+    if data is None:
+        return None
+    share = np.array([float(data["share"][joint]) for joint in model.arm.joint_names])
+    return Unbounded(_values(model, data["values"], "parameters"), share)
 
 
 def _values(model: TorqueModel, values: Mapping[str, Any], which: str) -> FloatArray:

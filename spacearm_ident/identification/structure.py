@@ -12,20 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.friction import LARGEST_LOAD_SHARE
 from ..dynamics.model import Structure
 from .fit import Fit
+from .held_out import FEWEST_BLOCKS, LEVEL, bound, gain, t_of_drop
 from .identified import Choice
 from .joint_terms import WORDS, JointTerms, structure_with
-from .trials import FEWEST_BLOCKS, Trials
+from .trials import Trials
 
-LEVEL = 0.05
-"""Probability that a joint gets a term by chance: shared out among the changes that are tried there, and between the
-two tests of each (Bonferroni). Presliding has that level to itself: it acts at reversals alone, so that by chance it
-costs little on any other motion, and without it friction is zero wherever the joint stands."""
 ROUNDS = 12
 """Changes in a row at one joint; there are seven terms."""
 COVERED_SHARE = 0.25
@@ -97,13 +93,15 @@ def _searched(
                 changed_terms = step.law.terms ^ laws[joint].terms
                 for name in changed_terms if len(changed_terms) == 1 else ():
                     evidence[joint, name] = step.t if name in step.law.terms else -step.t
-            bound = _bound(LEVEL / max(len(tried), 1), trials.blocks)
-            at_reversals = _bound(LEVEL, trials.blocks)
+            # Presliding has the level to itself: it acts at reversals alone, so that by chance it costs little on any
+            # other motion, and without it friction is zero wherever the joint stands.
+            elsewhere = bound(LEVEL / max(len(tried), 1), trials.blocks)
+            at_reversals = bound(LEVEL, trials.blocks)
             steps += [
                 step
                 for step in tried
                 if step.gain > 0.0
-                and step.t > (at_reversals if step.law.presliding > laws[joint].presliding else bound)
+                and step.t > (at_reversals if step.law.presliding > laws[joint].presliding else elsewhere)
             ]
         changed: set[int] = set()
         for step in sorted(steps, key=lambda one: -one.gain):
@@ -119,36 +117,14 @@ def _searched(
     return laws
 
 
-def _bound(level: float, blocks: int) -> float:
-    """Value of t that the better of two tests exceeds by chance with a probability of `level`."""
-    return float(student.ppf(1.0 - level / 2, blocks - 1))
-
-
 def _with(laws: Sequence[JointTerms], joint: int, law: JointTerms) -> list[JointTerms]:
     return [law if number == joint else other for number, other in enumerate(laws)]
 
 
 def _step(trials: Trials, laws: Sequence[JointTerms], current: FloatArray, joint: int, law: JointTerms) -> _Step:
-    """What a change brings in held-out blocks.
-
-    The gain counts all joints, each as a share of what is left of it. Whether the joint itself gains is tested block
-    by block, on the difference of its squares and on that of their logarithms, and the clearer of the two counts: the
-    first sees a term that acts in few blocks, the second one that acts in all, though their squares differ a lot.
-    """
+    """What a change brings in held-out blocks: the gain of all joints together, and how clear it is at its own."""
     left = trials.held_out(_with(laws, joint, law))
-    total = np.maximum(current.sum(axis=0), 1e-300)
-    gain = float(((current.sum(axis=0) - left.sum(axis=0)) / total).sum())
-    before, after = current[:, joint], left[:, joint]
-    moving = before > 1e-12 * max(before.max(), 1e-300)
-    before, after = before[moving], np.maximum(after[moving], 1e-300)
-    return _Step(joint, law, gain, max(_t_value(before - after), _t_value(np.log(before / after))))
-
-
-def _t_value(drop: FloatArray) -> float:
-    """Mean of the blocks' drops over its standard error; zero where there are too few blocks."""
-    if len(drop) < FEWEST_BLOCKS:
-        return 0.0
-    return float(drop.mean() / max(drop.std(ddof=1) / np.sqrt(len(drop)), 1e-300))
+    return _Step(joint, law, gain(current, left), t_of_drop(current[:, joint], left[:, joint]))
 
 
 def _possible(trials: Trials, laws: Sequence[JointTerms], step: _Step, fastest: FloatArray) -> bool:

@@ -4,10 +4,6 @@ The rows of every joint are cut into blocks of time, and each block is kept as t
 the optional ones and the torque included. Any choice of terms, fitted to some blocks and judged on others, is then a
 small linear problem: a joint's own columns are eliminated (Schur complement), the inertials that joints share are
 solved for, and the squares left in a held-out block are a quadratic form (Golub and Van Loan 2013, ch. 5).
-
-Blocks are held out together as folds: whole recordings where there are several, because recordings of one arm differ
-by more than blocks of one recording do, else contiguous parts of the only one (blocked cross-validation, Roberts et
-al. 2017, Ecography 40, 913).
 """
 
 from __future__ import annotations
@@ -21,19 +17,12 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.friction import StribeckFriction
 from ..dynamics.model import Structure, TorqueModel
 from .fit import Fit
+from .held_out import folds_of, time_blocks
 from .joint_terms import JointTerms
 from .prior import make_prior
 from .regression import Regression
 from .weights import common_correlation
 
-BLOCK_S = 0.5
-"""Shortest block, s: a few correlation times of the residuals of the five real arms (0.05 to 0.4 s)."""
-BLOCKS = 12
-"""Most blocks in all; t with 11 degrees of freedom is within a fifth of the normal quantile at 1 %."""
-FEWEST_BLOCKS = 6
-"""With fewer blocks in all no choice is made: the plain law stays."""
-FOLDS = 5
-"""Parts of a single recording that are held out in turn."""
 SETTLING = 3
 """Rounds in which the weights of the joints follow their residuals."""
 RIDGE = 1e-9
@@ -87,7 +76,7 @@ class Trials:
         concerned = np.abs(width).sum(axis=1) > 0
         self._information = width[concerned].T @ width[concerned] + RIDGE * np.eye(self._shared)
         self._pull = width[concerned].T @ prior.target[concerned]
-        block_of, self._recording = _blocks(regression)
+        block_of, self._recording = time_blocks(regression)
         self.blocks = len(self._recording)
         self._correlation = common_correlation([noise for joint in fit.noise for noise in joint])
         self._joints = [
@@ -103,10 +92,7 @@ class Trials:
     @property
     def folds(self) -> list[np.ndarray]:
         """Numbers of the blocks that are held out together."""
-        recordings = np.unique(self._recording)
-        if len(recordings) > 1:
-            return [np.flatnonzero(self._recording == number) for number in recordings]
-        return [part for part in np.array_split(np.arange(self.blocks), FOLDS) if len(part)]
+        return folds_of(self._recording)
 
     def settle(self, laws: Sequence[JointTerms]) -> None:
         """Weight each joint by what these laws leave of it."""
@@ -194,20 +180,6 @@ def _owners(regression: Regression) -> dict[int, set[int]]:
         for number in rows.indices:
             owners.setdefault(number, set()).add(joint)
     return owners
-
-
-def _blocks(regression: Regression) -> tuple[list[np.ndarray], np.ndarray]:
-    """Per motion the block of every row, and per block the recording it belongs to."""
-    motions = regression.motions
-    seconds = [len(motion.torque_rows) / motion.row_rate_hz for motion in motions]
-    length = max(sum(seconds) / BLOCKS, BLOCK_S)
-    block_of, recording, first = [], [], 0
-    for motion, duration in zip(motions, seconds):
-        rows, count = len(motion.torque_rows), max(1, round(duration / length))
-        block_of.append(first + np.arange(rows) * count // max(rows, 1))
-        recording += [motion.source] * count
-        first += count
-    return block_of, np.array(recording)
 
 
 def _joint(

@@ -87,14 +87,15 @@ def prepare_evidence(
         base, choices = identified.model, identified.choices
     else:
         base = known
-    base = replace(base, cutoff_hz=cutoff)
+    # What is explained is an arm that could be: what least squares puts into impossible parameters is not base.
+    base = replace(base, cutoff_hz=cutoff, unbounded=None)
 
     wide = min(WIDER * cutoff, 0.35 * min(rates))
     referred, examined, judged = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field, validation))
     whiteners, plain = _whiteners(base, referred or examined)
     if known is not None:
         # A model pins itself down as a recording of the healthy arm on the same motion would.
-        referred = [replace(motion, torque=known.torque(motion)) for motion in examined]
+        referred = [replace(motion, torque=base.torque(motion)) for motion in examined]
 
     def gathered(base: IdentifiedModel) -> Evidence:
         return Evidence(base, Scene(base, examined, whiteners), Scene(base, referred, whiteners) if referred else None)
