@@ -21,7 +21,7 @@ IMPOSSIBLE = (LAWS[0], replace(LAWS[1], J_m=-0.4))
 """An elbow that seems to have less inertia than its link alone: what an unmodelled spring would do."""
 
 
-def identified_run(laws: tuple[Friction, Friction], seed: int = 0, settings: Settings = Settings()) -> Identified:
+def identified_run(laws: tuple[Friction, Friction], seed: int = 0, settings: Settings | None = None) -> Identified:
     planted = two_link_run(laws, seconds=30.0, seed=seed, speed=2.0)
     return identify([planted.recording(noise=0.2, seed=seed)], arm_from_urdf(planted.urdf), settings)
 

@@ -14,6 +14,9 @@ from scipy.stats import t as student
 from ..dynamics.arm import FloatArray
 from .regression import Regression
 
+BEYOND = 1.0
+"""Standard errors by which held-out squares must drop for the less simple of two models to stay (Breiman et al. 1984,
+"Classification and regression trees", section 3.4.3)."""
 LEVEL = 0.05
 """Probability with which a joint's model changes by chance: shared out among all that is tried there, and between the
 two tests of each (Bonferroni)."""

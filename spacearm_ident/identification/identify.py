@@ -37,7 +37,7 @@ from .gravity import require_gravity_choice
 from .identified import Choice, Identified
 from .momentum import base_body
 from .separable import Solution, system
-from .solvers import CLOE, IDIM_IV, PSO_LM, PSO_SEPARABLE, SEEDED, SEPARABLE, require_solver, search_of
+from .solvers import CLOE, IDIM_IV, LEAST_SQUARES, PSO_LM, SEEDED, SEPARABLE, require_solver, search_of
 from .structure import choose_structure
 from .unbounded import blend_notes, unbounded
 from .updated import identify_from_prior
@@ -127,7 +127,7 @@ def identify(
         fit, provenance or {}, choices, bandwidth, _solver_words(settings, fit.solution), gravity, further
     )
     body, words = base_body(motions, result.model, result.covariance)
-    if settings.solver in (SEPARABLE, PSO_SEPARABLE) and result.consistency_shift > 0.0:
+    if settings.solver in LEAST_SQUARES and result.consistency_shift > 0.0:
         result = replace(result, model=replace(result.model, unbounded=unbounded(fit)))
     result = replace(result, base_body=body, notes=(*result.notes, *on_base, *words, *blend_notes(result.model)))
     report(1.0, "done")

@@ -46,7 +46,7 @@ class JointTerms:
     cubic: bool = False
 
     def neighbours(self, seen: frozenset[str]) -> Iterator[JointTerms]:
-        """Laws that differ in one term, or have both a quadratic and a cubic one more: a curve often needs the pair.
+        """Laws that differ in one term, or have several of a curve more: often only together do they help.
 
         Args:
             seen: Names of the terms that these data can show at all; others are not offered.
@@ -61,6 +61,14 @@ class JointTerms:
                 yield replace(self, quadratic=form)
                 if form and not self.quadratic and not self.cubic and "cubic" in seen:
                     yield replace(self, quadratic=form, cubic=True)
+                    if not self.stribeck and "stribeck" in seen:
+                        yield replace(self, stribeck=True, quadratic=form, cubic=True)
+
+    def simpler(self) -> Iterator[JointTerms]:
+        """Laws that lack one of its terms."""
+        for name in sorted(self.terms):
+            changes: dict[str, Any] = {"quadratic": ""} if name == self.quadratic else {name: False}
+            yield replace(self, **changes)
 
     @property
     def terms(self) -> frozenset[str]:

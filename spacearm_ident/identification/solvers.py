@@ -20,6 +20,8 @@ from .regression import Regression
 SEPARABLE, PSO_LM, PSO_SEPARABLE, IDIM_IV, CLOE = "separable", "pso-lm", "pso-separable", "idim-iv", "cloe"
 SOLVERS = (SEPARABLE, PSO_LM, PSO_SEPARABLE, IDIM_IV, CLOE)
 SEEDED = (PSO_LM, PSO_SEPARABLE)
+LEAST_SQUARES = (SEPARABLE, PSO_SEPARABLE)
+"""Those whose fit is least squares in the torque over all parameters: blocks of rows can be held out of it."""
 
 Search = Callable[[Regression, Prior, float], FloatArray | None]
 """(rows, prior, gate) -> constants to refine from; None: `separable.solve`'s own search."""

@@ -1,15 +1,23 @@
 """Which optional terms are in the model: those that predict held-out data better, joint by joint.
 
-The search begins at the plain law (Coulomb and viscous friction, rotor inertia, offset) and changes one term at one
-joint at a time. A change is made if the joint is predicted better in held-out blocks (`trials.py`), beyond what chance
-gives the best of so many changes, if all joints together are predicted no worse, and if the values it takes are
-possible. So the result is the plain model wherever nothing else is shown to predict better.
+Two searches, for joints share their inertials, and what is missing at one spoils what could be seen at another.
+
+- *Forward* from the plain law (Coulomb and viscous friction, rotor inertia, offset), one term at one joint at a time. A
+  change is made if the joint is predicted better in held-out blocks (`trials.py`), beyond what chance gives the best of
+  so many changes, if all joints together are predicted no worse, and if the values it takes are possible.
+- *Backward* from every term that the data can show, at all joints: what does not help its joint beyond chance, beside
+  all others, is taken out, the least helpful first. The offset, which the plain law has, goes where the joint is
+  predicted better without it.
+
+The second counts only where it predicts held-out blocks better than the first, beyond chance. So the result is the
+plain model wherever nothing else is shown to predict better.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +25,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.friction import LARGEST_LOAD_SHARE
 from ..dynamics.model import Structure
 from .fit import Fit
-from .held_out import FEWEST_BLOCKS, LEVEL, bound, gain, t_of_drop
+from .held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, gain, t_of_drop
 from .identified import Choice
 from .joint_terms import WORDS, JointTerms, structure_with
 from .trials import Trials
@@ -60,6 +68,10 @@ def choose_structure(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
     if trials.blocks >= FEWEST_BLOCKS and len(trials.folds) > 1:
         trials.settle(laws)
         laws = _searched(trials, laws, offered, fastest, evidence)
+        against: dict[tuple[int, str], float] = {}
+        reduced = _reduced(trials, _whole(trials, offered), against)
+        if _predicts_better(trials, laws, reduced):
+            laws, evidence = reduced, against
     choices = tuple(
         Choice(WORDS[name].format(joint), float(evidence.get((number, name), 0.0)), name in laws[number].terms)
         for number, joint in enumerate(joints)
@@ -105,7 +117,7 @@ def _searched(
             ]
         changed: set[int] = set()
         for step in sorted(steps, key=lambda one: -one.gain):
-            if step.joint in changed or not _possible(trials, laws, step, fastest):
+            if step.joint in changed or not _possible(trials, _with(laws, step.joint, step.law), step.joint, fastest):
                 continue
             again = _step(trials, laws, current, step.joint, step.law)
             if again.gain > 0.0:
@@ -115,6 +127,50 @@ def _searched(
         if not changed:
             break
     return laws
+
+
+def _whole(trials: Trials, offered: Sequence[frozenset[str]]) -> list[JointTerms]:
+    """Laws with every term that a joint may have, each quadratic one in the form that leaves less beside the others."""
+
+    def law(names: frozenset[str], form: str) -> JointTerms:
+        flags: dict[str, Any] = {name: name in names for name in ("stribeck", "presliding", "load", "cubic")}
+        return JointTerms(quadratic=form if form in names else "", **flags)
+
+    laws = [law(names, "even") for names in offered]
+    for joint, names in enumerate(offered):
+        odd = _with(laws, joint, law(names, "odd"))
+        if gain(trials.held_out(laws), trials.held_out(odd)) > 0.0:
+            laws = odd
+    return laws
+
+
+def _reduced(trials: Trials, laws: list[JointTerms], evidence: dict[tuple[int, str], float]) -> list[JointTerms]:
+    """Without the terms that do not help beyond chance beside all others; `evidence` takes t by joint and term."""
+    for _ in range(ROUNDS):
+        current, weakest = trials.held_out(laws), []
+        for joint, whole in enumerate(laws):
+            level = bound(LEVEL / max(len(whole.terms), 1), trials.blocks)
+            for law in whole.simpler():
+                t = t_of_drop(trials.held_out(_with(laws, joint, law))[:, joint], current[:, joint])
+                (name,) = whole.terms - law.terms
+                evidence[joint, name] = t
+                weakest += [(t, joint, law)] if t <= (-BEYOND if name == "offset" else level) else []
+        changed: set[int] = set()
+        for _, joint, law in sorted(weakest, key=lambda one: one[0]):
+            if joint not in changed:
+                laws = _with(laws, joint, law)
+                changed.add(joint)
+        if not changed:
+            break
+    return laws
+
+
+def _predicts_better(trials: Trials, laws: list[JointTerms], other: list[JointTerms]) -> bool:
+    """Whether the other laws predict some joint better, beyond chance, and all together no worse."""
+    before, after = trials.held_out(laws), trials.held_out(other)
+    level = bound(LEVEL / len(laws), trials.blocks)
+    clear = any(t_of_drop(left, right) > level for left, right in zip(before.T, after.T))
+    return clear and gain(before, after) > 0.0
 
 
 def _with(laws: Sequence[JointTerms], joint: int, law: JointTerms) -> list[JointTerms]:
@@ -127,10 +183,10 @@ def _step(trials: Trials, laws: Sequence[JointTerms], current: FloatArray, joint
     return _Step(joint, law, gain(current, left), t_of_drop(current[:, joint], left[:, joint]))
 
 
-def _possible(trials: Trials, laws: Sequence[JointTerms], step: _Step, fastest: FloatArray) -> bool:
-    """Whether the values that a change takes are physical: static above Coulomb friction, friction that resists."""
-    values = trials.values(_with(laws, step.joint, step.law), step.joint)
-    law, speeds = step.law, np.linspace(0.0, float(fastest[step.joint]), SPEEDS)
+def _possible(trials: Trials, laws: Sequence[JointTerms], joint: int, fastest: FloatArray) -> bool:
+    """Whether the values that a joint's law takes are physical: f_b above f_c, friction that resists."""
+    values = trials.values(laws, joint)
+    law, speeds = laws[joint], np.linspace(0.0, float(fastest[joint]), SPEEDS)
     if law.stribeck and values[f"f_b {law.tag}"] < 0.0:
         return False
     if law.load and not 0.0 <= values[f"mu {law.tag}"] <= LARGEST_LOAD_SHARE:

@@ -10,15 +10,13 @@ Breiman 1996, Machine Learning 24, 49). Bodies, simulations and the URDF keep th
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel, Unbounded
+from .block_grams import BlockGrams
 from .consistency import make_consistent
 from .fit import Fit
-from .held_out import FEWEST_BLOCKS, folds_of, t_of_drop, time_blocks
-from .prior import Prior
-from .solution_columns import all_columns
+from .held_out import FEWEST_BLOCKS, folds_of, t_of_drop
 
 BEYOND = 1.0
 """Standard errors by which held-out squares must drop: within one, the simpler of two models is kept (Breiman et al.
@@ -34,11 +32,10 @@ def unbounded(fit: Fit) -> Unbounded | None:
     Returns:
         None where the consistent parameters predict as well at every joint, or too little was recorded to tell.
     """
-    grams = _Grams(fit)
-    folds = folds_of(grams.recording)
-    if len(folds) < 2 or len(grams.recording) < FEWEST_BLOCKS:
+    grams = BlockGrams(fit.regression, fit.solution.constants)
+    if len(grams.recording) < FEWEST_BLOCKS:
         return None
-    share = _shares(*grams.held_out(fit, folds))
+    share = _shares(*_held_out(fit, grams))
     return Unbounded(fit.solution.parameters, share) if share.any() else None
 
 
@@ -68,52 +65,13 @@ def blend_notes(model: IdentifiedModel) -> tuple[str, ...]:
     )
 
 
-class _Grams:
-    """Per joint and block of time, the Gram matrix of the weighted columns and the torque."""
-
-    def __init__(self, fit: Fit) -> None:
-        regression = fit.regression
-        block_of, self.recording = time_blocks(regression)
-        self._parts: list[tuple[list[int], FloatArray]] = []
-        for rows, columns, numbers in zip(regression.rows, *all_columns(regression, fit.solution)):
-            stacked = np.column_stack([columns, rows.torque]) * rows.weight[:, None]
-            block = np.concatenate([block_of[k][rows.place[rows.owner == k]] for k in range(len(block_of))])
-            own = [stacked[block == number] for number in range(len(self.recording))]
-            self._parts.append((numbers, np.stack([part.T @ part for part in own])))
-
-    def held_out(self, fit: Fit, folds: list[np.ndarray]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(blocks, n) squares left in every block by fits to the other folds: bounded, half way, and unbounded."""
-        bounded, between, free = np.zeros((3, len(self.recording), len(self._parts)))
-        for fold in folds:
-            rest = np.setdiff1d(np.arange(len(self.recording)), fold)
-            matrix, parameters = self._solve(rest, fit.prior)
-            possible = make_consistent(fit.regression.model, matrix, parameters, fit.prior.scale)
-            bounded[fold], free[fold] = self._squares(fold, possible), self._squares(fold, parameters)
-            between[fold] = self._squares(fold, 0.5 * (possible + parameters))
-        return bounded, between, free
-
-    def _solve(self, blocks: np.ndarray, prior: Prior) -> tuple[FloatArray, FloatArray]:
-        """The compressed rows (p, p) of some blocks and the prior, and the parameters (p,) they ask for."""
-        normal, side = prior.rows.T @ prior.rows, prior.rows.T @ prior.target
-        for numbers, grams in self._parts:
-            gram = grams[blocks].sum(axis=0)
-            normal[np.ix_(numbers, numbers)] += gram[:-1, :-1]
-            side[numbers] += gram[:-1, -1]
-        parameters, free = prior.held.copy(), prior.free
-        # In units of the prior's scales, in which the prior makes the matrix at least the unit matrix.
-        unit = prior.scale[free]
-        root = cholesky(normal[np.ix_(free, free)] * np.outer(unit, unit))
-        known = (side - prior.fixed_part(normal))[free]
-        parameters[free] = cho_solve((root, False), known * unit) * unit
-        matrix = np.zeros(normal.shape)
-        matrix[np.ix_(free, free)] = root / unit
-        return matrix, parameters
-
-    def _squares(self, blocks: np.ndarray, parameters: FloatArray) -> FloatArray:
-        """(len(blocks), n) weighted squares that parameters leave."""
-        left = [
-            np.einsum("i,bij,j->b", vector, grams[blocks], vector)
-            for numbers, grams in self._parts
-            for vector in (np.append(parameters[numbers], -1.0),)
-        ]
-        return np.asarray(np.maximum(np.column_stack(left), 0.0))
+def _held_out(fit: Fit, grams: BlockGrams) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(blocks, n) squares left in every block by fits to the other folds: bounded, half way, and unbounded."""
+    model, prior = fit.regression.model, fit.prior
+    bounded, between, free = np.zeros((3, len(grams.recording), len(model.arm.joints)))
+    for fold in folds_of(grams.recording):
+        matrix, parameters = grams.solve(grams.rest(fold), prior)
+        possible = make_consistent(model, matrix, parameters, prior.scale)
+        bounded[fold], free[fold] = grams.squares(fold, possible), grams.squares(fold, parameters)
+        between[fold] = grams.squares(fold, 0.5 * (possible + parameters))
+    return bounded, between, free

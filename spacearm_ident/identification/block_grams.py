@@ -1,0 +1,64 @@
+"""`BlockGrams`: a regression as Gram matrices by joint and block of time, its constants held.
+
+A fit to any of the blocks, and the squares that any parameters leave in any of them, cost no more than the number of
+parameters asks for, whatever the recording's length (Golub and Van Loan 2013, ch. 5).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+
+from ..dynamics.arm import FloatArray
+from .held_out import time_blocks
+from .prior import Prior
+from .regression import Regression
+from .solution_columns import columns_at
+
+
+class BlockGrams:
+    """Gram matrices of weighted columns and torque.
+
+    Attributes:
+        recording: (blocks,) which recording a block belongs to.
+    """
+
+    def __init__(self, regression: Regression, constants: FloatArray) -> None:
+        """Build the columns at some constants (c,), and cut them into blocks."""
+        block_of, self.recording = time_blocks(regression)
+        self._parts: list[tuple[list[int], FloatArray]] = []
+        for rows, columns, numbers in zip(regression.rows, *columns_at(regression, constants)):
+            stacked = np.column_stack([columns, rows.torque]) * rows.weight[:, None]
+            block = np.concatenate([block_of[k][rows.place[rows.owner == k]] for k in range(len(block_of))])
+            own = [stacked[block == number] for number in range(len(self.recording))]
+            self._parts.append((numbers, np.stack([part.T @ part for part in own])))
+
+    def rest(self, fold: np.ndarray) -> np.ndarray:
+        """Numbers of the blocks that are not in a fold."""
+        return np.setdiff1d(np.arange(len(self.recording)), fold)
+
+    def solve(self, blocks: np.ndarray, prior: Prior) -> tuple[FloatArray, FloatArray]:
+        """The compressed rows (p, p) of some blocks and the prior, and the parameters (p,) they ask for."""
+        normal, side = prior.rows.T @ prior.rows, prior.rows.T @ prior.target
+        for numbers, grams in self._parts:
+            gram = grams[blocks].sum(axis=0)
+            normal[np.ix_(numbers, numbers)] += gram[:-1, :-1]
+            side[numbers] += gram[:-1, -1]
+        parameters, free = prior.held.copy(), prior.free
+        # In units of the prior's scales, in which the prior makes the matrix at least the unit matrix.
+        unit = prior.scale[free]
+        root = cholesky(normal[np.ix_(free, free)] * np.outer(unit, unit))
+        known = (side - prior.fixed_part(normal))[free]
+        parameters[free] = cho_solve((root, False), known * unit) * unit
+        matrix = np.zeros(normal.shape)
+        matrix[np.ix_(free, free)] = root / unit
+        return matrix, parameters
+
+    def squares(self, blocks: np.ndarray, parameters: FloatArray) -> FloatArray:
+        """(len(blocks), n) weighted squares that parameters leave."""
+        left = [
+            np.einsum("i,bij,j->b", vector, grams[blocks], vector)
+            for numbers, grams in self._parts
+            for vector in (np.append(parameters[numbers], -1.0),)
+        ]
+        return np.asarray(np.maximum(np.column_stack(left), 0.0))
