@@ -17,6 +17,7 @@ from spacearm_ident.mismatch.preparation import banded, prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
 from spacearm_ident.mismatch.rivals import Rival, rivals
 from spacearm_ident.mismatch.scene import (
+    FEWEST_ROWS,
     LARGEST_ROOT,
     NEAR,
     SLOW,
@@ -50,14 +51,17 @@ def test_after_its_whitener_coloured_noise_is_white_with_variance_one():
     assert np.abs(lags).max() < 4 / np.sqrt(len(white))
 
 
-def test_outliers_do_not_define_the_noise_and_few_rows_make_it_plain():
+def test_outliers_do_not_define_the_noise_and_few_rows_make_it_plain_or_unknown():
     rng = np.random.default_rng(1)
     noise = rng.standard_normal(4000)
     noise[1000:1010] += 500.0
     assert fit_whitener([noise], [np.ones(4000, bool)], 2, 1e-6).sigma_Nm == pytest.approx(1.0, rel=0.1)
-    few = fit_whitener([noise[:7]], [np.ones(7, bool)], 6, 1e-6)
-    assert few.order == 0 and few.sigma_Nm == pytest.approx(np.sqrt(np.mean(noise[:7] ** 2)))
-    assert fit_whitener([np.zeros(7)], [np.zeros(7, bool)], 6, 0.25).sigma_Nm == 0.25
+    apart = np.tile([True, True, False], 40)
+    few = fit_whitener([noise[:120]], [apart], 6, 1e-6)
+    assert few.order <= 1 and few.sigma_Nm == pytest.approx(np.sqrt(np.mean(noise[:120][apart] ** 2)), rel=0.15)
+    assert fit_whitener([np.zeros(FEWEST_ROWS)], [np.ones(FEWEST_ROWS, bool)], 0, 0.25).sigma_Nm == 0.25
+    nothing = fit_whitener([noise[: FEWEST_ROWS - 1]], [np.ones(FEWEST_ROWS - 1, bool)], 6, 1e-6)
+    assert nothing.order == 0 and nothing.sigma_Nm == np.inf
 
 
 def test_a_stretch_is_counted_from_where_the_last_one_was_broken():

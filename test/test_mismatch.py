@@ -93,6 +93,48 @@ def test_unfit_data_get_a_reason_and_no_finding(made, reason):
     assert document["noise_floor_Nm"] == {"shoulder": None, "elbow": None}
 
 
+def at_rest(recording, joint):
+    """One joint that stands, held by a brake."""
+    position, effort = recording.position.copy(), recording.effort.copy()
+    position[:, joint] = position[0, joint]
+    effort[:, joint] = 0.02 * np.random.default_rng(joint).standard_normal(len(position))
+    return replace(recording, position=position, effort=effort)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("moves_in_field", [False, True])
+def test_a_joint_that_rests_in_the_reference_is_not_compared_and_said(joint, moves_in_field):
+    field = run(2) if moves_in_field else at_rest(run(2), joint)
+    answer = explain(ARM, [at_rest(HEALTHY, joint)], [field], [], SLOW_ONES)
+    assert answer.verdict == DATA_UNFIT or f"{ARM.joint_names[joint]} is not compared" in " ".join(answer.reasons)
+    document = to_document(answer)
+    json.dumps(document, allow_nan=False)
+    assert document["noise_floor_Nm"][ARM.joint_names[joint]] is None
+
+
+@pytest.mark.parametrize("seconds", [2.5, 3.5, 5.0])
+def test_short_recordings_get_an_answer(seconds):
+    """A verdict or the reason why there is none: never an error from inside."""
+    short = [run(seed, seconds=seconds) for seed in (1, 2)]
+    for reference, field in (
+        ([short[0]], [short[1]]),
+        ([HEALTHY], [short[1]]),
+        ([short[0]], [run(2)]),
+        ([], [short[0]]),
+    ):
+        answer = explain(ARM, reference, field, [], SLOW_ONES)
+        assert answer.reasons or answer.verdict != DATA_UNFIT
+
+
+def test_a_base_model_that_cannot_be_solved_for_is_unfit_data(monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError("3-th leading minor of the array is not positive definite")
+
+    monkeypatch.setattr("spacearm_ident.mismatch.explain.prepare_evidence", fails)
+    answer = explain(ARM, [HEALTHY], [run(2)], [])
+    assert answer.verdict == DATA_UNFIT and "record a longer run" in answer.reasons[0]
+
+
 def test_sound_data_have_no_faults():
     assert faults([HEALTHY, run(2, ripple)], ARM.joint_names) == []
 

@@ -34,6 +34,10 @@ LEFT_OVER = 2.0
 """A joint whose residual variance is so many times the noise's has something unexplained."""
 UNNAMED = 2.5
 """The same where nothing was found at all: then it is a mismatch without a name. Healthy arms had 1.5 at most."""
+UNDETERMINED = (
+    "the data do not determine the base model (its normal equations are singular): record a longer run, or a motion of "
+    "all joints"
+)
 CLOSE = 0.7
 """Another explanation with this share of the score cannot be told apart."""
 
@@ -76,6 +80,8 @@ def explain(
         prepared = prepare_evidence(arm, reference, fitted, judged)
     except UnfitDataError as error:
         return unfit(names, (str(error),))
+    except np.linalg.LinAlgError:
+        return unfit(names, (UNDETERMINED,))
     competition = Competition(prepared.evidence, prepared.unseen, excluded, gate)
     outcome = competition.run(lambda share, what: report(0.15 + 0.75 * share, what))
     report(0.92, "writing down what was found")
@@ -119,10 +125,11 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         lasting = np.minimum(residuals.rms_throughout(before), residuals.rms_throughout(after))
         findings = _unnamed(joints, lasting, rms_before, rms_after, floor)
     words, effect, where = _next(findings)
+    known = np.isfinite(floor)
     return Explanation(
         verdict=MISMATCH if findings else NO_MISMATCH,
         joints=joints,
-        noise_floor_Nm=floor,
+        noise_floor_Nm=np.where(known, floor, np.nan),
         before_Nm=rms_before,
         after_Nm=rms_after,
         findings=findings,
@@ -131,6 +138,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         next_effect=effect,
         next_joints=where,
         already_there=tuple(_words(scored) for scored in outcome.common),
+        reasons=_not_compared(joints, known, rms_before),
         model=extended_model(evidence, accepted, outcome.refit.values) if accepted else None,
         traces=residuals.traces(before, after),
         cutoff_hz=prepared.cutoff_hz,
@@ -165,6 +173,17 @@ def _healthy(evidence: Evidence, prepared: Prepared) -> tuple[FloatArray, FloatA
     residuals = Residuals(alone, evidence.reference, prepared.plain)
     left = residuals.rms(residuals.of(parameters, [], np.zeros(0)))
     return parameters, np.where(np.isfinite(left), left, noise)
+
+
+def _not_compared(joints: Sequence[str], known: np.ndarray, before: FloatArray) -> tuple[str, ...]:
+    """Why some joints are not compared: their noise is not known (n,), or they do not move where it is judged."""
+    reasons = []
+    for joint, has_floor, rms in zip(joints, known, before):
+        if not has_floor:
+            reasons.append(f"{joint} is not compared: it moves for less than half a second in the reference")
+        elif not np.isfinite(rms):
+            reasons.append(f"{joint} is not compared: it does not move in the recordings that are judged on")
+    return tuple(reasons)
 
 
 def _words(scored: Scored) -> str:

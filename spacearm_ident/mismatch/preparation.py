@@ -15,6 +15,7 @@ from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.base_link import placed
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..errors import UnfitDataError
 from ..identification.identified import Choice
 from ..identification.identify import Settings, identify
 from ..recording.motion import Motion
@@ -138,7 +139,11 @@ def _resisting(base: IdentifiedModel) -> IdentifiedModel:
 
 
 def _whiteners(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[Whitener], list[Whitener]]:
-    """The noise of every joint, from what is left of the reference itself; and without its colour."""
+    """The noise of every joint, from what is left of the reference itself; and without its colour.
+
+    Raises:
+        UnfitDataError: No joint moves for long enough.
+    """
     joints = range(len(base.model.arm.joints))
     scale = [max(float(np.sqrt(np.mean([np.mean(m.torque_rows[:, j] ** 2) for m in motions]))), 1e-6) for j in joints]
     # Which rows to believe less, the colour of the others' noise, and by how much less in that colour.
@@ -146,6 +151,8 @@ def _whiteners(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[W
     scene = Scene(base, motions, plain)
     residual = Evidence(base, scene, None).residual
     coloured = [_coloured(scene, residual, j, 1e-6 * scale[j]) for j in joints]
+    if not any(np.isfinite(whitener.sigma_Nm) for whitener in coloured):
+        raise UnfitDataError("no joint moves for half a second in one direction: record a longer run")
     return _louder(base, motions, coloured, 2), plain
 
 
@@ -166,7 +173,7 @@ def _coloured(scene: Scene, residual: FloatArray, joint: int, floor: float) -> W
         whole[scene.place[slot]] = residual[slot] / scene.weight[slot] * scene.whiteners[joint].sigma_Nm
         weight[scene.place[slot]] = scene.weight[slot]
         series.append(whole)
-        counts.append(weight > IN_FULL * scene.weight[scene.joint == joint].max())
+        counts.append(weight > IN_FULL * scene.weight[scene.joint == joint].max(initial=0.0))
     return fit_whitener(series, counts, ORDER, floor)
 
 

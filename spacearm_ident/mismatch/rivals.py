@@ -24,6 +24,8 @@ UNKNOWN = "unknown"
 DEGREE = 3
 INNER = (2.0, 98.0)
 """Percentiles between which a dependence is followed; beyond them it stays as it is there."""
+NARROWEST = 1e-6
+"""rad, rad/s or N m between the percentiles below which a signal stands still: nothing can be seen to follow it."""
 JUMPS = ("velocity", "torque")
 """What may turn with its sign: a spline through zero could not jump there."""
 
@@ -94,7 +96,13 @@ class Rival(Effect):
 
 
 def rivals(motions: Sequence[Motion]) -> Iterator[Options]:
-    """Every generic dependence that these motions could show."""
+    """Every generic dependence that these motions could show: not on what stands still."""
+    for place in _dependences(motions):
+        if place.get("high", np.inf) - place.get("low", 0.0) > NARROWEST:
+            yield place
+
+
+def _dependences(motions: Sequence[Motion]) -> Iterator[Options]:
     joints = motions[0].joints
     position = np.concatenate([motion.position for motion in motions])
     velocity = np.concatenate([motion.velocity for motion in motions])

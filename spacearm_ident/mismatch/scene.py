@@ -58,6 +58,9 @@ ALIKE = 4.0
 """Rows that what all joints show together is worth: a joint may have none as slow or as near a reversal."""
 LARGEST_ROOT = 0.995
 """Of an autoregressive model: noise that remembers two hundred rows is a base model's error, and has no variance."""
+FEWEST_ROWS = 40
+"""Rows below which a joint's noise is not known: a standard deviation from so many independent ones has an error of a
+tenth, 1/sqrt(2 N). At 80 rows a second it is half a second of motion."""
 OUTLIER = 6.0
 """Robust standard deviations beyond which a residual does not say what the noise is like."""
 ONE_WAY = 0.98
@@ -99,7 +102,8 @@ class Whitener:
 
     Attributes:
         coefficients: (p,) a.
-        sigma_Nm: Standard deviation of what drives it, N·m.
+        sigma_Nm: Standard deviation of what drives it, N·m; infinite where the reference does not tell: the joint's
+            rows do not count then.
         loud: (s + 1, d + 1) how many times larger the variance is at the speeds that `SLOW` divides, as near a reversal
             as `NEAR` does: 1 at the last, and no less the slower and the nearer.
     """
@@ -186,7 +190,8 @@ class Scene:
         self.backgrounds: list[Background] = list(
             backgrounds or (model.background(quiet(motion), base.parameters, base.constants) for motion in self.motions)
         )
-        self.sound = [one_way(motion) for motion in self.motions]
+        known = np.array([np.isfinite(whitener.sigma_Nm) for whitener in whiteners])
+        self.sound = [one_way(motion) & known for motion in self.motions]
         self._whitening = [
             [own.matrix(stretch(sound[:, j])) for sound in self.sound] for j, own in enumerate(whiteners)
         ]
@@ -274,12 +279,16 @@ class Scene:
 def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], order: int, floor: float) -> Whitener:
     """The autoregressive model of a residual, by least squares over uninterrupted rows.
 
+    Where fewer than `FEWEST_ROWS` count, its sigma is infinite.
+
     Args:
         residuals: (M,) one joint's reduced residual, motion by motion, N·m.
         moving: (M,) rows that count.
         order: Lags; fewer where there are too few rows.
         floor: Smallest sigma, N·m.
     """
+    if sum(int(kept.sum()) for kept in moving) < FEWEST_ROWS:
+        return Whitener(np.zeros(0), float("inf"))
     while order > 0:
         past, now = [], []
         for residual, kept in zip(residuals, moving):
@@ -299,8 +308,7 @@ def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], 
             return Whitener(coefficients, max(float(np.sqrt(np.mean(error**2))), floor))
         order //= 2
     usable = np.concatenate([residual[kept] for residual, kept in zip(residuals, moving)])
-    spread = float(np.sqrt(np.mean(usable**2))) if len(usable) else floor
-    return Whitener(np.zeros(0), max(spread, floor))
+    return Whitener(np.zeros(0), max(float(np.sqrt(np.mean(usable**2))), floor))
 
 
 def stable(coefficients: FloatArray) -> FloatArray:
