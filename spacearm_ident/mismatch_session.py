@@ -9,6 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from .conventions.change import Kind
+from .conventions.check import check_conventions
+from .conventions.finding import DECISIVE, ConventionReport, Level
+from .conventions.finding import Finding as Mistake
 from .dynamics.arm import Arm
 from .dynamics.model import IdentifiedModel
 from .dynamics.model_file import load_model
@@ -16,13 +20,28 @@ from .errors import UserError
 from .identification.effort import in_newton_metres
 from .identification.identify import Progress
 from .mismatch.explain import explain
-from .mismatch.finding import Explanation
+from .mismatch.finding import Explanation, unfit
 from .recording import Recording
 from .report.folder import refuse_to_replace
 from .report.mismatch_folder import write_mismatch
 from .session import corrected, find_arm, read_bags, within
 
 MODEL_SUFFIXES = (".yaml", ".yml")
+MISTAKES = frozenset(
+    {
+        Kind.EFFORT_SIGN,
+        Kind.POSITION_SIGN,
+        Kind.AXIS_REVERSED,
+        Kind.DEGREES,
+        Kind.POSITIONS_EXCHANGED,
+        Kind.EFFORTS_EXCHANGED,
+        Kind.JOINTS_EXCHANGED,
+        Kind.EFFORT_UNIT,
+        Kind.TIME_REVERSED,
+        "robot_description",
+    }
+)
+"""Mistakes of convention that no physics looks like: a gain, a zero, gravity, a delay are effects."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +96,47 @@ def explain_session(
     bags, healthy, judges = (corrected(in_newton_metres(runs, its_arm), its_arm) for runs in (bags, healthy, judges))
     known = known if isinstance(known, IdentifiedModel) else healthy
     recordings = (*bags, *healthy, *judges)
-    explanation = explain(its_arm, known, bags, judges, excluded, progress=within(report, 0.1, 0.95))
+    wrong = mistakes([*bags, *judges], healthy, its_arm, within(report, 0.1, 0.15))
+    if wrong:
+        explanation = unfit(its_arm.joint_names, wrong)
+    else:
+        explanation = explain(its_arm, known, bags, judges, excluded, progress=within(report, 0.15, 0.95))
     page = write_mismatch(explanation, its_arm, bags, judges, healthy, directory, command)
     return MismatchSession(explanation, page, recordings)
+
+
+def mistakes(
+    field: Sequence[Recording], reference: Sequence[Recording], arm: Arm, progress: Progress | None = None
+) -> tuple[str, ...]:
+    """Mistakes of convention that make recordings unfit to be compared, as reasons with what to do.
+
+    A mistake counts if `identify` calls it certain; in the field already if `check` calls the data unfit and the
+    reference does not show it: an arm's own CAD errors, for which `identify` leaves room, would show in both.
+
+    Args:
+        field: Recordings to explain, and to judge on.
+        reference: Recordings of the healthy arm; empty where there are none.
+        arm: What is known before.
+        progress: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UserError: A recording lacks a joint of the arm.
+    """
+    everything = [*field, *reference]
+    share = len(field) / max(len(everything), 1)
+    report = progress or (lambda share, what: None)
+    examined = check_conventions(field, arm, progress=within(report, 0.0, share))
+    healthy = check_conventions(reference, arm, progress=within(report, share, 1.0)) if reference else None
+    known = {(one.kind, one.joints) for one in healthy.findings} if healthy else set()
+    found = [] if healthy is None else _wrong(healthy, DECISIVE)
+    found += [one for one in _wrong(examined, 0.0 if healthy else DECISIVE) if (one.kind, one.joints) not in known]
+    return tuple(f"{', '.join(one.recordings)}: {one.statement} -> {one.remedy}" for one in found)
+
+
+def _wrong(report: ConventionReport, least: float) -> list[Mistake]:
+    """Unfit findings that no physics looks like: read off, or inferred with these log odds or more."""
+    unfit_ones = (one for one in report.findings if one.kind in MISTAKES and one.level is Level.UNFIT)
+    return [one for one in unfit_ones if one.log_odds is None or one.log_odds >= least]
 
 
 def _reference(

@@ -8,16 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from changed_arm import ARM
 from planted_arm import TWO_LINKS, Friction, two_link_run
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.cli.mismatch import sort_bags
+from spacearm_ident.conventions.change import Kind
+from spacearm_ident.conventions.finding import ConventionReport, Level
+from spacearm_ident.conventions.finding import Finding as Mistake
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.constraints import limits_for_excitation
 from spacearm_ident.excitation.trajectory_file import load_trajectory
 from spacearm_ident.mismatch.finding import unfit
+from spacearm_ident.mismatch_session import mistakes
 from spacearm_ident.recording import read_recording, write_recording
 from spacearm_ident.recording.signals import prepare
 from spacearm_ident.report.mismatch_folder import next_run, write_mismatch
@@ -184,6 +189,48 @@ def test_a_healthy_arm_is_no_mismatch_and_has_no_extended_model(bags, tmp_path, 
     assert document["verdict"] == "no_mismatch" and document["findings"] == [] and document["model"] is None
     assert not (tmp_path / "why" / "extended_model.yaml").exists()
     assert (tmp_path / "why" / "report.html").exists()
+
+
+# --- conventions ----------------------------------------------------------------------------------------------------
+
+
+def test_a_joint_in_degrees_is_unfit_data_with_its_remedy(bags, tmp_path, capsys):
+    field = read_recording(bags["field"])
+    write_recording(tmp_path / "wrong.mcap", replace(field, position=field.position * [1.0, np.degrees(1.0)]))
+    words = (tmp_path / "wrong.mcap", "--reference", bags["reference"], "--out", tmp_path / "why", *FEW)
+    out, _ = run(*words, expect=1, capsys=capsys)
+    assert out.startswith("data unfit") and "degrees" in out and "wrong.mcap" in out
+    assert "degrees" in (tmp_path / "why" / "report.html").read_text()
+
+
+def told(kind, log_odds, joints=("elbow",), level=Level.UNFIT):
+    return Mistake(str(kind), level, joints, f"{kind} found", "mend it", log_odds=log_odds, recordings=("bag",))
+
+
+@pytest.mark.parametrize(
+    ("in_field", "in_reference", "refused"),
+    [
+        ([told(Kind.JOINTS_EXCHANGED, 22.0)], [], 1),
+        ([told(Kind.JOINTS_EXCHANGED, 22.0)], [told(Kind.JOINTS_EXCHANGED, 22.0)], 0),
+        ([told(Kind.JOINTS_EXCHANGED, 22.0)], None, 0),
+        ([told(Kind.JOINTS_EXCHANGED, 60.0)], None, 1),
+        ([told(Kind.JOINTS_EXCHANGED, 60.0)], [told(Kind.JOINTS_EXCHANGED, 60.0)], 1),
+        ([], [told(Kind.EFFORT_SIGN, 60.0)], 1),
+        ([told("robot_description", None)], None, 1),
+        ([told(Kind.EFFORT_SIGN, 60.0, level=Level.NOTE)], [], 0),
+        ([told(kind, 200.0) for kind in (Kind.EFFORT_GAIN, Kind.GRAVITY, Kind.ENCODER_ZERO, Kind.DELAY)], [], 0),
+    ],
+)
+def test_a_mistake_counts_where_it_is_certain_or_the_reference_has_it_not(monkeypatch, in_field, in_reference, refused):
+    """What the catalogue names itself, a gain or a tilt, is never a mistake of convention here."""
+    field, healthy = ["field"], [] if in_reference is None else ["reference"]
+
+    def check(recordings, arm, progress):
+        return ConventionReport(tuple(in_field if recordings is field else in_reference), (), ("bag",))
+
+    monkeypatch.setattr("spacearm_ident.mismatch_session.check_conventions", check)
+    reasons = mistakes(field, healthy, ARM)
+    assert len(reasons) == refused and all(text.startswith("bag: ") and "-> mend it" in text for text in reasons)
 
 
 # --- what goes wrong ------------------------------------------------------------------------------------------------
