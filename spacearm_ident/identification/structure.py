@@ -9,8 +9,8 @@ Two searches, for joints share their inertials, and what is missing at one spoil
   all others, is taken out, the least helpful first. The offset, which the plain law has, goes where the joint is
   predicted better without it.
 
-The second counts only where it predicts held-out blocks better than the first, beyond chance. So the result is the
-plain model wherever nothing else is shown to predict better.
+The second counts only where its values are possible, too, and it predicts held-out blocks better than the first, beyond
+chance. So the result is the plain model wherever nothing else is shown to predict better.
 """
 
 from __future__ import annotations
@@ -70,7 +70,8 @@ def choose_structure(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
         laws = _searched(trials, laws, offered, fastest, evidence)
         against: dict[tuple[int, str], float] = {}
         reduced = _reduced(trials, _whole(trials, offered), against)
-        if _predicts_better(trials, laws, reduced):
+        possible = all(_possible(trials, reduced, joint, fastest) for joint in range(len(joints)))
+        if possible and _predicts_better(trials, laws, reduced):
             laws, evidence = reduced, against
     choices = tuple(
         Choice(WORDS[name].format(joint), float(evidence.get((number, name), 0.0)), name in laws[number].terms)

@@ -16,11 +16,7 @@ from ..dynamics.model import IdentifiedModel, Unbounded
 from .block_grams import BlockGrams
 from .consistency import make_consistent
 from .fit import Fit
-from .held_out import FEWEST_BLOCKS, folds_of, t_of_drop
-
-BEYOND = 1.0
-"""Standard errors by which held-out squares must drop: within one, the simpler of two models is kept (Breiman et al.
-1984, "Classification and regression trees", section 3.4.3), and the simpler is the one that an arm could have."""
+from .held_out import BEYOND, FEWEST_BLOCKS, folds_of, t_of_drop
 
 
 def unbounded(fit: Fit) -> Unbounded | None:
@@ -42,7 +38,7 @@ def unbounded(fit: Fit) -> Unbounded | None:
 def _shares(bounded: FloatArray, between: FloatArray, free: FloatArray) -> FloatArray:
     """(n,) shares that leave the least, from the squares (blocks, n) left at 0, 1/2 and 1; 0 where the drop is chance.
 
-    The squares are quadratic in the share.
+    The squares are quadratic in the share. The simpler of the two models is the one that an arm could have.
     """
     slope, bend = 4.0 * between - 3.0 * bounded - free, 2.0 * (bounded + free) - 4.0 * between
     total = np.maximum(bend.sum(axis=0), 1e-300)
