@@ -15,6 +15,7 @@ import pytest
 import small_arm
 
 pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
+pytest.importorskip("clarabel", reason="needs clarabel in the processes that identify (README.md, ROS 2 Jazzy)")
 
 from diagnostic_msgs.msg import DiagnosticArray
 from live_nodes import LIVE, Probe, Processes, end, output
