@@ -32,7 +32,7 @@ from spacearm_ident.mismatch.scene import (
     travel,
 )
 from spacearm_ident.mismatch.scored import BEST, PARTS, penalty, throughout
-from spacearm_ident.mismatch.stacked import NUISANCE, base_columns, stacked_effect
+from spacearm_ident.mismatch.stacked import NUISANCE, base_columns, nuisance_scale, stacked_effect
 from spacearm_ident.recording.recording import Recording
 from spacearm_ident.recording.signals import prepare
 
@@ -206,7 +206,7 @@ class Brute:
         known, beside = prior.rows.shape[1], NUISANCE * len(ARM.joints)
         belief = np.zeros((len(prior.rows) + beside, base.shape[1]))
         belief[: len(prior.rows), :known] = prior.rows
-        belief[len(prior.rows) :, known:] = 1e-3 * np.eye(beside)
+        belief[len(prior.rows) :, known:] = np.diag(1.0 / nuisance_scale(evidence.base))
         self.columns = np.concatenate([base, belief])
         self.torque = np.concatenate([*(scene.torque() for scene in scenes), prior.target, np.zeros(beside)])
         self.used = np.any(self.columns != 0, axis=0)

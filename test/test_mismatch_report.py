@@ -110,6 +110,7 @@ def explanation(*findings: Finding, **changes: object) -> Explanation:
         verdict=MISMATCH if findings else NO_MISMATCH,
         joints=JOINTS,
         noise_floor_Nm=NOISE,
+        detectable_Nm=1.6 * NOISE,
         before_Nm=np.array([0.71, 0.7]),
         after_Nm=np.array([0.1, 0.05]),
         findings=findings,
@@ -217,7 +218,9 @@ def test_page_of_figures_that_are_not_known() -> None:
         after_Nm={},
     )
     for traces in ((empty,), (trace(),), ()):
-        of = explanation(lost, noise_floor_Nm=nothing, before_Nm=nothing, after_Nm=nothing, traces=traces)
+        of = explanation(
+            lost, noise_floor_Nm=nothing, detectable_Nm=nothing, before_Nm=nothing, after_Nm=nothing, traces=traces
+        )
         words = page(of).text
         assert "not testable" in words
         assert "nan" not in words.lower().replace("nano", "")

@@ -112,9 +112,18 @@ def summary(explanation: Explanation, page: Path) -> str:
         lines += _finding_lines(finding)
     if explanation.verdict != DATA_UNFIT:
         lines.append(f"residual RMS, N m, on {explanation.judged_on}")
-        lines.append(f"{'joint':24}{'noise':>9}{'before':>9}{'after':>9}")
-        columns = (explanation.noise_floor_Nm, explanation.before_Nm, explanation.after_Nm)
-        lines += [f"{j:24}{n:9.3f}{b:9.3f}{a:9.3f}" for j, n, b, a in zip(explanation.joints, *columns)]
+        heads = ("healthy", "detectable", "before", "after")
+        lines.append(f"{'joint':24}" + "".join(f"{head:>11}" for head in heads))
+        columns = (
+            explanation.noise_floor_Nm,
+            explanation.detectable_Nm,
+            explanation.before_Nm,
+            explanation.after_Nm,
+        )
+        lines += [
+            f"{joint:24}" + "".join(f"{value:11.3f}" for value in values)
+            for joint, *values in zip(explanation.joints, *columns)
+        ]
     for left in explanation.unexplained:
         lines.append(f"unexplained at {', '.join(left.joints)}: {100 * left.fraction:.0f} % of it; {left.where}")
     if explanation.already_there:

@@ -25,7 +25,7 @@ class BlockGrams:
 
     def __init__(self, regression: Regression, constants: FloatArray) -> None:
         """Build the columns at some constants (c,), and cut them into blocks."""
-        block_of, self.recording = time_blocks(regression)
+        block_of, self.recording = time_blocks(regression.motions)
         self._parts: list[tuple[list[int], FloatArray]] = []
         for rows, columns, numbers in zip(regression.rows, *columns_at(regression, constants)):
             stacked = np.column_stack([columns, rows.torque]) * rows.weight[:, None]

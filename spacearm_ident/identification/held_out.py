@@ -1,6 +1,6 @@
 """Whether one model predicts held-out blocks of time better than another, beyond chance.
 
-The rows of a regression are cut into blocks, blocks are held out together as folds: whole recordings where there are
+The rows of the motions are cut into blocks, blocks are held out together as folds: whole recordings where there are
 several, because recordings of one arm differ by more than blocks of one recording do, else contiguous parts of the only
 one (blocked cross-validation, Roberts et al. 2017, Ecography 40, 913). Every decision about a model that prediction
 decides (`structure.py`, `correction.py`) is made here, at one level.
@@ -8,11 +8,13 @@ decides (`structure.py`, `correction.py`) is made here, at one level.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.stats import t as student
 
 from ..dynamics.arm import FloatArray
-from .regression import Regression
+from ..recording.motion import Motion
 
 BEYOND = 1.0
 """Standard errors by which held-out squares must drop for the less simple of two models to stay (Breiman et al. 1984,
@@ -32,13 +34,12 @@ _LEAST = 1e-300
 """Squares below are none: keeps ratios and logarithms finite."""
 
 
-def time_blocks(regression: Regression) -> tuple[list[np.ndarray], np.ndarray]:
-    """Blocks of time of a regression's rows.
+def time_blocks(motions: Sequence[Motion]) -> tuple[list[np.ndarray], np.ndarray]:
+    """Blocks of time of the motions' rows.
 
     Returns:
         Per motion, (M,) the block of every row, counted over all motions; and per block the recording it belongs to.
     """
-    motions = regression.motions
     seconds = [len(motion.torque_rows) / motion.row_rate_hz for motion in motions]
     length = max(sum(seconds) / BLOCKS, BLOCK_S)
     block_of, recording, first = [], [], 0
@@ -78,6 +79,20 @@ def t_of_drop(before: FloatArray, after: FloatArray) -> float:
 def bound(level: float, blocks: int) -> float:
     """Value of t that the clearer of the two tests exceeds by chance with a probability of `level`."""
     return float(student.ppf(1.0 - level / 2, blocks - 1))
+
+
+def t_of_all(before: FloatArray, after: FloatArray) -> float:
+    """How clearly the squares (blocks, n) of all joints together drop: t of the blocks' mean logarithmic ratio."""
+    moving = before > 1e-12 * np.maximum(before.max(axis=0), _LEAST)
+    ratio = np.log(np.maximum(before, _LEAST) / np.maximum(after, _LEAST))
+    return _t_value(np.where(moving, ratio, 0.0).mean(axis=1))
+
+
+def predicts_better(before: FloatArray, after: FloatArray) -> bool:
+    """Whether a second model predicts some joint better, beyond chance, and all together no worse: (blocks, n) each."""
+    level = bound(LEVEL / before.shape[1], len(before))
+    clear = any(t_of_drop(left, right) > level for left, right in zip(before.T, after.T))
+    return clear and gain(before, after) > 0.0
 
 
 def _t_value(drop: FloatArray) -> float:

@@ -25,7 +25,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.friction import LARGEST_LOAD_SHARE
 from ..dynamics.model import Structure
 from .fit import Fit
-from .held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, gain, t_of_drop
+from .held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, gain, predicts_better, t_of_drop
 from .identified import Choice
 from .joint_terms import WORDS, JointTerms, structure_with
 from .trials import Trials
@@ -71,7 +71,7 @@ def choose_structure(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
         against: dict[tuple[int, str], float] = {}
         reduced = _reduced(trials, _whole(trials, offered), against)
         possible = all(_possible(trials, reduced, joint, fastest) for joint in range(len(joints)))
-        if possible and _predicts_better(trials, laws, reduced):
+        if possible and predicts_better(trials.held_out(laws), trials.held_out(reduced)):
             laws, evidence = reduced, against
     choices = tuple(
         Choice(WORDS[name].format(joint), float(evidence.get((number, name), 0.0)), name in laws[number].terms)
@@ -164,14 +164,6 @@ def _reduced(trials: Trials, laws: list[JointTerms], evidence: dict[tuple[int, s
         if not changed:
             break
     return laws
-
-
-def _predicts_better(trials: Trials, laws: list[JointTerms], other: list[JointTerms]) -> bool:
-    """Whether the other laws predict some joint better, beyond chance, and all together no worse."""
-    before, after = trials.held_out(laws), trials.held_out(other)
-    level = bound(LEVEL / len(laws), trials.blocks)
-    clear = any(t_of_drop(left, right) > level for left, right in zip(before.T, after.T))
-    return clear and gain(before, after) > 0.0
 
 
 def _with(laws: Sequence[JointTerms], joint: int, law: JointTerms) -> list[JointTerms]:

@@ -76,7 +76,7 @@ class Trials:
         concerned = np.abs(width).sum(axis=1) > 0
         self._information = width[concerned].T @ width[concerned] + RIDGE * np.eye(self._shared)
         self._pull = width[concerned].T @ prior.target[concerned]
-        block_of, self._recording = time_blocks(regression)
+        block_of, self._recording = time_blocks(regression.motions)
         self.blocks = len(self._recording)
         self._correlation = common_correlation([noise for joint in fit.noise for noise in joint])
         self._joints = [

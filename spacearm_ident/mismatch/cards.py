@@ -11,9 +11,10 @@ from .competition import Outcome
 from .evidence import Evidence
 from .finding import Alternative, Finding, Quantity
 from .intervals import Intervals, step_of
-from .residuals import Residuals
+from .residuals import Residuals, unwhitened
 from .rivals import UNKNOWN
 from .scored import TEMPER, TEMPER_SHARE, Scored, feels
+from .stacked import stacked_effect
 
 NEAR_RESONANCE = 1.2
 """A link with little damping answers the noise of an encoder, and any error of its inertia, this near its resonance."""
@@ -33,6 +34,7 @@ class Cards:
         self.accepted = list(outcome.accepted)
         counts = [len(candidate.effect.parameters) for candidate in self.accepted]
         self._starts = np.concatenate([[0], np.cumsum(counts)]).astype(int)
+        self._field = unwhitened(evidence.base, evidence.field)
         self._intervals = Intervals(evidence, self.accepted, outcome.refit.values)
 
     def finding(self, number: int) -> Finding:
@@ -61,6 +63,7 @@ class Cards:
             explained=explained,
             beside_Nm=beside,
             against=effect.against(values),
+            felt_Nm=self._felt_in_field(number),
         )
 
     def _values(self, number: int) -> FloatArray:
@@ -120,6 +123,16 @@ class Cards:
         energy = self.evidence.field.by_joint(self.evidence.added([self.accepted[number]], values) ** 2)
         felt = feels(energy)
         return [int(j) for j in np.argsort(-energy) if felt[j]]
+
+    def _felt_in_field(self, number: int) -> dict[str, float]:
+        """By joint, RMS of what one effect adds to the torque where it acts in the field, N·m."""
+        candidate = self.accepted[number]
+        values = self.outcome.refit.values[self._starts[number] : self._starts[number + 1]]
+        stacked = stacked_effect(self._field, candidate.effect, candidate.constants)
+        torque, joint = stacked.columns @ values, self._field.joint[stacked.rows]
+        names = self.evidence.base.model.arm.joint_names
+        acts = {row: torque[(joint == row) & (torque != 0.0)] for row in self._felt_at(number)}
+        return {names[row]: float(np.sqrt(np.mean(own**2))) for row, own in acts.items() if len(own)}
 
     def _quantities(self, number: int, values: FloatArray) -> dict[str, Quantity]:
         """What the effect shows of its values, with intervals from their covariance."""

@@ -21,6 +21,7 @@ def to_document(explanation: Explanation) -> dict[str, Any]:
         "schema": SCHEMA,
         "verdict": explanation.verdict,
         "noise_floor_Nm": _by_joint(explanation, explanation.noise_floor_Nm),
+        "detectable_Nm": _by_joint(explanation, explanation.detectable_Nm),
         "residual_before_Nm": _by_joint(explanation, explanation.before_Nm),
         "residual_after_Nm": _by_joint(explanation, explanation.after_Nm),
         "residuals_on": explanation.judged_on,

@@ -22,11 +22,14 @@ from ..dynamics.term import Values
 from ..identification.prior import make_prior
 from ..recording.motion import Motion
 from .scene import Scene, quiet
-from .stacked import NUISANCE, Stacked, base_columns, sharpness, stacked_effect
+from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, sharpness, stacked_effect
 from .turning import learnt
 
 INVISIBLE = 1e-12
 """Share of its energy below which what the base leaves of a column is rounding."""
+
+SINGULAR = 1e-13
+"""Ratio of singular values below which normal equations are rounding."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +102,12 @@ class Evidence:
         columns = [base_columns(base, scene, self.common) for scene in scenes]
         prior = make_prior(base.model, [motion for scene in scenes for motion in scene.motions])
         width, known = columns[0].shape[1], prior.rows.shape[1]
-        # What is beside the model (nuisance, common effects) may be as large as it likes; this only breaks ties.
+        # Common effects may be as large as they like; this only breaks ties.
+        beside = np.full(width - known, 1e-3)
+        beside[: self.nuisance] = 1.0 / nuisance_scale(base)
         belief = np.zeros((len(prior.rows) + width - known, width))
         belief[: len(prior.rows), :known] = prior.rows
-        belief[len(prior.rows) :, known:] = 1e-3 * np.eye(width - known)
+        belief[len(prior.rows) :, known:] = np.diag(beside)
         torque = np.concatenate([*(scene.torque() for scene in scenes), prior.target, np.zeros(width - known)])
         stacked = np.concatenate([*columns, belief])
         self._used = np.flatnonzero(np.any(stacked != 0, axis=0))
@@ -244,6 +249,19 @@ class Evidence:
         """Parameters of the base (nuisance and common effects last) when these effects stand beside it."""
         whole = np.zeros(self._width)
         whole[self._used] = solve_triangular(self._triangle, self._beside(candidates, values))
+        return whole
+
+    def base_parameters_without(self, rows: np.ndarray) -> FloatArray:
+        """Parameters of the base as fitted to all rows but some of the field's: (F,) true where left out.
+
+        The normal equations in the orthonormal basis, less what these rows contribute.
+        """
+        basis = self._basis[rows]
+        torque = self.residual[rows] + basis @ self._inside
+        gram = np.eye(len(self._used)) - basis.T @ basis
+        whole = np.zeros(self._width)
+        inside = np.linalg.lstsq(gram, self._inside - basis.T @ torque, rcond=SINGULAR)[0]
+        whole[self._used] = solve_triangular(self._triangle, inside)
         return whole
 
     def base_parameters_with(

@@ -18,11 +18,11 @@ from ..errors import UnfitDataError
 from ..recording.recording import Recording
 from .cards import Cards
 from .competition import GATE, Competition, Outcome
-from .evidence import Evidence
 from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
+from .healthy import Healthy, healthy_level
 from .integrity import faults
-from .judgement import contradicted, doubted, harms, shows
+from .judgement import beyond_healthy, contradicted, doubted, harms, shows
 from .preparation import Prepared, prepare_evidence
 from .residuals import Residuals
 from .rivals import UNKNOWN
@@ -30,10 +30,6 @@ from .scored import Scored
 
 Progress = Callable[[float, str], None]
 HOLD_OUT = 0.35
-LEFT_OVER = 2.0
-"""A joint whose residual variance is so many times the noise's has something unexplained."""
-UNNAMED = 2.5
-"""The same where nothing was found at all: then it is a mismatch without a name. Healthy arms had 1.5 at most."""
 UNDETERMINED = (
     "the data do not determine the base model (its normal equations are singular): record a longer run, or a motion of "
     "all joints"
@@ -104,12 +100,19 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     assert unseen is not None
     joints = evidence.base.model.arm.joint_names
     residuals = Residuals(evidence, unseen.scene, prepared.plain)
-    alone, floor = _healthy(evidence, prepared)
-    noise = dict(zip(joints, floor))
+    healthy = healthy_level(evidence, prepared, residuals)
+    floor = healthy.floor_Nm
+    before = residuals.of(healthy.parameters, [], np.zeros(0))
+    rms_before = residuals.rms(before)
+    noise, largest, left = (dict(zip(joints, rms.tolist())) for rms in (floor, healthy.largest_Nm, rms_before))
     while True:
         cards = Cards(evidence, residuals, outcome, floor)
         made = [cards.finding(k) for k in range(len(outcome.accepted))]
-        idle = [k for k, found in enumerate(made) if harms(found) or not shows(k, made, noise)]
+        idle = [
+            k
+            for k, found in enumerate(made)
+            if harms(found) or not shows(k, made, noise) or not beyond_healthy(found, left, largest)
+        ]
         if not idle:
             break
         # What shows beside another may show no more without it.
@@ -118,27 +121,31 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     effects = [candidate.effect for candidate in accepted]
     made = [contradicted(finding, effect, effects) for finding, effect in zip(made, effects)]
     findings = tuple(doubted(finding, noise) for finding in _by_cause(made, joints))
-    before = residuals.of(alone, [], np.zeros(0))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
-    rms_before, rms_after = residuals.rms(before), residuals.rms(after)
+    rms_after = residuals.rms(after)
     if not findings:
         lasting = np.minimum(residuals.rms_throughout(before), residuals.rms_throughout(after))
-        findings = _unnamed(joints, lasting, rms_before, rms_after, floor)
-    words, effect, where = _next(findings)
+        where = np.flatnonzero(healthy.beyond(lasting, np.minimum(rms_before, rms_after)))
+        findings = _unnamed(joints, where, rms_before, rms_after, floor)
+    words, next_effect, next_joints = _next(findings)
     known = np.isfinite(floor)
     return Explanation(
         verdict=MISMATCH if findings else NO_MISMATCH,
         joints=joints,
         noise_floor_Nm=np.where(known, floor, np.nan),
+        detectable_Nm=np.where(known, healthy.detectable_Nm, np.nan),
         before_Nm=rms_before,
         after_Nm=rms_after,
         findings=findings,
-        unexplained=_unexplained(joints, rms_after, floor, outcome),
+        unexplained=_unexplained(joints, rms_after, healthy, outcome) if findings else (),
         next_experiment=words,
-        next_effect=effect,
-        next_joints=where,
+        next_effect=next_effect,
+        next_joints=next_joints,
         already_there=tuple(_words(scored) for scored in outcome.common),
-        reasons=_not_compared(joints, known, rms_before),
+        reasons=(
+            *_not_compared(joints, known, rms_before),
+            *(() if findings else _moments(joints, rms_after, healthy)),
+        ),
         model=extended_model(evidence, accepted, outcome.refit.values) if accepted else None,
         traces=residuals.traces(before, after),
         cutoff_hz=prepared.cutoff_hz,
@@ -158,23 +165,6 @@ def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Findi
     return tuple(joined(group, joints) for group in causes.values())
 
 
-def _healthy(evidence: Evidence, prepared: Prepared) -> tuple[FloatArray, FloatArray]:
-    """The base's parameters from the reference alone, and what it leaves there by joint, N·m.
-
-    Without a recorded reference: the noise as it was estimated in the field, and without any its parameters too.
-    """
-    noise = prepared.noise_floor_Nm
-    if evidence.reference is None:
-        return evidence.base_parameters([], np.zeros(0)), noise
-    alone = evidence.healthy
-    parameters = alone.base_parameters([], np.zeros(0))
-    if prepared.modelled:
-        return parameters, noise
-    residuals = Residuals(alone, evidence.reference, prepared.plain)
-    left = residuals.rms(residuals.of(parameters, [], np.zeros(0)))
-    return parameters, np.where(np.isfinite(left), left, noise)
-
-
 def _not_compared(joints: Sequence[str], known: np.ndarray, before: FloatArray) -> tuple[str, ...]:
     """Why some joints are not compared: their noise is not known (n,), or they do not move where it is judged."""
     reasons = []
@@ -186,22 +176,30 @@ def _not_compared(joints: Sequence[str], known: np.ndarray, before: FloatArray) 
     return tuple(reasons)
 
 
+def _moments(joints: Sequence[str], after: FloatArray, healthy: Healthy) -> tuple[str, ...]:
+    """What is above a healthy arm's residual for a moment only, where nothing was found."""
+    return tuple(
+        f"{joint} leaves {rms:.3g} N m RMS where a healthy arm leaves {least:.3g} at most, but not throughout: see when"
+        for joint, rms, least in zip(joints, after, healthy.unexplained_Nm)
+        if np.isfinite(rms) and rms > least
+    )
+
+
 def _words(scored: Scored) -> str:
     effect = scored.candidate.effect
     return f"{effect.words} ({effect.kind}) at {', '.join(effect.joints) or 'the base'}"
 
 
 def _unnamed(
-    joints: Sequence[str], lasting: FloatArray, before: FloatArray, after: FloatArray, floor: FloatArray
+    joints: Sequence[str], where: np.ndarray, before: FloatArray, after: FloatArray, floor: FloatArray
 ) -> tuple[Finding, ...]:
-    """Where nothing was found, and what lasts is clearly more than noise all the same: something, without a name.
+    """Where nothing was found, and more is left than a healthy arm leaves all the same: something, without a name.
 
-    Of the reference's model, and of that refitted with the field: the latter alone may fail on a motion of its own.
+    By the reference's model, and by that refitted with the field: the latter alone may fail on a motion of its own.
     """
-    where = [k for k, rms in enumerate(lasting) if np.isfinite(rms) and rms**2 > UNNAMED * floor[k] ** 2]
-    if not where:
+    if not len(where):
         return ()
-    where.sort(key=lambda k: -after[k] / floor[k])
+    where = where[np.argsort(-after[where] / floor[where])]
     return (
         Finding(
             effect=UNKNOWN,
@@ -223,13 +221,13 @@ def _unnamed(
 
 
 def _unexplained(
-    joints: Sequence[str], after: FloatArray, floor: FloatArray, outcome: Outcome
+    joints: Sequence[str], after: FloatArray, healthy: Healthy, outcome: Outcome
 ) -> tuple[Unexplained, ...]:
     """Joints whose residual is above the noise with everything that was found."""
     left = outcome.left.candidate.effect if outcome.left is not None else None
     found = []
-    for joint, rms, noise in zip(joints, after, floor):
-        if np.isfinite(rms) and rms**2 > LEFT_OVER * noise**2:
+    for joint, rms, noise, least in zip(joints, after, healthy.floor_Nm, healthy.unexplained_Nm):
+        if np.isfinite(rms) and rms > least:
             where = "nothing that was tried explains it"
             if left is not None and left.kind == UNKNOWN and joint in left.joints:
                 where = f"weakly: {left.where(outcome.left_values)}"

@@ -61,6 +61,7 @@ class Finding:
             link ring there, in the model alone.
         against: What its own values say against its name, in words that follow "whose".
         asleep: Whether the unseen data need not show it, by its own law.
+        felt_Nm: By joint, RMS of what it adds to the torque in the field where it acts.
     """
 
     effect: str
@@ -80,6 +81,7 @@ class Finding:
     beside_Nm: dict[str, float] = field(default_factory=dict)
     against: str = ""
     asleep: bool = False
+    felt_Nm: dict[str, float] = field(default_factory=dict)
 
 
 def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
@@ -110,6 +112,7 @@ def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
         before_Nm={joint: rms for finding in findings for joint, rms in finding.before_Nm.items()},
         after_Nm={joint: rms for finding in findings for joint, rms in finding.after_Nm.items()},
         beside_Nm={joint: rms for finding in findings for joint, rms in finding.beside_Nm.items()},
+        felt_Nm={joint: rms for finding in findings for joint, rms in finding.felt_Nm.items()},
         explained=sum(w * e for w, e in known) / sum(w for w, _ in known) if known else float("nan"),
     )
 
@@ -147,7 +150,9 @@ class Explanation:
     Attributes:
         verdict: `mismatch`, `no_mismatch` or `data_unfit`.
         joints: Names of the arm's joints.
-        noise_floor_Nm, before_Nm, after_Nm: (n,) standard deviation of noise, and RMS residual before and after.
+        noise_floor_Nm: (n,) RMS that a healthy arm leaves there: noise, and what parts of the reference differ by.
+        detectable_Nm: (n,) RMS residual above which a joint is called a mismatch even if nothing explains it.
+        before_Nm, after_Nm: (n,) RMS residual before and after.
         findings: Largest first.
         unexplained: What is left.
         next_experiment: What would separate what these data cannot.
@@ -163,6 +168,7 @@ class Explanation:
     verdict: str
     joints: tuple[str, ...]
     noise_floor_Nm: FloatArray
+    detectable_Nm: FloatArray
     before_Nm: FloatArray
     after_Nm: FloatArray
     findings: tuple[Finding, ...] = ()
@@ -187,4 +193,4 @@ class Explanation:
 def unfit(joints: tuple[str, ...], reasons: tuple[str, ...]) -> Explanation:
     """The answer where the data cannot carry the question."""
     nothing = np.full(len(joints), np.nan)
-    return Explanation(DATA_UNFIT, joints, nothing, nothing, nothing, reasons=reasons)
+    return Explanation(DATA_UNFIT, joints, nothing, nothing, nothing, nothing, reasons=reasons)

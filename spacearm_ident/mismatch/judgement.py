@@ -59,6 +59,20 @@ def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) 
     return matters and finding.explained >= (least if first else SHOWS)
 
 
+def beyond_healthy(finding: Finding, before: Mapping[str, float], largest: Mapping[str, float]) -> bool:
+    """Whether a finding is of a size that parts of the healthy arm's own recordings do not differ by.
+
+    Args:
+        finding: An effect. What lasts is judged on the data that no fit has seen; an event, and what those need not
+            show, by what it adds in the field.
+        before: By joint, RMS of what the healthy model leaves on the unseen data, N·m.
+        largest: By joint, RMS that a healthy arm leaves there at most, N·m.
+    """
+    if finding.effect == ExternalContact.kind or finding.asleep:
+        return any(rms > largest[joint] for joint, rms in finding.felt_Nm.items())
+    return any(min(rms, before[joint]) > largest[joint] for joint, rms in finding.before_Nm.items())
+
+
 def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
     """A finding whose law is clearly not quite its own, as an unknown one that is like it; else the finding itself."""
     left = [rms / floor[joint] for joint, rms in (finding.beside_Nm or finding.after_Nm).items() if floor[joint] > 0]

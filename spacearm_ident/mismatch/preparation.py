@@ -1,12 +1,17 @@
 """From recordings to evidence: base model, noise, whitened scenes.
 
+What held-out parts of the reference are predicted by best is the base. First come the paper's whole friction law, whose
+every column competes with the effects, and noise of its own colour (`noise.coloured`). Where rows that keep their
+colour (`noise.weighted`) give fits that predict better, beyond chance, the residual is what the model lacks; then the
+structure is put to the same test: the one that `identify` chooses, by prediction too.
+
 Two cut-offs: positions go through one several times as wide as torque and columns do. Friction follows the sign of
 the velocity there was, and a velocity low-passed as hard as the torque turns round at another moment.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,24 +19,25 @@ import numpy as np
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.base_link import placed
 from ..dynamics.friction import ViscousFriction
-from ..dynamics.model import IdentifiedModel, TorqueModel
-from ..errors import UnfitDataError
+from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
+from ..identification.fit import Fit
+from ..identification.held_out import LEVEL, bound, t_of_all
 from ..identification.identified import Choice
 from ..identification.identify import Settings, identify
+from ..identification.structure import choose_structure
 from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
 from .base_structure import GATE, RESISTS, choose_base
 from .evidence import Evidence, Unseen
-from .scene import Scene, Whitener, coarse, fit_whitener, louder
+from .left_out import LeftOut
+from .noise import Noise, NoiseModel, coloured, weighted
+from .residuals import Residuals
+from .scene import Scene, Whitener, coarse
 
 CUTOFF_HZ = 20.0
 WIDER = 4.0
 """Positions are filtered this many times as wide."""
-ORDER = 6
-"""Of the noise's autoregressive model: it covers the length of the low-pass."""
-IN_FULL = 0.8
-"""Rows that count for less than this share of the others do not say what colour the noise has."""
 
 
 @dataclass(frozen=True)
@@ -82,34 +88,92 @@ def prepare_evidence(
     rates = [recording.rate_hz for recording in everything]
     rates += [recording.base.rate_hz for recording in everything if recording.base is not None]
     cutoff = min(CUTOFF_HZ, 0.2 * min(rates))
-    choices: tuple[Choice, ...] = ()
-    if known is None:
-        identified = identify(healthy or field, arm, Settings(cutoff_hz=cutoff, choose=choose_base))
-        base, choices = identified.model, identified.choices
-    else:
-        base = known
-    # What is explained is an arm that could be: what least squares puts into impossible parameters is not base.
-    base = replace(base, cutoff_hz=cutoff, unbounded=None)
-
     wide = min(WIDER * cutoff, 0.35 * min(rates))
     referred, examined, judged = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field, validation))
-    whiteners, plain = _whiteners(base, referred or examined)
+    if known is None:
+        start = _identified(healthy or field, arm, cutoff, choose_base)
+        found = _with_noise(start, referred or examined, coloured)
+        if healthy:
+            found = _best_predicting(found, _identified(healthy, arm, cutoff, choose_structure), referred)
+    else:
+        found = _with_noise(_Start(_possible(known, cutoff), ()), examined, coloured)
+    base, noise = found.start.base, found.noise
     if known is not None:
         # A model pins itself down as a recording of the healthy arm on the same motion would.
         referred = [replace(motion, torque=base.torque(motion)) for motion in examined]
 
     def gathered(base: IdentifiedModel) -> Evidence:
-        return Evidence(base, Scene(base, examined, whiteners), Scene(base, referred, whiteners) if referred else None)
+        scenes = [Scene(base, motions, noise.whiteners) if motions else None for motions in (examined, referred)]
+        assert scenes[0] is not None
+        return Evidence(base, scenes[0], scenes[1])
 
     evidence = gathered(base)
-    if healthy and _form_is_open(choices):
+    if healthy and _form_is_open(found.start.choices):
         # An arm in vacuum, that lacks the term, may tell.
         other = _resisting(base)
         in_other_form = gathered(other)
         if in_other_form.in_thin_air[1] < evidence.in_thin_air[1] - GATE:
             base, evidence = other, in_other_form
-    unseen = Unseen(evidence, Scene(base, judged, whiteners)) if judged else None
-    return Prepared(base, evidence, unseen, plain, _floor(whiteners), cutoff, known is not None)
+    unseen = Unseen(evidence, Scene(base, judged, noise.whiteners)) if judged else None
+    return Prepared(base, evidence, unseen, noise.plain, noise.floor_Nm, cutoff, known is not None)
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A base model, and what was decided about its structure."""
+
+    base: IdentifiedModel
+    choices: tuple[Choice, ...]
+
+
+@dataclass(frozen=True)
+class _WithNoise:
+    """A base with a model of its noise, and how well both predict what they leave out of the reference."""
+
+    start: _Start
+    noise: Noise
+    left_out: LeftOut
+
+
+def _identified(
+    recordings: Sequence[Recording],
+    arm: Arm,
+    cutoff_hz: float,
+    choose: Callable[[Fit], tuple[Structure, tuple[Choice, ...]]],
+) -> _Start:
+    identified = identify(recordings, arm, Settings(cutoff_hz=cutoff_hz, choose=choose))
+    return _Start(_possible(identified.model, cutoff_hz), identified.choices)
+
+
+def _possible(model: IdentifiedModel, cutoff_hz: float) -> IdentifiedModel:
+    """The model as an arm that could be: what least squares puts into impossible parameters is not base."""
+    return replace(model, cutoff_hz=cutoff_hz, unbounded=None)
+
+
+def _with_noise(start: _Start, motions: Sequence[Motion], model: NoiseModel) -> _WithNoise:
+    noise = model(start.base, motions)
+    alone = Evidence(start.base, Scene(start.base, motions, noise.whiteners), None)
+    return _WithNoise(start, noise, LeftOut(alone, Residuals(alone, alone.field, noise.plain)))
+
+
+def _best_predicting(found: _WithNoise, by_prediction: _Start, motions: Sequence[Motion]) -> _WithNoise:
+    """Which base and noise predict held-out parts of the reference best: the first, unless another beyond chance."""
+    others = [_with_noise(start, motions, weighted) for start in (found.start, by_prediction)]
+    if not found.left_out.known:
+        return found
+    before, blocks = found.left_out.squares, len(found.left_out.squares)
+    t = [t_of_all(before, other.left_out.squares) for other in others]
+    best = int(np.argmax(t))
+    # One test each, not the two that `bound` shares the level between.
+    return _widened(others[best]) if t[best] > bound(2.0 * LEVEL / len(others), blocks) else found
+
+
+def _widened(found: _WithNoise) -> _WithNoise:
+    """With the noise as large as what is left of parts that a fit left out, where that is more."""
+    noise = found.noise
+    ratio = np.fmax(np.divide(found.left_out.rms_Nm, noise.floor_Nm), 1.0)
+    whiteners = [replace(own, sigma_Nm=own.sigma_Nm * float(r)) for own, r in zip(noise.whiteners, ratio)]
+    return replace(found, noise=replace(noise, whiteners=whiteners, floor_Nm=noise.floor_Nm * ratio))
 
 
 def banded(recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float, wide_hz: float) -> list[Motion]:
@@ -136,54 +200,3 @@ def _resisting(base: IdentifiedModel) -> IdentifiedModel:
     quadratic = np.array([parameter.symbol == "k_v2" for parameter in base.model.parameters])
     parameters = np.where(quadratic, 0.0, base.parameters)
     return replace(base, model=TorqueModel(base.model.arm, structure), parameters=parameters)
-
-
-def _whiteners(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[Whitener], list[Whitener]]:
-    """The noise of every joint, from what is left of the reference itself; and without its colour.
-
-    Raises:
-        UnfitDataError: No joint moves for long enough.
-    """
-    joints = range(len(base.model.arm.joints))
-    scale = [max(float(np.sqrt(np.mean([np.mean(m.torque_rows[:, j] ** 2) for m in motions]))), 1e-6) for j in joints]
-    # Which rows to believe less, the colour of the others' noise, and by how much less in that colour.
-    plain = _louder(base, motions, [Whitener(np.zeros(0), 0.01 * size) for size in scale], 3)
-    scene = Scene(base, motions, plain)
-    residual = Evidence(base, scene, None).residual
-    coloured = [_coloured(scene, residual, j, 1e-6 * scale[j]) for j in joints]
-    if not any(np.isfinite(whitener.sigma_Nm) for whitener in coloured):
-        raise UnfitDataError("no joint moves for half a second in one direction: record a longer run")
-    return _louder(base, motions, coloured, 2), plain
-
-
-def _louder(base: IdentifiedModel, motions: Sequence[Motion], whiteners: list[Whitener], times: int) -> list[Whitener]:
-    """What rows count for, found by fitting the base with it again and again."""
-    for _ in range(times):
-        scene = Scene(base, motions, whiteners)
-        whiteners = louder(whiteners, scene, Evidence(base, scene, None).residual)
-    return whiteners
-
-
-def _coloured(scene: Scene, residual: FloatArray, joint: int, floor: float) -> Whitener:
-    """One joint's autoregressive model from its residual, which is not whitened yet, where rows count in full."""
-    series, counts = [], []
-    for m, motion in enumerate(scene.motions):
-        slot = scene.slot(joint, m)
-        whole, weight = np.zeros((2, len(motion.torque_rows)))
-        whole[scene.place[slot]] = residual[slot] / scene.weight[slot] * scene.whiteners[joint].sigma_Nm
-        weight[scene.place[slot]] = scene.weight[slot]
-        series.append(whole)
-        counts.append(weight > IN_FULL * scene.weight[scene.joint == joint].max(initial=0.0))
-    return fit_whitener(series, counts, ORDER, floor)
-
-
-def _floor(whiteners: Sequence[Whitener]) -> FloatArray:
-    """(n,) standard deviation of the noise that the whiteners describe, N·m."""
-    floors = []
-    for whitener in whiteners:
-        response = np.ones(512, dtype=complex)
-        frequency = np.linspace(0, np.pi, 512)
-        for lag, coefficient in enumerate(whitener.coefficients, start=1):
-            response -= coefficient * np.exp(-1j * lag * frequency)
-        floors.append(whitener.sigma_Nm * float(np.sqrt(np.mean(1.0 / np.maximum(np.abs(response), 0.02) ** 2))))
-    return np.array(floors)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.model import IdentifiedModel
 from .evidence import Candidate, Evidence, without_effects
 from .finding import Trace
 from .scene import Scene, Whitener
@@ -22,18 +23,24 @@ HIGHEST = 0.45
 """Of the sampling rate: where a filter's band ends at the latest."""
 
 
+def unwhitened(base: IdentifiedModel, scene: Scene) -> Scene:
+    """The scene with rows in N·m, every row of every joint."""
+    count = len(base.model.arm.joints)
+    return Scene(base, scene.motions, [Whitener(np.zeros(0), 1.0)] * count, scene.backgrounds)
+
+
 class Residuals:
     """A scene without whitening.
 
     Attributes:
         scene: Its rows, in N·m.
+        information: (V,) what each row counts for.
     """
 
     def __init__(self, evidence: Evidence, scene: Scene, plain: Sequence[Whitener]) -> None:
-        count = len(evidence.base.model.arm.joints)
-        self.scene = Scene(evidence.base, scene.motions, [Whitener(np.zeros(0), 1.0)] * count, scene.backgrounds)
+        self.scene = unwhitened(evidence.base, scene)
         weights = [whitener.weight(*self._rows(j)) for j, whitener in enumerate(plain)]
-        self._information = np.concatenate(weights) ** 2
+        self.information = np.concatenate(weights) ** 2
         self._columns = base_columns(evidence.base, self.scene, evidence.common)
         self._torque = self.scene.torque()
 
@@ -52,8 +59,8 @@ class Residuals:
 
     def rms(self, residual: FloatArray) -> FloatArray:
         """(n,) weighted RMS by joint; NaN where a joint has no rows."""
-        squares = self.scene.by_joint(self._information * residual**2)
-        information = self.scene.by_joint(self._information)
+        squares = self.scene.by_joint(self.information * residual**2)
+        information = self.scene.by_joint(self.information)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(squares / information))
 
@@ -62,8 +69,8 @@ class Residuals:
         parts = self.scene.part(PARTS)
         shape = len(self.scene.whiteners), PARTS
         squares, information = np.zeros(shape), np.zeros(shape)
-        np.add.at(squares, (self.scene.joint, parts), self._information * residual**2)
-        np.add.at(information, (self.scene.joint, parts), self._information)
+        np.add.at(squares, (self.scene.joint, parts), self.information * residual**2)
+        np.add.at(information, (self.scene.joint, parts), self.information)
         mean = np.divide(squares, information, out=np.zeros(shape), where=information > 0.0)
         kept = np.argsort(mean, axis=1)[:, :-BEST]
         squares, information = (np.take_along_axis(x, kept, axis=1).sum(axis=1) for x in (squares, information))

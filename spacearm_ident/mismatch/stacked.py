@@ -25,6 +25,10 @@ speed, rad/s, that make up any even curve there. What they are is the same in re
 NUISANCE = 1 + len(SHARP_SPEEDS)
 """Columns a joint."""
 
+SHARP_SHARE, SHARP_LEAST = 0.5, 1e-3
+"""Standard deviation of a nuisance parameter before the data: a share of the joint's Coulomb friction, whose way
+through a reversal it describes, and no less than so much, N·m. Without it a few rows carry any value."""
+
 
 @dataclass(frozen=True)
 class Stacked:
@@ -73,6 +77,13 @@ def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Eff
         block[stacked.rows] = stacked.columns
         blocks.append(block)
     return np.concatenate(blocks, axis=1)
+
+
+def nuisance_scale(base: IdentifiedModel) -> FloatArray:
+    """(NUISANCE n,) standard deviation of the nuisance parameters before the data, N·m."""
+    coulomb = {p.joint: abs(float(v)) for p, v in zip(base.model.parameters, base.parameters) if p.symbol == "f_c"}
+    size = [max(SHARP_SHARE * coulomb.get(name, 0.0), SHARP_LEAST) for name in base.model.arm.joint_names]
+    return np.repeat(size, NUISANCE)
 
 
 def sharpness(motion: Motion) -> Columns:

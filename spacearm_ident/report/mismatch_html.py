@@ -137,14 +137,14 @@ def _size(finding: Finding) -> str:
 
 
 def _glance(explanation: Explanation, arm: Arm) -> Markup:
-    heads = ("noise floor", "before", "after", "before / floor", "after / floor")
+    heads = ("healthy (noise floor)", "detectable above", "before", "after", "before / floor", "after / floor")
     rows = []
-    columns = (explanation.noise_floor_Nm, explanation.before_Nm, explanation.after_Nm)
+    columns = (explanation.noise_floor_Nm, explanation.detectable_Nm, explanation.before_Nm, explanation.after_Nm)
     for joint, *values in zip(explanation.joints, *columns):
-        floor, before, after = map(float, values)
+        floor, detectable, before, after = map(float, values)
         ratios = [value / floor if floor > 0 else math.nan for value in (before, after)]
         unit = "N·m" if joint not in arm.joint_names or arm.joints[arm.joint_names.index(joint)].revolute else "N"
-        cells = (*(f"{number(v)} {unit}" if math.isfinite(v) else NOTHING for v in (floor, before, after)),)
+        cells = (*(f"{number(v)} {unit}" if math.isfinite(v) else NOTHING for v in (floor, detectable, before, after)),)
         rows.append(
             element(
                 "tr",

@@ -1,0 +1,87 @@
+"""What a healthy arm leaves of the recordings that are judged, and what is more than that.
+
+Three figures a joint: its floor, what it exceeds rarely, and what is a mismatch even where nothing explains it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from .evidence import Evidence
+from .left_out import LeftOut
+from .preparation import Prepared
+from .residuals import Residuals
+from .scored import BEST, PARTS
+
+LEFT_OVER = 2.0
+"""A joint whose residual variance is so many times the floor's has something unexplained, beside findings."""
+UNNAMED = 2.5
+"""The same where nothing was found at all: then it is a mismatch without a name. Simulated healthy arms had 1.5 at
+most."""
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """A healthy arm on the judged recordings.
+
+    Attributes:
+        parameters: Of the base, from the reference alone (`Evidence.base_parameters`).
+        floor_Nm: (n,) RMS that it leaves.
+        largest_Nm: (n,) RMS that it leaves at most (`LeftOut.largest_Nm`); the floor where that is not known.
+    """
+
+    parameters: FloatArray
+    floor_Nm: FloatArray
+    largest_Nm: FloatArray
+
+    @property
+    def unexplained_Nm(self) -> FloatArray:
+        """(n,) RMS after all findings above which something is left unexplained."""
+        return np.asarray(np.maximum(self.largest_Nm, np.sqrt(LEFT_OVER) * self.floor_Nm))
+
+    @property
+    def detectable_Nm(self) -> FloatArray:
+        """(n,) RMS above which it is a mismatch though nothing was found."""
+        return np.asarray(np.maximum(self.largest_Nm, np.sqrt(UNNAMED) * self.floor_Nm))
+
+    def beyond(self, lasting_Nm: FloatArray, whole_Nm: FloatArray) -> np.ndarray:
+        """(n,) whether a residual is a mismatch though nothing was found.
+
+        Args:
+            lasting_Nm: (n,) its RMS without the `BEST` largest of `PARTS` parts of the time, in which an accident is.
+            whole_Nm: (n,) its RMS. An event counts if these parts alone would raise the variance of the whole to
+                `PARTS / BEST` times what is detectable: then the largest have that many times as much again.
+        """
+        with np.errstate(invalid="ignore"):
+            event = whole_Nm > np.sqrt(PARTS / BEST) * self.detectable_Nm
+            return np.asarray((lasting_Nm > self.detectable_Nm) | event)
+
+
+def healthy_level(evidence: Evidence, prepared: Prepared, judged: Residuals) -> Healthy:
+    """What a healthy arm leaves where it is judged.
+
+    That is what the base leaves of the reference, or of parts of it that a fit left out if that is more, and beside it
+    the error of what it predicts of the judged motion. Without a recorded reference: the noise as it was estimated in
+    the field, and without any its parameters too.
+
+    Args:
+        evidence: Field and reference, with what they share.
+        prepared: Noise of every joint.
+        judged: The judged recordings' rows.
+    """
+    noise = prepared.noise_floor_Nm
+    if evidence.reference is None:
+        return Healthy(evidence.base_parameters([], np.zeros(0)), noise, noise)
+    alone = evidence.healthy
+    parameters = alone.base_parameters([], np.zeros(0))
+    if prepared.modelled:
+        return Healthy(parameters, noise, noise)
+    residuals = Residuals(alone, evidence.reference, prepared.plain)
+    left_out = LeftOut(alone, residuals)
+    floor = np.fmax(residuals.rms(residuals.of(parameters, [], np.zeros(0))), left_out.rms_Nm)
+    floor = np.where(np.isfinite(floor), floor, noise)
+    error = left_out.error_Nm(judged)
+    return Healthy(parameters, np.hypot(floor, error), np.hypot(np.fmax(floor, left_out.largest_Nm), error))

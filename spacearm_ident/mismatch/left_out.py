@@ -1,0 +1,108 @@
+"""How well the base predicts parts of the reference that its fit leaves out, and how far its fits differ.
+
+What a healthy arm's runs differ by is not in the residual of a fit to all of them. Leaving out whole recordings in
+turn, or parts of the only one (`identification.held_out`), measures it: the squares of the part that was left out, and
+the jackknife's standard error of what is predicted on another motion (Efron and Stein 1981, Ann. Statist. 9, 586).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import t as student
+
+from ..dynamics.arm import FloatArray
+from ..identification.held_out import FEWEST_BLOCKS, folds_of, time_blocks
+from .evidence import Evidence
+from .residuals import Residuals
+from .scene import Scene
+
+LEVEL = 0.01
+"""Probability with which a joint of a healthy arm leaves more than `LeftOut.largest_Nm`: six joints, one alarm in
+twenty recordings."""
+
+
+class LeftOut:
+    """Fits of the base to a reference, each without some of its blocks.
+
+    Attributes:
+        squares: (blocks, n) sum of squared residuals of each block by the fit that left it out, N²·m²; every row
+            counts for what `Residuals` says that it is worth.
+        folds: Numbers of the blocks that were left out together.
+        information: (blocks, n) sum of what the rows count for.
+    """
+
+    def __init__(self, healthy: Evidence, residuals: Residuals) -> None:
+        """Fit.
+
+        Args:
+            healthy: Base and reference alone.
+            residuals: The reference's rows without whitening.
+        """
+        in_fit, recording = _blocks(healthy.field)
+        judged, _ = _blocks(residuals.scene)
+        shape = len(recording), len(residuals.scene.whiteners)
+        self.squares, self.information = np.zeros(shape), np.zeros(shape)
+        np.add.at(self.information, (judged, residuals.scene.joint), residuals.information)
+        self.folds = folds_of(recording)
+        self.fits: list[FloatArray] = []
+        if len(recording) < FEWEST_BLOCKS or len(self.folds) < 2:
+            return
+        for fold in self.folds:
+            fit = healthy.base_parameters_without(np.isin(in_fit, fold))
+            left = residuals.of(fit, [], np.zeros(0))
+            mine = np.isin(judged, fold)
+            where = judged[mine], residuals.scene.joint[mine]
+            np.add.at(self.squares, where, residuals.information[mine] * left[mine] ** 2)
+            self.fits.append(fit)
+
+    @property
+    def known(self) -> bool:
+        """Whether there was enough to leave something out."""
+        return bool(self.fits)
+
+    @cached_property
+    def rms_Nm(self) -> FloatArray:
+        """(n,) RMS of what was left out; NaN where a joint has no rows, or nothing was left out."""
+        if not self.known:
+            return np.full(self.squares.shape[1], np.nan)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(self.squares.sum(axis=0) / self.information.sum(axis=0)))
+
+    @cached_property
+    def largest_Nm(self) -> FloatArray:
+        """(n,) RMS that another part of a healthy arm's motion exceeds with a probability of `LEVEL`.
+
+        The parts' mean squares are taken as log-normal, with one variance at all joints: few parts tell it better
+        together. NaN where a joint has no rows, or nothing was left out.
+        """
+        if not self.known:
+            return self.rms_Nm
+        squares, rows = (
+            np.stack([by[fold].sum(axis=0) for fold in self.folds]) for by in (self.squares, self.information)
+        )
+        level = np.log(squares, out=np.full(squares.shape, np.nan), where=rows > 0.0)
+        level -= np.log(rows, out=np.full(rows.shape, np.nan), where=rows > 0.0)
+        known = np.isfinite(level)
+        parts = np.maximum(known.sum(axis=0), 1)
+        mean = np.where(known, level, 0.0).sum(axis=0) / parts
+        freedom = max(int((parts - 1).sum()), 1)
+        spread = np.sqrt(np.where(known, (level - mean) ** 2, 0.0).sum() / freedom)
+        above = student.ppf(1.0 - LEVEL, freedom) * spread * np.sqrt(1.0 + 1.0 / parts)
+        return np.where(known.any(axis=0), np.exp(0.5 * (mean + above)), np.nan)
+
+    def error_Nm(self, residuals: Residuals) -> FloatArray:
+        """(n,) jackknife standard error of the predicted torque, RMS over other rows; zero if nothing was left out."""
+        count = len(self.fits)
+        if not count:
+            return np.zeros(self.squares.shape[1])
+        left = np.stack([residuals.of(fit, [], np.zeros(0)) for fit in self.fits])
+        return np.nan_to_num(residuals.rms(np.sqrt(count - 1) * left.std(axis=0)))
+
+
+def _blocks(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """(R,) block of each stacked row, and the recording of each block."""
+    of_motion, recording = time_blocks(scene.motions)
+    starts = np.concatenate([[0], np.cumsum([len(blocks) for blocks in of_motion])])
+    return np.concatenate(of_motion)[starts[scene.owner] + scene.place], recording

@@ -1,0 +1,140 @@
+"""Noise of every joint, from what a base model leaves of the reference: what rows count for, and how they correlate.
+
+Two models of it. *Coloured*: an autoregressive process, by which rows are whitened; right where the base model is, and
+its residual is measurement noise. *Weighted*: rows keep their colour, and count for as much less as they are
+correlated (an integrated autocorrelation time tau makes N rows worth N / tau); right where the residual is what the
+model lacks. That is slow, as the motion is, and whitening would take away with it what carries gravity. Which of the
+two holds, held-out parts of the reference decide (`preparation.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.model import IdentifiedModel
+from ..errors import UnfitDataError
+from ..identification.weights import residual_noise
+from ..recording.motion import Motion
+from .evidence import Evidence
+from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, louder
+
+ORDER = 6
+"""Of the autoregressive model: it covers the length of the low-pass."""
+IN_FULL = 0.8
+"""Share of a joint's largest row weight below which a row is not used to estimate sigma and colour."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of every joint.
+
+    Attributes:
+        whiteners: By joint, what makes white rows of variance one.
+        plain: By joint, what a row counts for by its speed and distance from a reversal alone.
+        floor_Nm: (n,) standard deviation of a row that counts in full, N·m; infinite where it is not known.
+    """
+
+    whiteners: list[Whitener]
+    plain: list[Whitener]
+    floor_Nm: FloatArray
+
+
+NoiseModel = Callable[[IdentifiedModel, Sequence[Motion]], Noise]
+
+
+def coloured(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
+    """The noise as an autoregressive process.
+
+    Args:
+        base: Model of the arm.
+        motions: Recordings whose residual is noise.
+
+    Raises:
+        UnfitDataError: No joint moves for long enough.
+    """
+    plain, scene, residual = _unwhitened(base, motions)
+    own = [fit_whitener(*_series(scene, residual, j), ORDER, _least(motions, j)) for j in range(len(plain))]
+    whiteners = _louder(base, motions, _known(own), 2)
+    return Noise(whiteners, plain, _floor(whiteners))
+
+
+def weighted(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
+    """The noise as a variance and an autocorrelation time (arguments and errors as for `coloured`)."""
+    plain, scene, residual = _unwhitened(base, motions)
+    whiteners, floor = [], []
+    for j, weights in enumerate(plain):
+        squares, rows, correlated = 0.0, 0, 0.0
+        for m, motion in enumerate(motions):
+            series, kept = (part[m] for part in _series(scene, residual, j))
+            place = np.flatnonzero(kept)
+            noise = residual_noise(series[place], place, motion.white_correlation)
+            squares += float(np.sum(series[place] ** 2))
+            rows += len(place)
+            correlated += noise.correlation_rows * len(place)
+        known = rows >= FEWEST_ROWS
+        sigma = max(float(np.sqrt(squares / rows)), _least(motions, j)) if known else np.inf
+        floor.append(sigma)
+        whiteners.append(replace(weights, sigma_Nm=float(sigma * np.sqrt(correlated / rows)) if known else np.inf))
+    return Noise(_known(whiteners), plain, np.array(floor))
+
+
+def _unwhitened(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[Whitener], Scene, FloatArray]:
+    """What rows count for without their colour, the rows so weighed, and what the base leaves of them."""
+    joints = range(len(base.model.arm.joints))
+    start = [Whitener(np.zeros(0), 1e4 * _least(motions, j)) for j in joints]
+    plain = _louder(base, motions, start, 3)
+    scene = Scene(base, motions, plain)
+    return plain, scene, Evidence(base, scene, None).residual
+
+
+def _least(motions: Sequence[Motion], joint: int) -> float:
+    """Smallest standard deviation that a joint's noise may have: a millionth of its torque, N·m."""
+    return 1e-6 * max(float(np.sqrt(np.mean([np.mean(m.torque_rows[:, joint] ** 2) for m in motions]))), 1e-6)
+
+
+def _known(whiteners: list[Whitener]) -> list[Whitener]:
+    """The whiteners, if any joint's noise is known.
+
+    Raises:
+        UnfitDataError: No joint's is.
+    """
+    if not any(np.isfinite(whitener.sigma_Nm) for whitener in whiteners):
+        raise UnfitDataError("no joint moves for half a second in one direction: record a longer run")
+    return whiteners
+
+
+def _louder(base: IdentifiedModel, motions: Sequence[Motion], whiteners: list[Whitener], times: int) -> list[Whitener]:
+    """What rows count for, found by fitting the base with it again and again."""
+    for _ in range(times):
+        scene = Scene(base, motions, whiteners)
+        whiteners = louder(whiteners, scene, Evidence(base, scene, None).residual)
+    return whiteners
+
+
+def _series(scene: Scene, residual: FloatArray, joint: int) -> tuple[list[FloatArray], list[np.ndarray]]:
+    """By motion, one joint's residual (M,), N·m, and (M,) whether a row counts in full."""
+    series, counts = [], []
+    for m, motion in enumerate(scene.motions):
+        slot = scene.slot(joint, m)
+        whole, weight = np.zeros((2, len(motion.torque_rows)))
+        whole[scene.place[slot]] = residual[slot] / scene.weight[slot] * scene.whiteners[joint].sigma_Nm
+        weight[scene.place[slot]] = scene.weight[slot]
+        series.append(whole)
+        counts.append(weight > IN_FULL * scene.weight[scene.joint == joint].max(initial=0.0))
+    return series, counts
+
+
+def _floor(whiteners: Sequence[Whitener]) -> FloatArray:
+    """(n,) standard deviation of the noise that the whiteners describe, N·m."""
+    floors = []
+    for whitener in whiteners:
+        response = np.ones(512, dtype=complex)
+        frequency = np.linspace(0, np.pi, 512)
+        for lag, coefficient in enumerate(whitener.coefficients, start=1):
+            response -= coefficient * np.exp(-1j * lag * frequency)
+        floors.append(whitener.sigma_Nm * float(np.sqrt(np.mean(1.0 / np.maximum(np.abs(response), 0.02) ** 2))))
+    return np.array(floors)
