@@ -7,18 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from changed_arm import ARM, HEALTHY, run
+from changed_arm import ARM, HEALTHY, ripple, run
 from scipy.linalg import lstsq
 from scipy.stats import t as student
 
 from spacearm_ident.dynamics.arm import load_arm
+from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.identification.held_out import t_of_all
 from spacearm_ident.identification.prior import make_prior
+from spacearm_ident.mismatch.constants import grid_points
 from spacearm_ident.mismatch.evidence import Evidence
 from spacearm_ident.mismatch.healthy import UNNAMED, Healthy, healthy_level
 from spacearm_ident.mismatch.judgement import beyond_healthy
-from spacearm_ident.mismatch.left_out import LEVEL, LeftOut
+from spacearm_ident.mismatch.left_out import LEVEL, LeftOut, largest_rms
 from spacearm_ident.mismatch.noise import coloured, weighted
+from spacearm_ident.mismatch.null import exceeds_null
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
 from spacearm_ident.mismatch.scene import Scene
@@ -62,7 +65,7 @@ def test_left_out_squares_exceed_those_of_the_whole_fit_and_the_error_grows_wher
     left_out = LeftOut(healthy, residuals)
     own = residuals.rms(residuals.of(healthy.base_parameters([], np.zeros(0)), [], np.zeros(0)))
     assert (left_out.rms_Nm > own).all() and (left_out.rms_Nm < 1.5 * own).all()
-    assert (left_out.largest_Nm > left_out.rms_Nm).all()
+    assert (left_out.largest_Nm() > left_out.rms_Nm).all() and (left_out.largest_Nm(by_part=False) > own).all()
     judged = Residuals(prepared.evidence, prepared.unseen.scene, prepared.plain)
     assert (left_out.error_Nm(judged) > 0.0).all() and (left_out.error_Nm(judged) < own).all()
     middle = np.mean(left_out.fits, axis=0)
@@ -78,17 +81,12 @@ def test_the_largest_healthy_residual_is_exceeded_by_a_further_part_as_often_as_
     beyond = 0
     for _ in range(1000):
         mean_square = np.exp(0.7 * rng.standard_normal((6, 6)) + rng.standard_normal(6))
-        known = LeftOut.__new__(LeftOut)
-        known.squares, known.information = 4.0 * mean_square[:5], np.full((5, 6), 4.0)
-        known.folds, known.fits = [np.array([k]) for k in range(5)], [np.zeros(1)] * 5
-        beyond += int(np.sum(np.sqrt(mean_square[5]) > known.largest_Nm))
+        beyond += int(np.sum(np.sqrt(mean_square[5]) > largest_rms(4.0 * mean_square[:5], np.full((5, 6), 4.0))))
     assert beyond / 6000 == pytest.approx(LEVEL, abs=0.005)
-    one = LeftOut.__new__(LeftOut)
-    one.squares, one.information = np.array([[4.0], [9.0]]), np.ones((2, 1))
-    one.folds, one.fits = [np.array([0]), np.array([1])], [np.zeros(1)] * 2
     spread = np.log(9.0 / 4.0) / np.sqrt(2.0)
     above = student.ppf(1.0 - LEVEL, 1) * spread * np.sqrt(1.5)
-    assert one.largest_Nm[0] == pytest.approx(np.sqrt(6.0) * np.exp(0.5 * above))
+    two = largest_rms(np.array([[4.0, 0.0], [9.0, 0.0]]), np.array([[1.0, 0.0], [1.0, 0.0]]))
+    np.testing.assert_allclose(two, [np.sqrt(6.0) * np.exp(0.5 * above), np.nan])
 
 
 def test_weighted_noise_counts_correlated_rows_for_less_and_coloured_noise_whitens_them(healthy):
@@ -158,3 +156,23 @@ def test_a_finding_must_be_larger_than_what_healthy_parts_differ_by(rippled):
     event = replace(finding, effect="external_contact", before_Nm={joint: 0.0})
     assert beyond_healthy(event, {joint: 0.0}, {joint: 0.9 * finding.felt_Nm[joint]})
     assert not beyond_healthy(event, {joint: 0.0}, {joint: 1.1 * finding.felt_Nm[joint]})
+
+
+def test_an_effect_must_be_larger_in_the_field_than_it_seems_in_parts_of_the_reference():
+    """Ripple in the field stands; as small as it seems to be in the reference, or in the reference too, it does not."""
+    changed = prepare_evidence(ARM, [HEALTHY], [run(2, ripple)], [run(3, ripple)])
+    both = prepare_evidence(ARM, [run(4, ripple)], [run(2, ripple)], [run(3, ripple)])
+
+    def stands(prepared, share):
+        evidence = prepared.evidence
+        effect = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
+        found = max(
+            (evidence.candidate(effect, point) for point in grid_points(effect, evidence.field.motions)),
+            key=lambda candidate: evidence.refit([candidate]).gain,
+        )
+        left_out = LeftOut(evidence.healthy, Residuals(evidence.healthy, evidence.reference, prepared.plain))
+        return exceeds_null(found, share * evidence.refit([found]).values, evidence, left_out)
+
+    assert stands(changed, 1.0)
+    assert not stands(changed, 0.01)
+    assert not stands(both, 1.0)

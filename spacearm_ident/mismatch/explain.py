@@ -18,11 +18,14 @@ from ..errors import UnfitDataError
 from ..recording.recording import Recording
 from .cards import Cards
 from .competition import GATE, Competition, Outcome
+from .constants import is_event
+from .evidence import Evidence, with_own
 from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
 from .healthy import Healthy, healthy_level
 from .integrity import faults
 from .judgement import beyond_healthy, contradicted, doubted, harms, shows
+from .null import exceeds_null
 from .preparation import Prepared, prepare_evidence
 from .residuals import Residuals
 from .rivals import UNKNOWN
@@ -104,15 +107,11 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     floor = healthy.floor_Nm
     before = residuals.of(healthy.parameters, [], np.zeros(0))
     rms_before = residuals.rms(before)
-    noise, largest, left = (dict(zip(joints, rms.tolist())) for rms in (floor, healthy.largest_Nm, rms_before))
+    judge = _Judge(evidence, healthy, dict(zip(joints, rms_before.tolist())))
     while True:
         cards = Cards(evidence, residuals, outcome, floor)
         made = [cards.finding(k) for k in range(len(outcome.accepted))]
-        idle = [
-            k
-            for k, found in enumerate(made)
-            if harms(found) or not shows(k, made, noise) or not beyond_healthy(found, left, largest)
-        ]
+        idle = [k for k in range(len(made)) if not judge.stands(k, made, outcome)]
         if not idle:
             break
         # What shows beside another may show no more without it.
@@ -120,7 +119,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     accepted = outcome.accepted
     effects = [candidate.effect for candidate in accepted]
     made = [contradicted(finding, effect, effects) for finding, effect in zip(made, effects)]
-    findings = tuple(doubted(finding, noise) for finding in _by_cause(made, joints))
+    findings = tuple(doubted(finding, judge.floor) for finding in _by_cause(made, joints))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     rms_after = residuals.rms(after)
     if not findings:
@@ -150,6 +149,29 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         traces=residuals.traces(before, after),
         cutoff_hz=prepared.cutoff_hz,
     )
+
+
+class _Judge:
+    """Whether findings stand: on the judged data, and against what the healthy arm shows."""
+
+    def __init__(self, evidence: Evidence, healthy: Healthy, before: dict[str, float]) -> None:
+        joints = evidence.base.model.arm.joint_names
+        self._evidence, self._healthy, self._before = evidence, healthy, before
+        self.floor = dict(zip(joints, healthy.floor_Nm.tolist()))
+        self._largest = dict(zip(joints, healthy.largest_Nm.tolist()))
+
+    def stands(self, number: int, findings: Sequence[Finding], outcome: Outcome) -> bool:
+        """Whether one of the findings does."""
+        finding = findings[number]
+        if harms(finding) or not shows(number, findings, self.floor):
+            return False
+        return beyond_healthy(finding, self._before, self._largest) or self._exceeds_null(number, outcome)
+
+    def _exceeds_null(self, number: int, outcome: Outcome) -> bool:
+        candidate, values = [*with_own(outcome.accepted, outcome.refit.values)][number]
+        if self._healthy.left_out is None or is_event(candidate.effect):
+            return False
+        return exceeds_null(candidate, values, self._evidence, self._healthy.left_out)
 
 
 def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Finding, ...]:

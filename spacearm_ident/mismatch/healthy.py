@@ -31,11 +31,13 @@ class Healthy:
         parameters: Of the base, from the reference alone (`Evidence.base_parameters`).
         floor_Nm: (n,) RMS that it leaves.
         largest_Nm: (n,) RMS that it leaves at most (`LeftOut.largest_Nm`); the floor where that is not known.
+        left_out: Fits to parts of the reference; None without a recorded one.
     """
 
     parameters: FloatArray
     floor_Nm: FloatArray
     largest_Nm: FloatArray
+    left_out: LeftOut | None = None
 
     @property
     def unexplained_Nm(self) -> FloatArray:
@@ -63,9 +65,9 @@ class Healthy:
 def healthy_level(evidence: Evidence, prepared: Prepared, judged: Residuals) -> Healthy:
     """What a healthy arm leaves where it is judged.
 
-    That is what the base leaves of the reference, or of parts of it that a fit left out if that is more, and beside it
-    the error of what it predicts of the judged motion. Without a recorded reference: the noise as it was estimated in
-    the field, and without any its parameters too.
+    The floor is what the base leaves of the reference. Where that is what the model lacks (`noise.weighted`), it is
+    what is left of parts that a fit left out, and beside it the error of what is predicted of the judged motion.
+    Without a recorded reference: the noise as it was estimated in the field, and without any its parameters too.
 
     Args:
         evidence: Field and reference, with what they share.
@@ -81,7 +83,10 @@ def healthy_level(evidence: Evidence, prepared: Prepared, judged: Residuals) -> 
         return Healthy(parameters, noise, noise)
     residuals = Residuals(alone, evidence.reference, prepared.plain)
     left_out = LeftOut(alone, residuals)
-    floor = np.fmax(residuals.rms(residuals.of(parameters, [], np.zeros(0))), left_out.rms_Nm)
+    floor = residuals.rms(residuals.of(parameters, [], np.zeros(0)))
     floor = np.where(np.isfinite(floor), floor, noise)
+    if not prepared.weighted:
+        return Healthy(parameters, floor, np.fmax(floor, left_out.largest_Nm(by_part=False)), left_out)
     error = left_out.error_Nm(judged)
-    return Healthy(parameters, np.hypot(floor, error), np.hypot(np.fmax(floor, left_out.largest_Nm), error))
+    floor, largest = (np.hypot(np.fmax(floor, left), error) for left in (left_out.rms_Nm, left_out.largest_Nm()))
+    return Healthy(parameters, floor, largest, left_out)

@@ -19,7 +19,7 @@ from .residuals import Residuals
 from .scene import Scene
 
 LEVEL = 0.01
-"""Probability with which a joint of a healthy arm leaves more than `LeftOut.largest_Nm`: six joints, one alarm in
+"""Probability with which a joint of a healthy arm leaves more than `largest_rms`: six joints, one alarm in
 twenty recordings."""
 
 
@@ -29,7 +29,10 @@ class LeftOut:
     Attributes:
         squares: (blocks, n) sum of squared residuals of each block by the fit that left it out, N²·m²; every row
             counts for what `Residuals` says that it is worth.
+        fitted_squares: (blocks, n) the same by the fit to all of them.
         folds: Numbers of the blocks that were left out together.
+        fits: By fold, parameters of the base.
+        fold_of_row: (R,) which of them left out a row of the reference.
         information: (blocks, n) sum of what the rows count for.
     """
 
@@ -43,14 +46,19 @@ class LeftOut:
         in_fit, recording = _blocks(healthy.field)
         judged, _ = _blocks(residuals.scene)
         shape = len(recording), len(residuals.scene.whiteners)
-        self.squares, self.information = np.zeros(shape), np.zeros(shape)
+        self.squares, self.fitted_squares, self.information = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         np.add.at(self.information, (judged, residuals.scene.joint), residuals.information)
+        fitted = residuals.of(healthy.base_parameters([], np.zeros(0)), [], np.zeros(0))
+        np.add.at(self.fitted_squares, (judged, residuals.scene.joint), residuals.information * fitted**2)
         self.folds = folds_of(recording)
         self.fits: list[FloatArray] = []
+        self.fold_of_row = np.full(len(in_fit), -1)
         if len(recording) < FEWEST_BLOCKS or len(self.folds) < 2:
             return
-        for fold in self.folds:
-            fit = healthy.base_parameters_without(np.isin(in_fit, fold))
+        for number, fold in enumerate(self.folds):
+            out = np.isin(in_fit, fold)
+            fit = healthy.base_parameters_without(out)
+            self.fold_of_row[out] = number
             left = residuals.of(fit, [], np.zeros(0))
             mine = np.isin(judged, fold)
             where = judged[mine], residuals.scene.joint[mine]
@@ -70,27 +78,20 @@ class LeftOut:
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(self.squares.sum(axis=0) / self.information.sum(axis=0)))
 
-    @cached_property
-    def largest_Nm(self) -> FloatArray:
+    def largest_Nm(self, by_part: bool = True) -> FloatArray:
         """(n,) RMS that another part of a healthy arm's motion exceeds with a probability of `LEVEL`.
 
-        The parts' mean squares are taken as log-normal, with one variance at all joints: few parts tell it better
-        together. NaN where a joint has no rows, or nothing was left out.
+        Args:
+            by_part: Whether each part is predicted by the fit that left it out, or all by the one to the whole.
+
+        Returns:
+            NaN where a joint has no rows, or nothing was left out.
         """
         if not self.known:
             return self.rms_Nm
-        squares, rows = (
-            np.stack([by[fold].sum(axis=0) for fold in self.folds]) for by in (self.squares, self.information)
-        )
-        level = np.log(squares, out=np.full(squares.shape, np.nan), where=rows > 0.0)
-        level -= np.log(rows, out=np.full(rows.shape, np.nan), where=rows > 0.0)
-        known = np.isfinite(level)
-        parts = np.maximum(known.sum(axis=0), 1)
-        mean = np.where(known, level, 0.0).sum(axis=0) / parts
-        freedom = max(int((parts - 1).sum()), 1)
-        spread = np.sqrt(np.where(known, (level - mean) ** 2, 0.0).sum() / freedom)
-        above = student.ppf(1.0 - LEVEL, freedom) * spread * np.sqrt(1.0 + 1.0 / parts)
-        return np.where(known.any(axis=0), np.exp(0.5 * (mean + above)), np.nan)
+        blocks = self.squares if by_part else self.fitted_squares
+        squares, rows = (np.stack([by[fold].sum(axis=0) for fold in self.folds]) for by in (blocks, self.information))
+        return largest_rms(squares, rows)
 
     def error_Nm(self, residuals: Residuals) -> FloatArray:
         """(n,) jackknife standard error of the predicted torque, RMS over other rows; zero if nothing was left out."""
@@ -99,6 +100,26 @@ class LeftOut:
             return np.zeros(self.squares.shape[1])
         left = np.stack([residuals.of(fit, [], np.zeros(0)) for fit in self.fits])
         return np.nan_to_num(residuals.rms(np.sqrt(count - 1) * left.std(axis=0)))
+
+
+def largest_rms(squares: FloatArray, rows: FloatArray) -> FloatArray:
+    """(n,) RMS that a further part exceeds with a probability of `LEVEL`; NaN where a joint has no rows.
+
+    The parts' mean squares are taken as log-normal, with one variance at all joints: few parts tell it better together.
+
+    Args:
+        squares: (parts, n) sums of squares.
+        rows: (parts, n) of so many rows.
+    """
+    level = np.log(squares, out=np.full(squares.shape, np.nan), where=rows > 0.0)
+    level -= np.log(rows, out=np.full(rows.shape, np.nan), where=rows > 0.0)
+    known = np.isfinite(level)
+    parts = np.maximum(known.sum(axis=0), 1)
+    mean = np.where(known, level, 0.0).sum(axis=0) / parts
+    freedom = max(int((parts - 1).sum()), 1)
+    spread = np.sqrt(np.where(known, (level - mean) ** 2, 0.0).sum() / freedom)
+    above = student.ppf(1.0 - LEVEL, freedom) * spread * np.sqrt(1.0 + 1.0 / parts)
+    return np.where(known.any(axis=0), np.exp(0.5 * (mean + above)), np.nan)
 
 
 def _blocks(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
