@@ -21,6 +21,7 @@ COMMANDS = (
     "demo",
     "new-arm",
     "check",
+    "import",
     "excite",
     "identify",
     "batch",
