@@ -44,13 +44,17 @@ setup(
         "dask": ["distributed"],
         # Logs that are no MCAP bag: HDF5; Parquet, LeRobot and fast CSV; sqlite3 and ROS 1 bags.
         "logs": ["h5py", "pyarrow", "rosbags"],
+        # `spacearm export --to usd`.
+        "usd": ["usd-core"],
         "test": [
             "pytest",
             "pytest-rerunfailures",
             "pytest-xdist",
             "h5py",
             "hypothesis",
+            "mujoco-core",
             "pyarrow",
+            "usd-core",
             "rosbags",
             "mcap-ros2-support",
             "ruff",

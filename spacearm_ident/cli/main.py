@@ -27,6 +27,7 @@ COMMANDS = (
     "batch",
     "simulate",
     "report",
+    "export",
     "mismatch",
     "calibrate-temperature",
     "watch",
