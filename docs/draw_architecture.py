@@ -26,6 +26,7 @@ class Place:
 
 
 PLACES = {
+    "api": Place(13, 20, 600, "the same from Python: import spacearm_ident as sa"),
     "cli": Place(12, 20, 600, "the command spacearm: options in, exit codes out"),
     "commissioning": Place(11, 340, 900, "files of a new arm, and checks of them and of the machine"),
     "nodes": Place(10, 340, 1060, "the five ROS 2 nodes and what only they need; the one place with rclpy"),

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.friction_curve import STEADY_HZ
 from ..dynamics.model import IdentifiedModel
 from ..identification.identified import Trace, Validation
 from ..recording.motion import Motion
@@ -65,6 +66,17 @@ def sweep(arm: Arm) -> Motion:
         position[:, k] = 0.5 * (lower + upper) + size * np.sin(angle)
         velocity[:, k], acceleration[:, k] = size * omega * np.cos(angle), -size * omega**2 * np.sin(angle)
     return _motion(arm.joint_names, SWEEP_HZ, position, velocity, acceleration, np.zeros_like(position))
+
+
+def steady(
+    joints: tuple[str, ...],
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    rate_hz: float | None = None,
+) -> Motion:
+    """States (N, n) as a motion; without a rate each by itself: what friction remembers is long gone through."""
+    return _motion(joints, rate_hz or STEADY_HZ, position, velocity, acceleration, np.zeros_like(position))
 
 
 def _motion(
