@@ -42,11 +42,19 @@ setup(
         "bench": ["example-robot-data", "scikit-learn"],
         # `spacearm batch --scheduler`, on the workers of a cluster.
         "dask": ["distributed"],
+        # Logs that are no MCAP bag: HDF5; Parquet, LeRobot and fast CSV; sqlite3 and ROS 1 bags.
+        "logs": ["h5py", "pyarrow", "rosbags"],
+        # `spacearm export --to usd`.
+        "usd": ["usd-core"],
         "test": [
             "pytest",
             "pytest-rerunfailures",
             "pytest-xdist",
+            "h5py",
             "hypothesis",
+            "mujoco-core",
+            "pyarrow",
+            "usd-core",
             "rosbags",
             "mcap-ros2-support",
             "ruff",

@@ -37,6 +37,7 @@ class Options:
         namespace: Of the arm, where a bag holds several.
         friction, cutoff_hz, structure, solver, seed, temperature, estimate_gravity: As `session.settings_for`.
         prior: Result folder, or the model.yaml in one, to update.
+        mapping: What the columns of logs are; None: the file beside each, or what is proposed.
     """
 
     arm: Path | None = None
@@ -51,6 +52,7 @@ class Options:
     temperature: tuple[str, ...] = ()
     estimate_gravity: str = ""
     prior: Path | None = None
+    mapping: Path | None = None
 
     def words(self) -> list[str]:
         """The same on the command line of `spacearm identify`."""
@@ -71,13 +73,15 @@ class Options:
             words += ["--estimate-gravity", self.estimate_gravity]
         if self.prior is not None:
             words += ["--prior", str(self.prior)]
+        if self.mapping is not None:
+            words += ["--mapping", str(self.mapping)]
         if self.cutoff_hz is not None:
             words += ["--bandwidth", _exact(self.cutoff_hz)]
         return words
 
     def absolute(self) -> Options:
         """The same from whatever folder a process works in."""
-        files = {name: getattr(self, name) for name in ("arm", "structure", "prior")}
+        files = {name: getattr(self, name) for name in ("arm", "structure", "prior", "mapping")}
         return replace(self, **{name: file.resolve() for name, file in files.items() if file is not None})
 
     def fingerprint(self) -> dict[str, Any]:
@@ -137,9 +141,10 @@ def identify_bags(
         UserError: As `identify_session`, or a file cannot be read.
     """
     report = progress or (lambda share, what: None)
-    runs = read_bags(fitted, within(report, 0.0, 0.2), options.fixed_base, options.namespace)
+    how = options.fixed_base, options.namespace, options.arm, options.mapping
+    runs = read_bags(fitted, within(report, 0.0, 0.2), *how)
     again = tuple(validated) == tuple(fitted)
-    judges = runs if again else read_bags(validated, within(report, 0.2, 0.3), options.fixed_base, options.namespace)
+    judges = runs if again else read_bags(validated, within(report, 0.2, 0.3), *how)
     recordings: list[Recording] = [*runs, *(() if again else judges)]
     prior = load_prior(options.prior) if options.prior else None
     arm = find_arm(options.arm, options.gravity, recordings, prior)

@@ -26,6 +26,9 @@ from .errors import UnfitDataError, UserError, one_line
 from .identification.identify import Progress
 from .identification.solvers import require_solver
 from .recording.bag import bag_files
+from .recording.log_mapping import mapping_beside
+from .recording.ros_bags import is_ros_bag
+from .recording.tables import is_log
 from .report.folder import REPORT
 from .report.provenance import FITTED, OPTIONS, VALIDATED, versions
 from .report.store import FIGURES, load_prior, load_result
@@ -187,7 +190,7 @@ def find_bags(paths: Sequence[Path]) -> dict[str, Path]:
 
 def _bags_in(path: Path) -> Iterator[Path]:
     """The bag that a path is, or those below it; a folder with `metadata.yaml` is one bag, hidden ones are left out."""
-    if path.is_file() or (path / METADATA).is_file():
+    if path.is_file() or (path / METADATA).is_file() or is_log(path) or is_ros_bag(path):
         yield path
         return
     for entry in sorted(path.iterdir()):
@@ -195,8 +198,13 @@ def _bags_in(path: Path) -> Iterator[Path]:
             continue
         if entry.is_dir() and not entry.is_symlink():
             yield from _bags_in(entry)
-        elif entry.suffix == ".mcap" and not entry.is_dir():
+        elif (entry.suffix == ".mcap" or is_ros_bag(entry) or _is_mapped(entry)) and not entry.is_dir():
             yield entry
+
+
+def _is_mapped(path: Path) -> bool:
+    """Whether a file is a log with a mapping beside it: a folder holds other tables as well."""
+    return is_log(path) and mapping_beside(path) is not None
 
 
 def _from_above(bag: Path, name: str, named: dict[Path, str]) -> str:

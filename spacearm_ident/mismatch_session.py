@@ -64,6 +64,7 @@ def explain_session(
     excluded: Sequence[str] = (),
     fixed_base: bool = False,
     namespace: str | None = None,
+    mapping: Path | None = None,
     command: str | None = None,
     progress: Progress | None = None,
 ) -> MismatchSession:
@@ -79,6 +80,7 @@ def explain_session(
         excluded: Effects that are not to be considered.
         fixed_base: Take the base for fixed though the bags hold its motion.
         namespace: Of the arm, where a bag holds several.
+        mapping: What the columns of logs are; None: the file beside each, or what is proposed.
         command: How to do it again; kept with the result.
         progress: Called with a share done in 0..1 and what is being done.
 
@@ -89,8 +91,9 @@ def explain_session(
     reading = within(report, 0.0, 0.1)
     for path in reference:
         refuse_to_replace(path, directory)
-    known = _reference(reference, reading, fixed_base, namespace)
-    bags, judges = (read_bags(paths, reading, fixed_base, namespace) for paths in (field, judged))
+    how = fixed_base, namespace, arm, mapping
+    known = _reference(reference, reading, how)
+    bags, judges = (read_bags(paths, reading, *how) for paths in (field, judged))
     healthy = [] if isinstance(known, IdentifiedModel) else known
     its_arm = _arm(arm, gravity, known, (*bags, *healthy, *judges))
     bags, healthy, judges = (corrected(in_newton_metres(runs, its_arm), its_arm) for runs in (bags, healthy, judges))
@@ -140,12 +143,12 @@ def _wrong(report: ConventionReport, least: float) -> list[Mistake]:
 
 
 def _reference(
-    paths: Sequence[Path], progress: Progress, fixed_base: bool, namespace: str | None
+    paths: Sequence[Path], progress: Progress, how: tuple[bool, str | None, Path | None, Path | None]
 ) -> list[Recording] | IdentifiedModel:
     """Bags, or the one model file."""
     models = [path for path in paths if path.suffix in MODEL_SUFFIXES]
     if not models:
-        return read_bags(paths, progress, fixed_base, namespace)
+        return read_bags(paths, progress, *how)
     if len(paths) > 1:
         raise UserError("give bags of the healthy arm or one model file as reference, not both")
     return load_model(models[0])

@@ -26,7 +26,9 @@ from .identification.identified import Identified, Validation
 from .identification.identify import Progress, Settings, identify, with_provenance
 from .identification.solvers import SEPARABLE, require_solver
 from .identification.validation import split, validate
+from .logs.read import read_log
 from .recording import Recording, read_recording, recordings_in
+from .recording.tables import is_log
 from .report.folder import write_result
 from .report.provenance import OPTIONS, provenance
 
@@ -124,15 +126,22 @@ def _what(fitted: Sequence[Recording], validated: Sequence[Recording]) -> str:
 
 
 def read_bags(
-    paths: Sequence[Path], progress: Progress, fixed_base: bool = False, namespace: str | None = None
+    paths: Sequence[Path],
+    progress: Progress,
+    fixed_base: bool = False,
+    namespace: str | None = None,
+    arm: Path | None = None,
+    mapping: Path | None = None,
 ) -> list[Recording]:
-    """Read bags one after the other, all of a folder of bags.
+    """Read bags and logs one after the other, all of a folder of bags.
 
     Args:
-        paths: MCAP files or rosbag2 folders.
+        paths: MCAP files, rosbag2 folders, other bags, or logs.
         progress: Called with a share done in 0..1 and what is being done.
         fixed_base: Read as if no base motion had been recorded.
         namespace: Of the arm, as `read_recording`.
+        arm: URDF or arm YAML: a log says nothing of its arm.
+        mapping: What the columns of a log are, as `read_log`.
 
     Returns:
         A recording each.
@@ -144,7 +153,9 @@ def read_bags(
     paths = [bag for path in paths for bag in recordings_in(Path(path))]
     for number, path in enumerate(paths):
         progress(number / len(paths), f"reading {path.name}")
-        recording = read_recording(path, namespace=namespace)
+        recording = (
+            read_log(path, arm, mapping).recording if is_log(path) else read_recording(path, namespace=namespace)
+        )
         recordings.append(replace(recording, base=None) if fixed_base else recording)
     return recordings
 

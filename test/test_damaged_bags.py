@@ -221,8 +221,8 @@ def user_errors():
     yield "missing", None, "no such file"
     yield "empty", b"", "empty"
     yield "text", b"hello, this is not a bag", "not an MCAP"
-    yield "sqlite", b"SQLite format 3\0" + bytes(100), "ros2 bag convert"
-    yield "ros1", b"#ROSBAG V2.0\n" + bytes(100), "rosbags-convert"
+    yield "sqlite", b"SQLite format 3\0" + bytes(100), "not a readable rosbag2 file"
+    yield "ros1", b"#ROSBAG V2.0\n" + bytes(100), "not a readable ROS 1 bag"
     yield "compressed", b"\x28\xb5\x2f\xfd" + bytes(100), "zstd -d"
     yield "only magic", WHOLE[:8], "no /joint_states"
     yield "other topics", bag_bytes([(1, b"\0\1\0\0\0")], topic="/camera"), r"/camera \(pkg/msg/Odd\)"
@@ -246,9 +246,9 @@ def test_folder_without_mcap_and_unknown_joint(tmp_path):
     with pytest.raises(UserError, match="no joint hip; the recording has elbow, shoulder, wrist"):
         read_recording(tmp_path / "bag.mcap", joints=["hip"])
     (tmp_path / "metadata.yaml").write_text(
-        json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": ["a.db3"]}})
+        json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": ["a.mcap"], "compression_mode": "FILE"}})
     )
-    with pytest.raises(UserError, match="sqlite3"):
+    with pytest.raises(UserError, match="ros2 bag convert"):
         read_recording(tmp_path)
 
 

@@ -22,6 +22,8 @@ from ..conventions.check import check_conventions
 from ..conventions.finding import ConventionReport, sureness
 from ..conventions.finding import Level as Weight
 from ..errors import UserError
+from ..recording.ros_bags import is_ros_bag
+from ..recording.tables import is_log
 from ..session import corrected, within
 from . import common
 
@@ -44,6 +46,7 @@ def add(commands: Any) -> None:
     )
     common.add_arm_options(command)
     common.add_base_option(command)
+    common.add_mapping_option(command)
     command.add_argument("--can", type=Path, metavar="FILE", help="CAN YAML")
     command.add_argument("--params", type=Path, metavar="FILE", help="ROS parameters of the nodes")
     common.add_output_options(command)
@@ -71,6 +74,8 @@ def run(options: argparse.Namespace) -> int:
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a recording or a folder of recordings, and not an arm's configuration."""
+    if is_log(path) or is_ros_bag(path):
+        return True
     if not path.is_dir():
         return path.suffix == ".mcap"
     return (path / "metadata.yaml").is_file() or any(path.glob("*.mcap")) or any(path.glob("*/*.mcap"))
@@ -79,7 +84,9 @@ def is_bag(path: Path) -> bool:
 def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:
     """Test recordings against their conventions; returns 1 where they are unfit."""
     with common.progress(options) as report:
-        recordings = common.read_bags(bags, within(report, 0.0, 0.2), options.fixed_base)
+        recordings = common.read_bags(
+            bags, within(report, 0.0, 0.2), options.fixed_base, None, options.arm, options.mapping
+        )
         arm = common.arm_of(options, recordings)
         found = check_conventions(corrected(recordings, arm), arm, progress=within(report, 0.2, 1.0))
     common.note_findings(options, recordings)

@@ -55,6 +55,17 @@ def add_namespace_option(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_mapping_option(command: argparse.ArgumentParser) -> None:
+    """`--mapping`."""
+    command.add_argument(
+        "--mapping",
+        type=Path,
+        metavar="FILE",
+        help="what the columns of a log (CSV, npz, mat, Parquet, HDF5, LeRobot) are; default: LOG.mapping.yaml or "
+        "mapping.yaml beside it, else as 'spacearm import' proposes",
+    )
+
+
 def add_output_options(command: argparse.ArgumentParser) -> None:
     """`--json` and `--quiet`."""
     command.add_argument("--json", action="store_true", help="print the result as JSON on standard output")

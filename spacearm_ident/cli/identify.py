@@ -18,7 +18,8 @@ from ..session import AUTO
 from . import common
 
 DESCRIPTION = """
-Identify an arm's dynamics from one or more recordings (MCAP files or rosbag2 folders) and write a folder with
+Identify an arm's dynamics from one or more recordings (MCAP files, rosbag2 folders, other bags and logs: see
+'spacearm import --help') and write a folder with
 model.yaml, parameters.csv, identified.urdf, validation.json and report.html. The first line says what the model is
 worth: good, fair, poor, or suspect (it says what no arm can be). Exit code 3: poor or suspect; the folder is written.
 """
@@ -50,6 +51,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     common.add_arm_options(command)
     common.add_base_option(command)
     common.add_namespace_option(command)
+    common.add_mapping_option(command)
     command.add_argument(
         "--bandwidth", type=float, metavar="HZ", help="low-pass cut-off; default: chosen from the data, and said"
     )
@@ -120,6 +122,7 @@ def options_of(options: argparse.Namespace) -> Options:
         temperature=options.temperature,
         estimate_gravity=options.estimate_gravity,
         prior=options.prior,
+        mapping=options.mapping,
     )
 
 

@@ -47,6 +47,7 @@ def add(commands: Any) -> None:
     common.add_arm_options(command)
     common.add_base_option(command)
     common.add_namespace_option(command)
+    common.add_mapping_option(command)
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="where to")
     command.add_argument(
         "--without", nargs="+", default=[], metavar="EFFECT", help="effects that are not to be considered"
@@ -72,6 +73,7 @@ def run(options: argparse.Namespace) -> int:
             excluded=options.without,
             fixed_base=options.fixed_base,
             namespace=options.namespace,
+            mapping=options.mapping,
             command=options.command_line,
             progress=report,
         )

@@ -1,7 +1,7 @@
 """A bag on disk: one MCAP file or a rosbag2 folder, as streams of raw messages.
 
-Decides which files belong to a path, in which order, and reads them with `McapFile`. Anything that is no bag
-ends here in one line that says what to do.
+Decides which files belong to a path, in which order, and reads them with `McapFile`, or, where they are not MCAP, with
+`ros_bags`. Anything that is no bag ends here in one line that says what to do.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.recording.mcap_reader import Channel, Defect, McapFile, Message, Progress
 from spacearm_ident.recording.messages import STATES_TOPIC
 from spacearm_ident.recording.recording import Source
+from spacearm_ident.recording.ros_bags import is_ros_bag, ros_bag_files, ros_messages
+from spacearm_ident.recording.tables import is_log
 
 MAX_KEPT_BYTES = 4 * 2**30
 """Most message bytes held at once (three hours of six joints at 1 kHz); beyond it, the bag must be cut."""
@@ -70,18 +72,20 @@ def _listed(folder: Path) -> list[str] | None:
     except (UserError, ValueError, LookupError, TypeError, AttributeError):
         return None
     if compression in ("file", "message") or any(name.endswith(".zstd") for name in names):
-        raise UserError(f"{folder}: rosbag2 compression is not read; convert it with `ros2 bag convert` to plain mcap")
-    if any(name.endswith(".db3") for name in names):
-        raise UserError(f"{folder}: a bag of sqlite3 storage; convert it with `ros2 bag convert` to mcap")
+        raise UserError(f"{folder}: compressed mcap is not read; convert it with `ros2 bag convert` to plain mcap")
     return names
 
 
 def bag_files(path: Path) -> tuple[list[Path], list[Defect]]:
-    """The MCAP files of a bag in recorded order, and what is wrong with the folder.
+    """The files of a bag or log in recorded order, and what is wrong with the folder.
 
     Raises:
-        UserError: There is no such path, or no MCAP file in the folder.
+        UserError: There is no such path, or no file of a bag in the folder.
     """
+    if is_ros_bag(path):
+        return ros_bag_files(path), []
+    if is_log(path):
+        return (sorted((path / "data").rglob("*.parquet")) if path.is_dir() else [path]), []
     try:
         path.stat()
     except (OSError, ValueError) as error:
@@ -125,13 +129,17 @@ def recordings_in(path: Path) -> list[Path]:
     Raises:
         UserError: A bag folder's metadata cannot be used.
     """
-    if not path.is_dir() or (path / "metadata.yaml").is_file():
+    if not path.is_dir() or (path / "metadata.yaml").is_file() or is_log(path) or is_ros_bag(path):
         return [path]
     found = sorted(path.glob("*.mcap"), key=_natural)
     if found:
         return [path] if len(found) == 1 or _parts_of_one(found) else found
-    inner = [one for one in sorted(path.iterdir(), key=_natural) if one.is_dir() and any(one.glob("*.mcap"))]
+    inner = [one for one in sorted(path.iterdir(), key=_natural) if one.is_dir() and _holds_a_bag(one)]
     return [bag for one in inner for bag in recordings_in(one)] or [path]
+
+
+def _holds_a_bag(folder: Path) -> bool:
+    return any(folder.glob("*.mcap")) or is_ros_bag(folder) or is_log(folder)
 
 
 def _parts_of_one(files: list[Path]) -> bool:
@@ -160,8 +168,6 @@ def _is_states(channel: Channel) -> bool:
 
 
 _FOREIGN = {
-    b"SQLite format 3": "an sqlite3 bag; convert it with `ros2 bag convert` to mcap",
-    b"#ROSBAG": "a ROS 1 bag; convert it with `rosbags-convert` to mcap",
     b"\x28\xb5\x2f\xfd": "a zstd-compressed file; decompress it first (`zstd -d`)",
 }
 
@@ -201,6 +207,9 @@ def messages(
         UserError: The path is no readable bag.
     """
     bag = bag if bag is not None else Bag()
+    if is_ros_bag(Path(path)):
+        yield from ros_messages(Path(path), wanted, bag, progress)
+        return
     files, defects = bag_files(Path(path))
     bag.defects += defects
     total = max(1, sum(file.stat().st_size for file in files))

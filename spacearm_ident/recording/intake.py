@@ -9,6 +9,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,7 +164,7 @@ def _gather(
 
 
 class Intake:
-    """Messages of one joint-state topic on their way to sound samples, and the account of what was dropped.
+    """Rows of joint states, of a topic or of a log, on their way to sound samples, and the account of what was dropped.
 
     Attributes:
         samples: What is left.
@@ -172,10 +173,26 @@ class Intake:
         clock_shift_ns: Median of stamp minus log time: from the recorder's clock to that of the stamps.
     """
 
-    def __init__(self, topic: str, stream: Stream, joints: Sequence[str] | None, use_log_time: bool) -> None:
+    def __init__(self, label: str, samples: Samples, *, on_log_time: bool = False, clock_shift_ns: int = 0) -> None:
         self.findings: list[Finding] = []
         self.seams: IntArray = np.zeros(0, dtype=np.int64)
-        self._label = "" if topic == messages.STATES_TOPIC else f"{topic}: "
+        self._label = label
+        self.samples = samples
+        self.known = sorted(samples.joints)
+        self.on_log_time = on_log_time
+        self.clock_shift_ns = clock_shift_ns
+
+    @classmethod
+    def of_stream(cls, topic: str, stream: Stream, joints: Sequence[str] | None, use_log_time: bool) -> Self:
+        """The messages of a topic.
+
+        Args:
+            topic: Its name.
+            stream: What a bag holds of it.
+            joints: The joints wanted; None: those of the messages that carry most data.
+            use_log_time: Whether the header stamps are not to be used.
+        """
+        notes: list[tuple[str, str, int]] = []
         blocks, bad = cdr.decode_joint_states(stream.payloads)
         decoded = np.ones(len(stream.payloads), dtype=bool)
         decoded[bad] = False
@@ -186,26 +203,30 @@ class Intake:
         constant = bool(decoded.any()) and _carries_no_time(stamps[decoded])
         if constant:
             text = f"the {decoded.sum()} header stamps carry no time; that of recording stands in"
-            self.note("log_time_used", text, int(decoded.sum()))
+            notes.append(("log_time_used", text, int(decoded.sum())))
         backward = not constant and bool(decoded.any()) and _counts_backwards(stamps[decoded])
         if backward:
-            self.note("backward_clock", "the header stamps count backwards; the order of recording stands", len(stamps))
-        self.on_log_time = constant or use_log_time
+            text = "the header stamps count backwards; the order of recording stands"
+            notes.append(("backward_clock", text, len(stamps)))
+        on_log_time = constant or use_log_time
         if backward:
             stamps = log_times if not _counts_backwards(log_times) else stamps.max() + stamps.min() - stamps
-        elif self.on_log_time:
+        elif on_log_time:
             stamps = log_times
         elif bad and decoded.any():  # a place for the report: the stamp of the nearest message before
             before = np.maximum.accumulate(np.where(decoded, np.arange(len(decoded)), np.argmax(decoded)))
             stamps = stamps[before]
-        self.clock_shift_ns = int(np.median((stamps - log_times)[decoded])) if decoded.any() else 0
-        if joints is None:
-            joints = _main_joints(blocks)
-        self.known = sorted({name for block in blocks for name in block.names})
-        self.samples, named = _gather(stamps, blocks, tuple(joints))
-        self._left_out(stamps[~decoded], "undecodable_message", "messages left out that cannot be decoded")
-        text = f"messages without all of {listing(self.samples.joints)} left out"
-        self._left_out(stamps[decoded & ~named], "missing_joint", text)
+        shift_ns = int(np.median((stamps - log_times)[decoded])) if decoded.any() else 0
+        samples, named = _gather(stamps, blocks, tuple(_main_joints(blocks) if joints is None else joints))
+        label = "" if topic == messages.STATES_TOPIC else f"{topic}: "
+        intake = cls(label, samples, on_log_time=on_log_time, clock_shift_ns=shift_ns)
+        for note in notes:
+            intake.note(*note)
+        intake.known = sorted({name for block in blocks for name in block.names})
+        intake._left_out(stamps[~decoded], "undecodable_message", "messages left out that cannot be decoded")
+        text = f"messages without all of {listing(samples.joints)} left out"
+        intake._left_out(stamps[decoded & ~named], "missing_joint", text)
+        return intake
 
     def note(self, kind: str, message: str, count: int = 1, stamp_ns: int | None = None) -> None:
         """Put a finding on the account."""

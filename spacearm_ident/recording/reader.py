@@ -26,10 +26,19 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.recording import cdr, messages
 from spacearm_ident.recording.bag import Bag
 from spacearm_ident.recording.base_intake import read_base
-from spacearm_ident.recording.intake import Finding, Intake, IntArray, gap_threshold_s, increasing, int64_ns, listing
+from spacearm_ident.recording.intake import (
+    Finding,
+    Intake,
+    IntArray,
+    Samples,
+    gap_threshold_s,
+    increasing,
+    int64_ns,
+    listing,
+)
 from spacearm_ident.recording.mcap_reader import Defect, Progress
 from spacearm_ident.recording.namespace import read_arm
-from spacearm_ident.recording.recording import FloatArray, Issue, Recording, Series
+from spacearm_ident.recording.recording import FloatArray, Issue, Recording, Series, Source
 
 
 def _read_states(bag: Bag, path: str, joints: Sequence[str] | None) -> tuple[Intake, bool]:
@@ -42,26 +51,37 @@ def _read_states(bag: Bag, path: str, joints: Sequence[str] | None) -> tuple[Int
             f"{path}: no {messages.STATES_TOPIC} of type {messages.JOINT_STATE.name}; "
             f"record that topic (found: {there or 'nothing'}{damage})"
         )
-    intake = Intake(messages.STATES_TOPIC, stream, joints, use_log_time=False)
+    intake = Intake.of_stream(messages.STATES_TOPIC, stream, joints, use_log_time=False)
     unknown = [name for name in joints or () if name not in intake.known]
     if unknown:
         raise UserError(f"{path}: no joint {listing(unknown)}; the recording has {listing(intake.known)}")
-    intake.drop_joints_without_effort(chosen=joints is not None)
+    return intake, _settle(intake, path, joints is not None, [defect.text for defect in bag.defects])
+
+
+def _settle(intake: Intake, path: str, chosen: bool, damage: Sequence[str]) -> bool:
+    """Drop what is not sound of joint states; returns whether their velocities can be used.
+
+    Args:
+        intake: The joint states.
+        path: Where they come from, for errors.
+        chosen: Whether the user named the joints.
+        damage: What was found wrong before, for errors.
+
+    Raises:
+        UserError: Fewer than two samples are left, or the joints that the user named have no data.
+    """
+    intake.drop_joints_without_effort(chosen=chosen)
     intake.drop_not_finite(effort=True)
     has_velocity = intake.settle_velocity()
     intake.put_in_time()
     if len(intake.samples.stamp_ns) < 2:
-        reasons = "; ".join([defect.text for defect in bag.defects] + [f.message for f in intake.findings])
+        reasons = "; ".join([*damage, *(finding.message for finding in intake.findings)])
         raise UserError(f"{path}: fewer than two usable joint states ({reasons or 'too short'}); record again")
-    return intake, has_velocity
+    return has_velocity
 
 
-def _read_command(bag: Bag, states: Intake) -> tuple[Series | None, list[Finding]]:
+def _command(intake: Intake, states: Intake) -> tuple[Series | None, list[Finding]]:
     """Set-points of the states' joints on their own clock."""
-    stream = bag.streams.get(messages.COMMAND_TOPIC)
-    if stream is None:
-        return None, []
-    intake = Intake(messages.COMMAND_TOPIC, stream, states.samples.joints, states.on_log_time)
     intake.drop_not_finite(effort=False)
     intake.put_in_time()
     samples = intake.samples
@@ -179,7 +199,14 @@ def read_recording(
     """
     bag, others = read_arm(str(path), namespace, progress)
     states, has_velocity = _read_states(bag, str(path), joints)
-    command, command_findings = _read_command(bag, states)
+    stream = bag.streams.get(messages.COMMAND_TOPIC)
+    command, command_findings = (
+        (None, [])
+        if stream is None
+        else _command(
+            Intake.of_stream(messages.COMMAND_TOPIC, stream, states.samples.joints, states.on_log_time), states
+        )
+    )
     temperatures, temperature_findings = _read_temperatures(bag, states)
     base, base_findings = read_base(bag, states)
     urdf, description_findings = _read_description(bag)
@@ -210,6 +237,51 @@ def read_recording(
         urdf=urdf,
         issues=(*(finding.as_issue(start_ns) for finding in findings), *gaps),
         sources=tuple(bag.sources),
+    )
+
+
+def recording_of(
+    samples: Samples,
+    command: Samples | None,
+    sources: tuple[Source, ...],
+    urdf: str | None = None,
+    issues: Sequence[Issue] = (),
+) -> Recording:
+    """A recording of rows that come from no bag, by the rules of one.
+
+    Args:
+        samples: (N, n) joint states; NaN where there is no value.
+        command: Set-points of the same joints, where there are any.
+        sources: The files behind them.
+        urdf: Text of the arm's URDF.
+        issues: What was found before.
+
+    Raises:
+        UserError: Fewer than two usable rows.
+    """
+    states = Intake("", samples)
+    has_velocity = _settle(states, sources[0].path, False, [])
+    set_points: Series | None = None
+    findings: list[Finding] = []
+    if command is not None:
+        kept = command.columns(np.isin(command.joints, states.samples.joints))
+        set_points, findings = _command(Intake("set-points: ", kept), states)
+    samples = states.samples
+    start_ns = int(samples.stamp_ns[0])
+    time = _seconds(samples.stamp_ns, start_ns)
+    segments, gaps = _split(time, states.seams)
+    return Recording(
+        joints=samples.joints,
+        time=time,
+        position=samples.position,
+        velocity=samples.velocity if has_velocity else None,
+        effort=samples.effort,
+        segments=segments,
+        start_ns=start_ns,
+        command=set_points,
+        urdf=urdf,
+        issues=(*issues, *(finding.as_issue(start_ns) for finding in (*states.findings, *findings)), *gaps),
+        sources=sources,
     )
 
 

@@ -8,6 +8,7 @@ rotor inertias, springs, Stribeck friction or couplings: those live in `model.ya
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from xml.dom.expatbuilder import ExpatBuilder
 from xml.dom.minidom import Document, Element
 from xml.parsers.expat import ExpatError
@@ -26,11 +27,15 @@ NOTE = (
 )
 
 
-def identified_urdf(identified: IdentifiedModel) -> str:
+def identified_urdf(identified: IdentifiedModel, dynamics: Mapping[str, tuple[float, float]] | None = None) -> str:
     """The text of the URDF with identified inertials and `<dynamics damping friction>`.
 
     Links keep their names, frames, visuals and limits. The inertia is about the centre of mass along the link's
     axes. Damping is the joint's k_v1 (N·m·s/rad) and friction its f_c (N·m), neither below zero.
+
+    Args:
+        identified: The model.
+        dynamics: Joint -> damping and friction, instead of those.
 
     Raises:
         UserError: The URDF declares a document type, is not well-formed, or a link has no positive mass.
@@ -51,7 +56,7 @@ def identified_urdf(identified: IdentifiedModel) -> str:
             _remove(links[merged], "inertial")
         values = np.array([identified.value(symbol, name) for symbol in INERTIAL_SYMBOLS])
         _set_inertial(document, links[link], values)
-        _set_dynamics(document, joints[name], identified)
+        _set_dynamics(document, joints[name], identified, (dynamics or {}).get(name))
     robot.insertBefore(document.createComment(NOTE), robot.firstChild)
     return "\n".join(['<?xml version="1.0"?>', *(node.toxml() for node in document.childNodes), ""])
 
@@ -136,13 +141,15 @@ def _add(document: Document, parent: Element, tag: str) -> Element:
     return child
 
 
-def _set_dynamics(document: Document, joint: Element, identified: IdentifiedModel) -> None:
+def _set_dynamics(
+    document: Document, joint: Element, identified: IdentifiedModel, given: tuple[float, float] | None
+) -> None:
     """Set damping and friction of a joint; what the model has no value for stays as it was."""
     present = _children(joint, "dynamics")
     dynamics = present[0] if present else document.createElement("dynamics")
-    for attribute, symbol in (("damping", "k_v1"), ("friction", "f_c")):
+    for place, (attribute, symbol) in enumerate((("damping", "k_v1"), ("friction", "f_c"))):
         try:
-            value = identified.value(symbol, joint.getAttribute("name"))
+            value = identified.value(symbol, joint.getAttribute("name")) if given is None else given[place]
         except KeyError:
             continue
         dynamics.setAttribute(attribute, repr(max(0.0, value)))

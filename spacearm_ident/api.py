@@ -1,0 +1,289 @@
+"""The Python API: `import spacearm_ident as sa`. Thin over the functions that the command line calls.
+
+run = sa.read("log.csv", arm="arm.urdf")
+result = sa.identify(run)
+result.parameters; result.predict(q, dq, ddq); result.plot(); result.export("mjcf", "arm.xml")
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .bag_session import Options
+from .cli.main import parser
+from .dynamics.arm import Arm, FloatArray
+from .errors import UserError
+from .excitation.trajectory import Trajectory
+from .excitation.trajectory_file import load_trajectory
+from .export.motion import steady
+from .export.write import export_model
+from .identification.effort import in_newton_metres
+from .identification.identified import Identified, Validation
+from .mismatch.finding import Explanation
+from .mismatch_session import explain_session
+from .recording import Recording
+from .session import find_arm, identify_session, read_bags
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PathLike = str | os.PathLike[str]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recording with its arm.
+
+    Attributes:
+        recording: Joint signals, SI, effort in N·m on the output side.
+        arm: Of the file named, or of the recording's URDF.
+        path: Where it was read from.
+    """
+
+    recording: Recording
+    arm: Arm
+    path: Path
+
+
+def read(
+    path: PathLike,
+    arm: PathLike | None = None,
+    mapping: PathLike | None = None,
+    *,
+    gravity: Sequence[float] | None = None,
+    namespace: str | None = None,
+) -> Run:
+    """Read a bag or a log.
+
+    Args:
+        path: MCAP, rosbag2 folder, `.db3`, `.bag`, or a log as `spacearm import` knows them.
+        arm: URDF or arm YAML; None: the bag's `/robot_description`, or the mapping's arm.
+        mapping: What the columns of a log are; None: the file beside it, else what is proposed.
+        gravity: (3,) m/s^2 in the base frame, instead of the arm's.
+        namespace: Of the arm, where a bag holds several.
+
+    Raises:
+        UserError: It cannot be read, holds several recordings, or its arm is not known.
+    """
+    files = (None if arm is None else Path(arm)), (None if mapping is None else Path(mapping))
+    recordings = read_bags([Path(path)], lambda share, what: None, False, namespace, *files)
+    if len(recordings) != 1:
+        raise UserError(f"{path}: {len(recordings)} recordings; read them one by one")
+    found = find_arm(files[0], gravity, recordings)
+    return Run(in_newton_metres(recordings, found)[0], found, Path(path))
+
+
+@dataclass(frozen=True)
+class Result:
+    """An identified arm.
+
+    Attributes:
+        identified: Estimates, covariance, model.
+        validation: How well it predicts.
+        folder: Where model.yaml and report.html are.
+    """
+
+    identified: Identified
+    validation: Validation
+    folder: Path
+    _kept: Any = field(default=None, repr=False)
+
+    @property
+    def parameters(self) -> Any:
+        """Symbol, joint, value, unit, standard error and what determined it: a DataFrame, or dicts without pandas."""
+        rows = [
+            {
+                "symbol": one.symbol,
+                "joint": one.joint,
+                "value": one.value,
+                "unit": one.unit,
+                "standard_error": one.standard_error,
+                "determination": one.determination.value,
+            }
+            for one in self.identified.estimates
+        ]
+        try:
+            import pandas
+        except ImportError:
+            return rows
+        return pandas.DataFrame(rows).set_index(["symbol", "joint"])
+
+    def predict(self, q: Any, dq: Any, ddq: Any, rate_hz: float | None = None) -> FloatArray:
+        """Joint torque, N·m on the output side.
+
+        Args:
+            q: (n,) or (N, n) rad, joints in the arm's order.
+            dq: The same, rad/s.
+            ddq: The same, rad/s^2.
+            rate_hz: Rows a second of one motion, for friction that remembers; None: each row by itself.
+
+        Returns:
+            (n,) or (N, n).
+
+        Raises:
+            UserError: The shapes are not these.
+        """
+        arm = self.identified.model.model.arm
+        rows = [np.atleast_2d(np.asarray(values, dtype=np.float64)) for values in (q, dq, ddq)]
+        if any(row.shape != rows[0].shape or row.shape[1] != len(arm.joints) for row in rows):
+            raise UserError(f"q, dq and ddq need one shape, ({len(arm.joints)},) or (N, {len(arm.joints)})")
+        torque = self.identified.model.torque(steady(arm.joint_names, rows[0], rows[1], rows[2], rate_hz))
+        return torque if np.ndim(q) == 2 else np.asarray(torque[0])
+
+    def plot(self) -> Figure:
+        """Measured and predicted torque of every joint over the time it was validated on."""
+        from matplotlib.figure import Figure
+
+        names = self.identified.model.model.arm.joint_names
+        figure = Figure(figsize=(8.0, 1.8 * len(names)), layout="constrained")
+        axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        for k, (one, joint) in enumerate(zip(axes, names, strict=True)):
+            for trace in self.validation.traces:
+                one.plot(trace.time, trace.measured[:, k], color="0.6", linewidth=0.8)
+                one.plot(trace.time, trace.predicted[:, k], color="C0", linewidth=0.8)
+            one.set_ylabel(f"{joint}\nN m", fontsize=8)
+        axes[-1].set_xlabel("s (grey: measured, blue: predicted)")
+        return figure
+
+    def export(self, form: str, out: PathLike) -> dict[str, float]:
+        """Write the model in a format of `spacearm export`; returns what that costs at each joint, N·m RMS."""
+        fit, _ = export_model(self.identified.model, self.validation, form, Path(out), self.folder.name)
+        return dict(fit.cost_Nm)
+
+
+def identify(
+    runs: Run | Sequence[Run],
+    validate: Run | Sequence[Run] = (),
+    *,
+    out: PathLike | None = None,
+    **options: Any,
+) -> Result:
+    """Identify an arm, as `spacearm identify`.
+
+    Args:
+        runs: To fit, of one arm.
+        validate: To validate on; none: the last third of the last run is held out.
+        out: Result folder; None: a temporary one, there as long as the result is.
+        options: `friction`, `cutoff_hz`, `structure`, `solver`, `seed`, `temperature`, `estimate_gravity`, as
+            `spacearm_ident.bag_session.Options` has them.
+
+    Raises:
+        UnfitDataError: The data cannot carry it.
+        UserError: The runs do not fit the arm, or an option is wrong.
+    """
+    fitted = [runs] if isinstance(runs, Run) else list(runs)
+    judges = [validate] if isinstance(validate, Run) else list(validate)
+    if not fitted:
+        raise UserError("nothing to identify from: give a run, as sa.read returns it")
+    unknown = set(options) - {"friction", "cutoff_hz", "structure", "solver", "seed", "temperature", "estimate_gravity"}
+    if unknown:
+        raise UserError(f"no option {min(unknown)!r} of identify")
+    arm = fitted[0].arm
+    kept = tempfile.TemporaryDirectory(prefix="spacearm_") if out is None else None
+    folder = Path(out) if out is not None else Path(kept.name) / "result" if kept else Path()
+    session = identify_session(
+        [run.recording for run in fitted],
+        [run.recording for run in judges],
+        arm,
+        replace(Options(), **options).settings(arm),
+        folder,
+    )
+    return Result(session.identified, session.validation, folder, kept)
+
+
+def mismatch(
+    field_runs: Run | PathLike | Sequence[Run | PathLike],
+    reference: Run | PathLike | Sequence[Run | PathLike] = (),
+    validate: Run | PathLike | Sequence[Run | PathLike] = (),
+    *,
+    out: PathLike | None = None,
+    arm: PathLike | None = None,
+) -> Explanation:
+    """Explain what an arm does that its model or its healthy self does not, as `spacearm mismatch`.
+
+    Args:
+        field_runs: To explain: runs, or paths of bags and logs.
+        reference: Of the healthy arm, or one model.yaml; none: the arm's own fit.
+        validate: To judge on; none: the last third of each of `field_runs`.
+        out: Result folder; None: nothing stays on disk.
+        arm: URDF or arm YAML; None: the reference model's, or of the bags.
+
+    Raises:
+        UserError: As `spacearm mismatch`.
+    """
+    with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
+        session = explain_session(
+            _paths(field_runs),
+            _paths(reference),
+            _paths(validate),
+            Path(scratch) / "mismatch" if out is None else Path(out),
+            arm=None if arm is None else Path(arm),
+        )
+    return session.explanation
+
+
+class _CallablePackage(ModuleType):
+    """The package `mismatch`, which Python puts in the place of the function once it is imported: both at once."""
+
+    def __call__(self, *words: Any, **options: Any) -> Explanation:
+        """`api.mismatch`."""
+        return mismatch(*words, **options)
+
+
+sys.modules[f"{__package__}.mismatch"].__class__ = _CallablePackage
+
+
+def _paths(runs: Run | PathLike | Sequence[Run | PathLike]) -> list[Path]:
+    several = [runs] if isinstance(runs, (Run, str, os.PathLike)) else list(runs)
+    return [one.path if isinstance(one, Run) else Path(one) for one in several]
+
+
+def excite(arm: PathLike, out: PathLike | None = None, **options: Any) -> Trajectory:
+    """Optimise an excitation trajectory, as `spacearm excite`.
+
+    Args:
+        arm: URDF or arm YAML.
+        out: Where its YAML goes; None: nowhere.
+        options: Options of the command with underscores: `seed=1`, `harmonics=5`, `fundamental=0.2`.
+
+    Raises:
+        UserError: An option is wrong, or no motion keeps the limits.
+    """
+    with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
+        file = Path(scratch) / "trajectory.yaml" if out is None else Path(out)
+        words = ["excite", "--arm", str(arm), "--out", str(file), "--quiet", "--json"]
+        for name, value in options.items():
+            several = value if isinstance(value, (list, tuple)) else [value]
+            words += [f"--{name.replace('_', '-')}", *([] if value is True else map(str, several))]
+        said = io.StringIO()
+        try:
+            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+                parsed = parser(("excite",)).parse_args(words)
+                parsed.command_line = "sa.excite"
+                parsed.run(parsed)
+        except SystemExit as error:
+            raise UserError(f"excite: {said.getvalue().strip().splitlines()[-1]}") from error
+        return load_trajectory(file)
+
+
+def load(folder: PathLike) -> Result:
+    """A result folder of `spacearm identify`.
+
+    Raises:
+        UserError: It is none.
+    """
+    from .report.store import load_result
+
+    result = load_result(Path(folder))
+    return Result(result.identified, result.validation, Path(folder))

@@ -1,0 +1,75 @@
+"""Bodies and frames of an arm as simulators want them: centres of mass, inertias about them, axes, quaternions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..dynamics.arm import Arm, FloatArray, Joint
+from ..dynamics.model import IdentifiedModel
+from ..dynamics.regressor import INERTIAL_SYMBOLS
+from ..errors import UserError
+
+
+@dataclass(frozen=True)
+class Body:
+    """The body that a joint moves, in the joint's frame.
+
+    Attributes:
+        joint: The joint.
+        mass: kg.
+        centre: (3,) centre of mass, m.
+        inertia: (3, 3) about the centre of mass, kg m^2.
+    """
+
+    joint: Joint
+    mass: float
+    centre: FloatArray
+    inertia: FloatArray
+
+
+def bodies_of(model: IdentifiedModel) -> list[Body]:
+    """The identified bodies in the arm's order.
+
+    Raises:
+        UserError: One has no positive mass, or an inertia that no body has.
+    """
+    bodies = []
+    for joint in model.model.arm.joints:
+        values = np.array([model.value(symbol, joint.name) for symbol in INERTIAL_SYMBOLS])
+        if not values[0] > 0.0:
+            raise UserError(f"the body of {joint.name!r} has no positive mass: give the arm a CAD prior with masses")
+        centre = values[1:4] / values[0]
+        xx, xy, yy, xz, yz, zz = values[4:]
+        about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        inertia = about_origin - values[0] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+        principal = np.linalg.eigvalsh(inertia)
+        if principal[0] <= 0.0 or principal[2] > (1.0 + 1e-9) * (principal[0] + principal[1]):
+            raise UserError(
+                f"the body of {joint.name!r} has principal moments {', '.join(f'{one:.3g}' for one in principal)} "
+                "kg m^2, which no body has: identify again, or give the arm a CAD prior with inertias"
+            )
+        bodies.append(Body(joint, float(values[0]), centre, inertia))
+    return bodies
+
+
+def children_of(arm: Arm, parent: int) -> list[int]:
+    """Indices of the joints that a body carries; -1: the base's."""
+    return [k for k, joint in enumerate(arm.joints) if joint.parent == parent]
+
+
+def quaternion(rotation: FloatArray) -> FloatArray:
+    """(4,) w x y z of a rotation matrix."""
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(scalar_first=True))
+
+
+def rpy(rotation: FloatArray) -> FloatArray:
+    """(3,) roll, pitch, yaw as URDF and SDF have them."""
+    return np.asarray(Rotation.from_matrix(rotation).as_euler("xyz"))
+
+
+def words(values: FloatArray | list[float]) -> str:
+    """Numbers with all their digits, spaces between."""
+    return " ".join(repr(float(value)) for value in values)

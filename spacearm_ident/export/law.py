@@ -1,0 +1,174 @@
+"""What a format can hold of an identified model: the nearest parameters of its law, and what the rest costs.
+
+A simulator's joint has few parameters beside its body: an inertia of the rotor, a damping, a Coulomb friction, at times
+a spring. What else was identified (Stribeck, higher orders of speed, load on the gear, ripple, ...) is not cut off: the
+format's own parameters are fitted to all of it, by least squares over the motion the model was validated on,
+
+    min over p >= 0 of  sum over rows (tau_model - tau_bodies - columns p)^2   where the joint moves,
+
+and what that leaves of the model's prediction is the cost, in N·m RMS and at most. The bodies are those of the
+identified model, and all values the physically consistent ones: what a model's `unbounded` adds is part of the cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.coupling import CoupledMotor
+from ..dynamics.model import CATALOGUE, IdentifiedModel
+from ..dynamics.rigid_body import JointSpring, RigidBody, RotorInertia, TorqueOffset
+from ..recording.motion import Motion
+
+ARMATURE, DAMPING, FRICTION, STIFFNESS = "armature", "damping", "friction", "stiffness"
+RIGID = RigidBody.kind
+SLOW_SHARE = 0.02
+"""Rows slower than this share of a joint's top speed stand still: friction there is whatever balances the rest, and no
+format's law is judged by it."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """What a format's joint can hold beside its body.
+
+    Attributes:
+        name: As users write it.
+        holds: Some of `ARMATURE`, `DAMPING`, `FRICTION`, `STIFFNESS` (at rest at zero)
+    """
+
+    name: str
+    holds: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """The parameters of a format that come nearest to a model.
+
+    Attributes:
+        format: The format.
+        values: Joint -> parameter of `Format.holds` -> value, SI.
+        cost_Nm: Joint -> RMS of what the format leaves, N·m, where the joint moves.
+        most_Nm: Joint -> the largest of it.
+        torque_Nm: Joint -> RMS of the model's torque there, to compare with.
+        lost: What of the model the format does not hold as it is, in words.
+    """
+
+    format: Format
+    values: Mapping[str, Mapping[str, float]]
+    cost_Nm: Mapping[str, float]
+    most_Nm: Mapping[str, float]
+    torque_Nm: Mapping[str, float]
+    lost: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """What a user should know of the cost, a line each."""
+        words = ", ".join(self.lost) or "nothing"
+        lines = [f"{self.format.name} does not hold: {words}"]
+        for joint, cost in self.cost_Nm.items():
+            share = cost / self.torque_Nm[joint] if self.torque_Nm[joint] > 0 else 0.0
+            lines.append(
+                f"  {joint}: costs {cost:.3g} N m RMS ({share:.1%} of its torque), {self.most_Nm[joint]:.3g} at most"
+            )
+        return lines
+
+
+def possible(model: IdentifiedModel) -> IdentifiedModel:
+    """The physically consistent model alone: no simulator takes bodies that cannot be."""
+    return replace(model, unbounded=None)
+
+
+def nearest(model: IdentifiedModel, form: Format, motions: Sequence[Motion]) -> Nearest:
+    """Fit a format's parameters to a model.
+
+    Args:
+        model: The identified model; its physically consistent values are exported.
+        form: The format.
+        motions: Where it is to be near.
+    """
+    whole_model, model = model, possible(model)
+    arm = model.model.arm
+    values: dict[str, dict[str, float]] = {}
+    cost, most, size = {}, {}, {}
+    bodies = np.concatenate([model.torque(motion, (RIGID,)) for motion in motions])
+    rest = np.concatenate([model.torque(motion) for motion in motions]) - bodies
+    torque = np.concatenate([whole_model.torque(motion) for motion in motions])
+    q, qd, qdd = (
+        np.concatenate([getattr(motion, name) for motion in motions])
+        for name in ("position", "velocity", "acceleration")
+    )
+    springs = _springs(model)
+    for k, joint in enumerate(arm.joint_names):
+        moving = np.abs(qd[:, k]) > SLOW_SHARE * np.abs(qd[:, k]).max()
+        columns = {ARMATURE: qdd[:, k], DAMPING: qd[:, k], FRICTION: np.sign(qd[:, k])}
+        chosen = {name: column for name, column in columns.items() if name in form.holds}
+        spring = springs[k] if STIFFNESS in form.holds else 0.0
+        found = _fit(chosen, rest[:, k] - spring * q[:, k], moving)
+        held = sum((found[name] * column for name, column in chosen.items()), bodies[:, k] + spring * q[:, k])
+        left = torque[:, k] - held
+        if STIFFNESS in form.holds:
+            found[STIFFNESS] = spring
+        values[joint] = found
+        kept = left[moving] if moving.any() else np.zeros(1)
+        cost[joint], most[joint] = float(np.sqrt(np.mean(kept**2))), float(np.abs(kept).max())
+        size[joint] = float(np.sqrt(np.mean(torque[moving, k] ** 2))) if moving.any() else 0.0
+    return Nearest(form, values, cost, most, size, lost_words(whole_model, form))
+
+
+def _springs(model: IdentifiedModel) -> list[float]:
+    """(n,) stiffness k_1 of each joint, N·m/rad; one that would push away is no spring of any format."""
+    found = []
+    for joint in model.model.arm.joint_names:
+        try:
+            found.append(max(0.0, model.value(JointSpring.symbol, joint)))
+        except KeyError:
+            found.append(0.0)
+    return found
+
+
+def _fit(columns: Mapping[str, FloatArray], target: FloatArray, rows: np.ndarray) -> dict[str, float]:
+    """Least squares over some rows, nothing below zero."""
+    if not columns or not rows.any():
+        return dict.fromkeys(columns, 0.0)
+    matrix = np.column_stack([column[rows] for column in columns.values()])
+    scale = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-300)
+    solution = lsq_linear(matrix / scale, target[rows], (0.0, np.inf), method="bvls", tol=1e-14)
+    return {name: float(value) for name, value in zip(columns, solution.x / scale)}
+
+
+_HELD = {RotorInertia.kind: ARMATURE, JointSpring.kind: STIFFNESS}
+_PARTS = {
+    "stribeck_friction": (
+        ("f_b", "Stribeck friction"),
+        ("d_s", "presliding"),
+        ("mu", "friction that grows with the load"),
+    ),
+    "viscous_friction": (("k_v2", "k_v2"), ("k_v2_odd", "k_v2"), ("k_v3", "k_v3")),
+}
+
+
+def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
+    """What of the model has values and no place in the format, in words."""
+    words: list[str] = []
+    for term, first, first_constant in model.model.numbered():
+        values = {p.symbol: model.parameters[first + k] for k, p in enumerate(term.parameters)}
+        values |= {c.symbol: model.constants[first_constant + k] for k, c in enumerate(term.constants)}
+        if term.kind == RIGID or (term.kind in _HELD and _HELD[term.kind] in form.holds):
+            continue
+        if term.kind in _PARTS:
+            for symbol, what in _PARTS[term.kind]:
+                there = values.get(symbol, 0.0) != (values.get("f_c") if symbol == "f_b" else 0.0)
+                if there and (symbol != "f_b" or values.get("v_b", 0.0) > 0.0):
+                    words.append(what)
+        elif any(values.values()):
+            words.append(CATALOGUE[term.kind].words)
+    if model.unbounded is not None:
+        words.append("the share of least squares without physical bounds")
+    return tuple(dict.fromkeys(words))
+
+
+SIMPLE_TERMS = frozenset({RIGID, RotorInertia.kind, JointSpring.kind, TorqueOffset.kind, CoupledMotor.kind, *_PARTS})
+"""Terms whose law a controller's code can hold."""

@@ -1,0 +1,38 @@
+"""URDF of an identified arm: its own, with identified bodies, the nearest `<dynamics>`, and `<ros2_control>` tags."""
+
+from __future__ import annotations
+
+from xml.sax.saxutils import quoteattr
+
+from ..dynamics.model import IdentifiedModel
+from ..report.urdf import identified_urdf
+from .law import DAMPING, FRICTION, Format, Nearest
+
+URDF = Format("urdf", frozenset({DAMPING, FRICTION}))
+"""URDF's `<dynamics damping friction>`; there is no place for the inertia of a rotor or a spring."""
+
+
+def urdf(model: IdentifiedModel, fit: Nearest, notes: list[str]) -> str:
+    """The text of a URDF with a mock ros2_control system (position in; position, velocity, effort out); as `mjcf`."""
+    dynamics = {joint: (values[DAMPING], values[FRICTION]) for joint, values in fit.values.items()}
+    text = identified_urdf(model, dynamics)
+    head, tail = text.rsplit("</robot>", 1)
+    comment = ["<!--", *(f"  {note.replace('--', '- -')}" for note in notes), "-->"]
+    control = [] if "<ros2_control" in text else _control(model)
+    return head + "\n".join([*comment, *control, "</robot>"]) + tail
+
+
+def _control(model: IdentifiedModel) -> list[str]:
+    arm = model.model.arm
+    lines = [
+        f'  <ros2_control name={quoteattr(arm.name)} type="system">',
+        "    <hardware><plugin>mock_components/GenericSystem</plugin></hardware>",
+    ]
+    for joint in arm.joint_names:
+        lines += [
+            f"    <joint name={quoteattr(joint)}>",
+            '      <command_interface name="position"/><command_interface name="effort"/>',
+            *(f'      <state_interface name="{name}"/>' for name in ("position", "velocity", "effort")),
+            "    </joint>",
+        ]
+    return [*lines, "  </ros2_control>"]

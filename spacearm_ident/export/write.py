@@ -1,0 +1,119 @@
+"""`export_model`: an identified model into the file of a format, with what the format costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ..documents import write_whole
+from ..dynamics.model import IdentifiedModel
+from ..dynamics.model_file import load_model
+from ..errors import UserError
+from ..identification.identified import Validation
+from ..report.store import FIGURES, MODEL, load_result
+from .code_c import c_code
+from .code_numpy import numpy_code
+from .controller import code_cost, control_law
+from .law import Format, Nearest, nearest
+from .mjcf import MJCF, mjcf
+from .motion import motions_of
+from .sdf import SDF, sdf
+from .urdf import URDF, urdf
+from .usd import USD, write_usd
+
+TEXTS: dict[str, tuple[Format, Callable[[IdentifiedModel, Nearest, list[str]], str]]] = {
+    "mjcf": (MJCF, mjcf),
+    "sdf": (SDF, sdf),
+    "urdf": (URDF, urdf),
+}
+"""Formats that are one text: what each holds, and its writer."""
+FORMATS = (*TEXTS, "usd", "c", "numpy")
+
+
+def read_result(path: Path) -> tuple[IdentifiedModel, Validation | None]:
+    """The model of a result folder with its validation, or of a model file without.
+
+    Raises:
+        UserError: Neither can be read.
+    """
+    if path.is_dir() and (path / FIGURES).is_file():
+        result = load_result(path)
+        return result.identified.model, result.validation
+    return load_model(path / MODEL if path.is_dir() else path), None
+
+
+def export_model(
+    model: IdentifiedModel, validation: Validation | None, form: str, out: Path, origin: str
+) -> tuple[Nearest, list[Path]]:
+    """Write a model in a format.
+
+    Args:
+        model: The identified model; its physically consistent values are written.
+        validation: Of it; its motion is where the format's parameters are fitted and its cost is taken; None: a sweep.
+        form: One of `FORMATS`.
+        out: The file; for `c` a folder, or the source or header, whose names then follow the arm's.
+        origin: Where the model comes from, for the head of the file.
+
+    Returns:
+        The format's parameters with their cost, and the files written.
+
+    Raises:
+        UserError: Another format, a body that cannot be, or the file cannot be written.
+    """
+    motions = motions_of(model, validation)
+    where = "the motion it was validated on" if validation is not None and validation.traces else "a sweep"
+    if form in ("c", "numpy"):
+        law = control_law(model)
+        cost = code_cost(model, law, motions)
+        notes = _notes(origin, cost, where)
+        if form == "c":
+            folder = out if out.suffix not in (".c", ".h") else out.parent
+            name, header, source = c_code(law, notes)
+            return cost, _written({folder / f"{name}.h": header, folder / f"{name}.c": source})
+        name, text = numpy_code(law, notes)
+        return cost, _written({out / f"{name}.py" if out.is_dir() else out: text})
+    if form == "usd":
+        fit = nearest(model, USD, motions)
+        if out.suffix not in (".usda", ".usd", ".usdc"):
+            raise UserError(f"{out}: USD files end in .usda (text), .usd or .usdc; name one of them")
+        _make_room(out)
+        write_usd(model, fit, _notes(origin, fit, where), out)
+        return fit, [out]
+    if form not in TEXTS:
+        raise UserError(f"no format {form!r}: choose one of {', '.join(FORMATS)}")
+    holds, writer = TEXTS[form]
+    fit = nearest(model, holds, motions)
+    return fit, _written({out: writer(model, fit, _notes(origin, fit, where))})
+
+
+def _notes(origin: str, fit: Nearest, where: str) -> list[str]:
+    """The head of a file: where it comes from, and what it costs."""
+    return [
+        f"Identified by spacearm_ident from {origin}; physically consistent values, SI units.",
+        f"Fitted to the identified model, and its cost taken, on {where}.",
+        *fit.lines(),
+    ]
+
+
+def _make_room(path: Path) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror}); name another place") from error
+
+
+def _written(texts: dict[Path, str]) -> list[Path]:
+    """Write texts, whole or not at all."""
+    for path, text in texts.items():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, text)
+        except OSError as error:
+            raise UserError(f"{path}: cannot be written ({error.strerror}); name another place") from error
+    return list(texts)
+
+
+def summary(fit: Nearest, files: Sequence[Path]) -> list[str]:
+    """What a user sees: the cost, and the files."""
+    return [*fit.lines(), *(f"written: {file}" for file in files)]

@@ -1,0 +1,252 @@
+"""Logs as text: CSV, TSV, columns with white space between, with a decimal point or, in half of Europe, a comma.
+
+The separator and the decimal mark are those under which most of the first lines split into the same number of cells
+with the most numbers among them. Lines that begin with `#`, `%` or `//` are comments; the last of them, or the line
+above the first row of numbers, names the columns. pyarrow reads the body where it is installed (several times as fast);
+numpy does otherwise. Cells that are no number are NaN, and counted.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spacearm_ident.errors import UserError
+from spacearm_ident.recording.recording import FloatArray, Issue, Source
+from spacearm_ident.recording.tables.table import FEWEST_ROWS, MAX_COLUMNS, Column, Table, require_room
+
+_HEAD_BYTES = 256 * 1024
+_LOOKED_AT = 40  # lines from which separator and decimal mark are told
+_LONGEST_LINE = 64 * 1024
+_COMMENTS = ("#", "%", "//")
+_SEPARATORS = (";", "\t", ",", "|", " ")  # " " stands for any run of white space
+_MAX_PREAMBLE = 200
+_WHOLE_DIGITS = 15  # digits a float64 keeps
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a text is laid out: separator, decimal mark, lines before the first row, and the columns' names."""
+
+    separator: str
+    decimal: str
+    skipped: int
+    names: tuple[str, ...]
+
+
+def read_text_table(path: Path, source: Source) -> Table:
+    """The columns of a text.
+
+    Raises:
+        UserError: Not text, or no table of numbers in it.
+    """
+    data = path.read_bytes()
+    dialect = find_dialect(_decoded(data[:_HEAD_BYTES], path), str(path))
+    require_room(data.count(b"\n") * len(dialect.names) * 8, str(path))
+    bad = 0
+    columns = _with_pyarrow(data, dialect)
+    body = ""
+    if columns is None:
+        body = _decoded(data, path).split("\n", dialect.skipped)[-1]
+        columns, bad = _read_body(body, dialect, str(path))
+    if len(columns[0]) < FEWEST_ROWS:
+        raise UserError(f"{path}: fewer than two rows of numbers; is it a log of joint signals?")
+    named = _named(dialect, columns, lambda: body or _decoded(data, path).split("\n", dialect.skipped)[-1])
+    if not named:
+        raise UserError(f"{path}: no column of numbers; is it a log of joint signals?")
+    issues = (Issue("cell", f"{bad} cells that are no number taken as missing", bad),) if bad else ()
+    return Table(named, (source,), issues=issues)
+
+
+def _decoded(data: bytes, path: Path) -> str:
+    """Text of a file: UTF-8 or UTF-16 by its mark, else UTF-8, else the code page of Western Windows."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data[: len(data) // 2 * 2].decode("utf-16", "replace").replace("\r\n", "\n")
+    if b"\0" in data[:_HEAD_BYTES]:
+        raise UserError(f"{path}: not a text file; give a log of numbers, or name its format by the suffix")
+    text = data.decode("utf-8-sig", "surrogateescape")
+    if any("\udc80" <= character <= "\udcff" for character in text[:_HEAD_BYTES]):
+        text = data.decode("cp1252", "replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def find_dialect(text: str, where: str) -> Dialect:
+    """The layout of a text by its first lines.
+
+    Raises:
+        UserError: Under no separator do rows of numbers follow each other.
+    """
+    lines = text.split("\n")
+    if any(len(line) > _LONGEST_LINE for line in lines[:_MAX_PREAMBLE]):
+        raise UserError(f"{where}: a line of more than {_LONGEST_LINE} characters; is it a log of joint signals?")
+    best: tuple[int, int, Dialect] | None = None
+    for separator in _SEPARATORS:
+        for decimal in (".", ",") if separator != "," else (".",):
+            found = _as_laid_out(lines[:-1] if len(lines) > 1 else lines, separator, decimal)
+            if found is not None and (best is None or found[:2] > best[:2]):
+                best = found
+    if best is None:
+        raise UserError(f"{where}: no rows of numbers found; give CSV, TSV or columns with white space between")
+    if len(best[2].names) > MAX_COLUMNS:
+        raise UserError(f"{where}: {len(best[2].names)} columns, more than {MAX_COLUMNS}; is it a log?")
+    return best[2]
+
+
+def _as_laid_out(lines: list[str], separator: str, decimal: str) -> tuple[int, int, Dialect] | None:
+    """Numbers found, whether there are names, and the layout, under one separator and decimal mark."""
+    first = next((k for k, line in enumerate(lines[:_MAX_PREAMBLE]) if _is_row(line, separator, decimal)), None)
+    if first is None:
+        return None
+    width = len(cells(lines[first], separator))
+    count = 0
+    for line in lines[first : first + _LOOKED_AT]:
+        row = cells(line, separator)
+        if len(row) == width and not line.startswith(_COMMENTS):
+            count += sum(_number(cell, decimal) is not None for cell in row)
+    heads = [line for line in lines[:first] if line.strip()]
+    names = [cell.strip() for cell in cells(heads[-1].lstrip("#%/ "), separator)] if heads else []
+    named = len(names) == width
+    unique = _unique(names) if named else tuple(f"column {k + 1}" for k in range(width))
+    return count, named, Dialect(separator, decimal, first, unique)
+
+
+def cells(line: str, separator: str) -> list[str]:
+    """The cells of a line; quotes hold a cell together."""
+    if separator == " ":
+        return line.split()
+    if '"' in line:
+        try:
+            return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+        except csv.Error:
+            return []
+    return line.split(separator) if line.strip() else []
+
+
+def _is_row(line: str, separator: str, decimal: str) -> bool:
+    """Whether most cells of a line are numbers, at least two, and the others empty or one word."""
+    row = cells(line, separator)
+    if line.startswith(_COMMENTS) or len(row) < 2:
+        return False
+    count = sum(_number(cell, decimal) is not None for cell in row)
+    return count >= 2 and 2 * count > len(row)
+
+
+def _number(cell: str, decimal: str) -> float | None:
+    """The number in a cell; None where it is none. Underscores and hexadecimals are none."""
+    text = cell.strip().strip('"')
+    if decimal == ",":
+        if "." in text:
+            return None
+        text = text.replace(",", ".")
+    if not text or "_" in text or len(text) > 60:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _unique(names: list[str]) -> tuple[str, ...]:
+    """Names of which none is empty or there twice."""
+    seen: set[str] = set()
+    for number, name in enumerate(names, start=1):
+        name = name.strip('"') or f"column {number}"
+        seen_name = name if name not in seen else f"{name} ({number})"
+        names[number - 1] = seen_name
+        seen.add(seen_name)
+    return tuple(names)
+
+
+def _read_body(body: str, dialect: Dialect, where: str) -> tuple[list[FloatArray], int]:
+    """The columns, and how many cells were no number."""
+    width = len(dialect.names)
+    quick = _with_numpy(body, dialect)
+    if quick is not None and quick.shape[1] == width:
+        return list(quick.T), 0
+    rows, bad = [], 0
+    for line in body.split("\n"):
+        row = cells(line, dialect.separator)
+        if len(row) not in (width, width + 1) or line.startswith(_COMMENTS):
+            bad += width if line.strip() else 0
+            continue
+        values = [_number(cell, dialect.decimal) for cell in row[:width]]
+        bad += sum(value is None for value in values)
+        rows.append([np.nan if value is None else value for value in values])
+    if not rows:
+        raise UserError(f"{where}: no rows of {width} cells; is it a log of joint signals?")
+    return list(np.array(rows, dtype=np.float64).T), bad
+
+
+def _with_pyarrow(data: bytes, dialect: Dialect) -> list[FloatArray] | None:
+    """The columns of the whole file at once; None where pyarrow is missing, or a row is unlike the others."""
+    if dialect.separator == " " or data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return None
+    if b"\r" in data[:_HEAD_BYTES] and b"\r\n" not in data[:_HEAD_BYTES]:
+        return None  # lines that end as on old Macintoshes: they cannot be counted here
+    try:
+        import pyarrow
+        from pyarrow import csv as arrow
+    except ImportError:
+        return None
+    start = 0
+    for _ in range(dialect.skipped):
+        start = data.index(b"\n", start) + 1
+    if b'"' in data[start : start + _HEAD_BYTES]:
+        return None
+    names = [str(k) for k in range(len(dialect.names))]
+    try:
+        table = arrow.read_csv(
+            pyarrow.BufferReader(pyarrow.py_buffer(data)[start:]),
+            read_options=arrow.ReadOptions(column_names=names),
+            parse_options=arrow.ParseOptions(delimiter=dialect.separator, quote_char=False),
+            convert_options=arrow.ConvertOptions(
+                column_types=dict.fromkeys(names, pyarrow.float64()),
+                decimal_point=dialect.decimal,
+                null_values=[""],
+                check_utf8=False,
+            ),
+        )
+    except (pyarrow.ArrowException, OSError, ValueError):
+        return None
+    if not len(table) or any(column.null_count for column in table.columns):
+        return None  # what is missing is counted by the slower way
+    return [column.to_numpy() for column in table.columns]
+
+
+def _with_numpy(body: str, dialect: Dialect) -> FloatArray | None:
+    """As `_with_pyarrow`, (N, k), by numpy."""
+    text = body.replace(",", ".") if dialect.decimal == "," else body
+    separator = None if dialect.separator == " " else dialect.separator
+    try:
+        return np.loadtxt(io.StringIO(text), delimiter=separator, ndmin=2, comments=None, dtype=np.float64)
+    except (ValueError, OverflowError):
+        return None
+
+
+def _named(dialect: Dialect, columns: list[FloatArray], body: Callable[[], str]) -> dict[str, Column]:
+    """Columns by name; whole numbers that a float cannot keep, epoch nanoseconds, are read once more as integers."""
+    named: dict[str, Column] = {}
+    for k, (name, column) in enumerate(zip(dialect.names, columns, strict=True)):
+        finite = np.isfinite(column)
+        if not finite.any():
+            continue
+        named[name] = np.ascontiguousarray(column)
+        if finite.all() and np.abs(column).min() > 10.0**_WHOLE_DIGITS:
+            whole = _whole(body(), k, dialect, len(column))
+            named[name] = named[name] if whole is None else whole
+    return named
+
+
+def _whole(body: str, place: int, dialect: Dialect, rows: int) -> NDArray[np.int64] | None:
+    """One column as 64-bit integers; None where a cell is none."""
+    try:
+        texts = [cells(line, dialect.separator)[place] for line in body.split("\n") if line.strip()]
+        return np.array([int(text) for text in texts], dtype=np.int64) if len(texts) == rows else None
+    except (ValueError, IndexError, OverflowError):
+        return None

@@ -1,0 +1,106 @@
+"""The Python API: the page's example runs, and gives what the command line gives."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_arm
+
+import spacearm_ident as sa
+from spacearm_ident.cli.main import main
+from spacearm_ident.errors import UserError
+from spacearm_ident.export.motion import steady
+from spacearm_ident.recording import write_recording
+
+PAGE = Path(__file__).parents[1] / "docs" / "python.md"
+
+
+def write_log(folder: Path) -> Path:
+    """A CSV with its arm beside it."""
+    run = small_arm.recording(12.0)
+    rows = np.column_stack([run.time, run.position, run.effort])
+    head = "t [s],q1 [rad],q2 [rad],tau1 [Nm],tau2 [Nm]"
+    lines = [head, *(",".join(map(repr, map(float, row))) for row in rows)]
+    (folder / "log.csv").write_text("\n".join(lines))
+    (folder / "arm.urdf").write_text(small_arm.URDF)
+    return folder / "log.csv"
+
+
+def test_importing_the_package_imports_nothing_else():
+    code = "import sys, spacearm_ident; print(sorted(m for m in sys.modules if m.startswith(('numpy', 'spacearm'))))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "['spacearm_ident']"
+
+
+def test_the_example_of_the_page_runs_and_finds_the_arm(tmp_path, monkeypatch):
+    pytest.importorskip("clarabel", reason="needs clarabel")
+    write_log(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    names: dict[str, object] = {}
+    exec(block, names)
+    assert (tmp_path / "fit.png").stat().st_size > 1000 and (tmp_path / "arm.xml").is_file()
+    result = names["result"]
+    assert isinstance(result, sa.Result)
+    model = result.identified.model
+    for k, joint in enumerate(small_arm.JOINTS):
+        assert model.value("f_c", joint) == pytest.approx(small_arm.COULOMB[k], rel=0.1)
+    q, qd, qdd = np.random.default_rng(0).uniform(-1, 1, (3, 7, 2))
+    many = result.predict(q, qd, qdd)
+    assert np.allclose(many[3], result.predict(q[3], qd[3], qdd[3]))
+    assert np.abs(many - small_arm.identified().torque(steady(small_arm.JOINTS, q, qd, qdd))).max() < 0.5
+    rows = (
+        result.parameters if isinstance(result.parameters, list) else result.parameters.reset_index().to_dict("records")
+    )
+    assert {row["symbol"] for row in rows} >= {"f_c", "k_v1", "J_m", "m"}
+    with pytest.raises(UserError, match="one shape"):
+        result.predict(q[:, :1], qd, qdd)
+
+
+def test_the_command_line_and_the_api_give_the_same_numbers(tmp_path):
+    pytest.importorskip("clarabel", reason="needs clarabel")
+    log = write_log(tmp_path)
+    arm = tmp_path / "arm.urdf"
+    words = ["identify", str(log), "--arm", str(arm), "--friction", "coulomb-viscous", "--quiet"]
+    assert main([*words, "--out", str(tmp_path / "cli")]) == 0
+    ours = sa.identify(sa.read(log, arm), friction="coulomb-viscous", out=tmp_path / "api")
+    theirs = sa.load(tmp_path / "cli")
+    assert np.array_equal(ours.identified.model.parameters, theirs.identified.model.parameters)
+
+
+def test_mistakes_are_one_line(tmp_path):
+    log = write_log(tmp_path)
+    with pytest.raises(UserError, match="name the arm"):
+        sa.read(log)
+    with pytest.raises(UserError, match="no option 'frictoin'"):
+        sa.identify(sa.read(log, tmp_path / "arm.urdf"), frictoin="paper")
+    with pytest.raises(UserError, match="excite"):
+        sa.excite(tmp_path / "arm.urdf", no_such_option=1)
+    with pytest.raises(AttributeError):
+        sa.no_such_function  # noqa: B018
+
+
+def test_mismatch_is_a_function_and_a_package(tmp_path):
+    pytest.importorskip("clarabel", reason="needs clarabel")
+    from spacearm_ident.mismatch.finding import NO_MISMATCH, Explanation
+
+    for seed in (0, 1):
+        write_recording(tmp_path / f"run_{seed}.mcap", small_arm.recording(16.0, seed=seed))
+    found = sa.mismatch(sa.read(tmp_path / "run_1.mcap"), tmp_path / "run_0.mcap")
+    assert isinstance(found, Explanation) and found.verdict == NO_MISMATCH
+
+
+def test_excite_returns_a_trajectory(tmp_path):
+    (tmp_path / "arm.yaml").write_text(
+        "schema: spacearm_ident/arm/1\nurdf: arm.urdf\njoints:\n"
+        "  shoulder: {acceleration_limit_rad_s2: 5}\n  elbow: {acceleration_limit_rad_s2: 5}\n"
+    )
+    (tmp_path / "arm.urdf").write_text(small_arm.URDF)
+    words = {"harmonics": 2, "periods": 1, "ground": "none", "no_stall_margin": True}
+    trajectory = sa.excite(tmp_path / "arm.yaml", **words)
+    assert trajectory.joints == small_arm.JOINTS and trajectory.duration_s > 5.0

@@ -1,0 +1,333 @@
+"""Exports against what they are exported from: MuJoCo, Pinocchio, usd-core and compiled C on the same motion."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import json
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import made_result
+import numpy as np
+import pinocchio as pin
+import pytest
+import small_arm
+
+from spacearm_ident.cli.main import main
+from spacearm_ident.config import config_path
+from spacearm_ident.dynamics.arm import Coupling, arm_from_urdf
+from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, Unbounded
+from spacearm_ident.dynamics.model_file import load_model, save_model
+from spacearm_ident.dynamics.regressor import regressor
+from spacearm_ident.errors import UserError
+from spacearm_ident.export.controller import ZERO_SPEED, code_cost, control_law
+from spacearm_ident.export.law import SLOW_SHARE, nearest
+from spacearm_ident.export.mjcf import MJCF, mjcf
+from spacearm_ident.export.motion import motions_of, sweep
+from spacearm_ident.export.write import FORMATS, export_model
+from spacearm_ident.recording import read_recording
+from spacearm_ident.recording.signals import prepare
+
+UR10E = Path(__file__).parents[2] / "shared" / "recordings" / "real" / "ur10e" / "commissioning_validation.mcap"
+
+
+def paper() -> IdentifiedModel:
+    return load_model(config_path("paper_arm_model.yaml"))
+
+
+def rich() -> IdentifiedModel:
+    """A turning and a sliding joint with every term that a controller's law has, none of them zero."""
+    arm = made_result.arm()
+    names = arm.joint_names
+    arm = replace(
+        arm, couplings=(Coupling("motor", {names[0]: 1.0, names[1]: 0.5}),), gravity=np.array([0.5, 1.0, -9.0])
+    )
+    structure = {
+        "rigid_body": {},
+        "rotor_inertia": {},
+        "joint_spring": {},
+        "stribeck_friction": {"load": True},
+        "viscous_friction": {"quadratic": {names[0]: "odd"}, "fastest": {names[1]: 0.1}},
+        "coupled_motor": {},
+        "torque_offset": {"joints": [names[1]]},
+    }
+    model = TorqueModel(arm, structure)
+    levels = {"J_m": 0.3, "k_1": 2.0, "f_c": 3.0, "f_b": 4.5, "mu": 0.05, "k_v1": 1.5, "k_v2": 0.7, "k_v3": 0.4}
+    levels["offset"] = 0.9
+    values = [levels.get(p.symbol, p.prior) for p in model.parameters]
+    constants = [{"v_b": 0.05, "d_s": 0.0}[c.symbol] for c in model.constants]
+    return IdentifiedModel(model, np.array(values), np.array(constants), 10.0)
+
+
+def states(model: IdentifiedModel, count: int = 60) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(3)
+    return tuple(rng.uniform(-1.0, 1.0, (count, len(model.model.arm.joints))) * size for size in (2.0, 1.5, 4.0))
+
+
+def torque_at(model: IdentifiedModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """The model's torque state by state."""
+    motion = replace(
+        sweep(model.model.arm), position=q, velocity=qd, acceleration=qdd, torque=np.zeros_like(q), rate_hz=1e-9
+    )
+    return model.torque(motion)
+
+
+# --- code ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=["paper", "rich"])
+def compiled(request, tmp_path_factory):
+    """The exported C as a shared library, with the model that it is of and its prefix."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("needs a C compiler (cc)")
+    model = {"paper": paper, "rich": rich}[request.param]()
+    folder = tmp_path_factory.mktemp("c")
+    _, files = export_model(model, None, "c", folder, "a test")
+    source = next(file for file in files if file.suffix == ".c")
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off"]
+    words = [compiler, *strict, "-shared", "-fPIC", str(source), "-o", str(folder / "arm.so"), "-lm"]
+    made = subprocess.run(words, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+    return model, ctypes.CDLL(str(folder / "arm.so")), source.stem
+
+
+def call(library, name: str, shape: tuple[int, ...], *arguments) -> np.ndarray:
+    """A function of the library for one state."""
+    out = np.zeros(shape)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    kept = [np.ascontiguousarray(one) if isinstance(one, np.ndarray) else ctypes.c_double(one) for one in arguments]
+    words = [one.ctypes.data_as(pointer) if isinstance(one, np.ndarray) else one for one in kept]
+    getattr(library, name)(*words, out.ctypes.data_as(pointer))
+    return out
+
+
+def test_c_has_the_model_s_torque_and_regressor(compiled):
+    model, library, name = compiled
+    n = len(model.model.arm.joints)
+    q, qd, qdd = states(model)
+    expected = torque_at(model, q, qd, qdd)
+    whole = regressor(model.model.arm, q, qd, qdd)
+    for k in range(len(q)):
+        torque = call(library, f"{name}_torque", (n,), q[k], qd[k], qdd[k])
+        assert np.abs(torque - expected[k]).max() < 1e-10 * max(1.0, np.abs(expected[k]).max())
+        matrix = call(library, f"{name}_regressor", (n, 10 * n), q[k], qd[k], qdd[k])
+        assert np.abs(matrix - whole[k]).max() < 1e-10
+
+
+def test_c_and_numpy_agree_everywhere_and_on_friction_at_zero_speed(compiled, tmp_path):
+    model, library, name = compiled
+    n = len(model.model.arm.joints)
+    export_model(model, None, "numpy", tmp_path / "arm_np.py", "a test")
+    spec = importlib.util.spec_from_file_location("arm_np", tmp_path / "arm_np.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    q, qd, qdd = states(model)
+    assert np.abs(module.torque(q, qd, qdd) - torque_at(model, q, qd, qdd)).max() < 1e-10 * 100
+    assert np.abs(module.regressor(q, qd, qdd) - regressor(model.model.arm, q, qd, qdd)).max() < 1e-10
+    for k, speed in enumerate((1.0, 0.3 * ZERO_SPEED, 0.0)):
+        one = q[k], speed * np.sign(qd[k])
+        ours, theirs = call(library, f"{name}_friction", (n,), *one, -1.0), module.friction(*one)
+        assert np.abs(ours - theirs).max() < 1e-10
+        assert np.abs(call(library, f"{name}_gravity", (n,), one[0]) - module.gravity(one[0])).max() < 1e-9
+    assert np.all(ours == 0.0)
+
+
+def test_friction_compensation_is_continuous_and_whole_beyond_its_zero_speed(compiled):
+    model, library, name = compiled
+    n = len(model.model.arm.joints)
+    q, still = np.zeros(n), np.zeros(n)
+    for speed in (0.02, -0.5):
+        qd = np.full(n, speed)
+        moving = torque_at(model, q[None], qd[None], still[None])[0]
+        holding = call(library, f"{name}_gravity", (n,), q)
+        # Gyroscopic torques of 0.5 rad/s stand between, in the friction that grows with the load as well.
+        rigid = model.model.torque(
+            replace(sweep(model.model.arm), position=q[None], velocity=qd[None], acceleration=still[None]),
+            model.parameters,
+            model.constants,
+            ("rigid_body", "joint_spring", "torque_offset"),
+        )[0]
+        friction = call(library, f"{name}_friction", (n,), q, qd, 0.01)
+        assert np.abs(friction - (moving - rigid)).max() < 0.06 * np.abs(rigid - holding).max() + 1e-9
+    below, above = (call(library, f"{name}_friction", (n,), q, np.full(n, 0.01 + d), 0.01) for d in (-1e-9, 1e-9))
+    assert np.abs(below - above).max() < 1e-5
+
+
+def test_what_the_law_has_no_place_for_is_left_out_and_priced():
+    model = paper()
+    wider = TorqueModel(model.model.arm, {**model.model.structure, "torque_ripple": {"at": [{"joint": "joint_3"}]}})
+    more = len(wider.parameters) - len(model.parameters), len(wider.constants) - len(model.constants)
+    rippled = replace(
+        model,
+        model=wider,
+        parameters=np.concatenate([model.parameters, np.full(more[0], 1.0)]),
+        constants=np.concatenate([model.constants, np.full(more[1], 24.0)]),
+    )
+    law = control_law(rippled)
+    assert np.array_equal(law.joints, control_law(model).joints)
+    cost = code_cost(rippled, law, [sweep(model.model.arm)])
+    assert cost.cost_Nm["joint_3"] > 0.3 and cost.cost_Nm["joint_2"] == 0.0 and cost.lost
+
+
+# --- simulators ---------------------------------------------------------------------------------------------
+
+
+def inverse_in_mujoco(path: Path, motion) -> np.ndarray:
+    """(N, n) torque that MuJoCo's inverse dynamics asks of the motors."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    torque = np.empty_like(motion.position)
+    for k in range(len(torque)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = motion.position[k], motion.velocity[k], motion.acceleration[k]
+        mujoco.mj_inverse(model, data)
+        torque[k] = data.qfrc_inverse
+    return torque
+
+
+def rms_moving(values: np.ndarray, motion) -> np.ndarray:
+    moving = np.abs(motion.velocity) > SLOW_SHARE * np.abs(motion.velocity).max(axis=0)
+    return np.array([np.sqrt(np.mean(values[moving[:, k], k] ** 2)) for k in range(values.shape[1])])
+
+
+def require_stated_cost(model: IdentifiedModel, motion, fit, path: Path, slack: float) -> None:
+    """MuJoCo is as far from the model as was stated, but for a share of the torque."""
+    expected = model.torque(motion)
+    distance = rms_moving(inverse_in_mujoco(path, motion) - expected, motion)
+    cost = np.array(list(fit.cost_Nm.values()))
+    size = rms_moving(expected, motion)
+    assert np.all(distance <= cost + slack * size), (distance, cost, size)
+    assert np.all(distance >= cost - slack * size), (distance, cost, size)
+
+
+@pytest.mark.parametrize("model", [paper(), rich()], ids=["paper", "rich"])
+def test_mujoco_is_off_by_the_stated_cost_on_the_motion_of_the_fit(model, tmp_path):
+    fit, _ = export_model(model, None, "mjcf", tmp_path / "arm.xml", "a test")
+    require_stated_cost(model, sweep(model.model.arm), fit, tmp_path / "arm.xml", 0.002)
+
+
+def test_mujoco_is_off_by_the_stated_cost_on_a_recorded_motion(tmp_path):
+    """The UR10e's own bodies of the CAD with friction as it has it; the motion is recorded."""
+    if not UR10E.exists():
+        pytest.skip("no ur10e/commissioning_validation.mcap in ../shared/recordings/real")
+    run = read_recording(UR10E)
+    arm = arm_from_urdf(run.urdf)
+    model = TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}, "stribeck_friction": {}, "viscous_friction": {}})
+    levels = {"J_m": 0.5, "f_c": 4.0, "f_b": 6.0, "k_v1": 5.0, "k_v2": 0.3, "k_v3": -0.5}
+    values = [levels.get(p.symbol, p.prior) for p in model.parameters]
+    constants = [{"v_b": 0.05, "d_s": 0.0}[c.symbol] for c in model.constants]
+    known = IdentifiedModel(model, np.array(values), np.array(constants), 10.0)
+    motions, _ = prepare([run.between(0.0, 30.0)], arm.joint_names, 10.0)
+    fit = nearest(known, MJCF, motions)
+    (tmp_path / "arm.xml").write_text(mjcf(known, fit, []))
+    for motion in motions[:1]:
+        expected = known.torque(motion)
+        distance = rms_moving(inverse_in_mujoco(tmp_path / "arm.xml", motion) - expected, motion)
+        cost = np.array(list(fit.cost_Nm.values()))
+        assert np.all(distance < cost + 0.02 * rms_moving(expected, motion))
+
+
+def test_the_bodies_of_every_simulator_are_the_identified_ones(tmp_path):
+    """Gravity and inertia without friction: MuJoCo, and Pinocchio by the URDF, against our regressor."""
+    model = rich()
+    bare = {"rigid_body": {}}
+    rigid = TorqueModel(model.model.arm, bare)
+    known = IdentifiedModel(rigid, np.array([p.prior for p in rigid.parameters]), np.zeros(0))
+    motion = sweep(known.model.arm)
+    expected = known.torque(motion)
+    export_model(known, None, "urdf", tmp_path / "arm.urdf", "a test")
+    read = pin.buildModelFromXML((tmp_path / "arm.urdf").read_text())
+    read.gravity.linear = known.model.arm.gravity
+    data = read.createData()
+    rnea = np.array(
+        [pin.rnea(read, data, *state) for state in zip(motion.position, motion.velocity, motion.acceleration)]
+    )
+    assert np.abs(rnea - expected).max() < 1e-9
+    export_model(known, None, "mjcf", tmp_path / "arm.xml", "a test")
+    assert np.abs(inverse_in_mujoco(tmp_path / "arm.xml", motion) - expected).max() < 1e-8
+
+
+def test_parameters_are_refitted_not_cut_off():
+    """Friction that rises with speed squared goes into damping: nearer than k_v1 alone would be."""
+    model = paper()
+    fit = nearest(model, MJCF, motions_of(model, None))
+    motion = sweep(model.model.arm)
+    for k, joint in enumerate(model.model.arm.joint_names):
+        rest = (model.torque(motion) - model.torque(motion, ("rigid_body",)))[:, k]
+        cut = model.value("J_m", joint) * motion.acceleration[:, k] + model.value("k_v1", joint) * motion.velocity[:, k]
+        cut += model.value("f_c", joint) * np.sign(motion.velocity[:, k])
+        assert fit.cost_Nm[joint] < rms_moving(np.tile((rest - cut)[:, None], 6), motion)[k]
+
+
+def test_sdf_and_ros2_control_tags_name_every_joint(tmp_path):
+    model = rich()
+    names = set(model.model.arm.joint_names)
+    fit, _ = export_model(model, None, "sdf", tmp_path / "arm.sdf", "a test")
+    joints = {joint.get("name"): joint for joint in ET.parse(tmp_path / "arm.sdf").iter("joint")}
+    assert names <= set(joints)
+    assert all(float(joints[name].find("axis/dynamics/damping").text) == fit.values[name]["damping"] for name in names)
+    assert {joints[name].get("type") for name in names} == {"revolute", "prismatic"}
+    assert "rotor inertia J_m" in fit.lost
+    export_model(small_arm.identified(), None, "urdf", tmp_path / "arm.urdf", "a test")
+    control = ET.parse(tmp_path / "arm.urdf").getroot().find("ros2_control")
+    assert {joint.get("name") for joint in control.findall("joint")} == set(small_arm.JOINTS)
+
+
+def test_usd_holds_the_bodies_and_joints(tmp_path):
+    pytest.importorskip("pxr", reason="needs usd-core")
+    from pxr import Usd, UsdPhysics
+
+    model = rich()
+    fit, _ = export_model(model, None, "usd", tmp_path / "arm.usda", "a test")
+    stage = Usd.Stage.Open(str(tmp_path / "arm.usda"))
+    masses = [
+        UsdPhysics.MassAPI(prim).GetMassAttr().Get() for prim in stage.Traverse() if prim.HasAPI(UsdPhysics.MassAPI)
+    ]
+    expected = [model.value("m", joint) for joint in model.model.arm.joint_names]
+    assert masses == pytest.approx(expected, rel=1e-6)
+    turn = next(prim for prim in stage.Traverse() if prim.IsA(UsdPhysics.RevoluteJoint))
+    values = fit.values[turn.GetName()]
+    assert turn.GetAttribute("physxJoint:armature").Get() == pytest.approx(values["armature"], rel=1e-6)
+    assert UsdPhysics.RevoluteJoint(turn).GetUpperLimitAttr().Get() == pytest.approx(np.degrees(2.5), rel=1e-6)
+
+
+def test_the_physically_consistent_values_are_exported_and_the_rest_priced(tmp_path):
+    model = small_arm.identified()
+    free = np.array(model.parameters)
+    free[0] = -50.0
+    blended = replace(model, unbounded=Unbounded(free, np.array([0.3, 0.3])))
+    one, _ = export_model(model, None, "mjcf", tmp_path / "one.xml", "a test")
+    other, _ = export_model(blended, None, "mjcf", tmp_path / "other.xml", "a test")
+    assert one.values == other.values
+    assert "without physical bounds" in " ".join(other.lost)
+    assert max(other.cost_Nm.values()) >= max(one.cost_Nm.values())
+
+
+def test_a_body_that_cannot_be_is_refused_and_nothing_written(tmp_path):
+    model = small_arm.identified()
+    values = np.array(model.parameters)
+    values[0] = -1.0
+    with pytest.raises(UserError, match="no positive mass"):
+        export_model(replace(model, parameters=values), None, "mjcf", tmp_path / "arm.xml", "a test")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_exports_a_model_file_in_every_format(tmp_path, capsys):
+    save_model(small_arm.identified(), tmp_path / "model.yaml")
+    for form in FORMATS:
+        if form == "usd" and importlib.util.find_spec("pxr") is None:
+            continue
+        suffix = {"usd": "usda", "numpy": "py", "mjcf": "xml"}.get(form, form)
+        out = tmp_path / form / f"arm.{suffix}"
+        assert main(["export", str(tmp_path / "model.yaml"), "--to", form, "--out", str(out), "--json"]) == 0
+        said = json.loads(capsys.readouterr().out)
+        assert all(Path(file).stat().st_size for file in said["files"]) and set(said["cost_Nm"]) == set(
+            small_arm.JOINTS
+        )
+    assert main(["export", str(tmp_path / "gone"), "--to", "mjcf", "--out", str(tmp_path / "x.xml")]) == 2

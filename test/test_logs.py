@@ -1,0 +1,344 @@
+"""Logs of any format become recordings by a mapping that is proposed, or asked for in one line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_arm
+import yaml
+from scipy.io import savemat
+
+from spacearm_ident.cli.main import main
+from spacearm_ident.dynamics.arm import load_arm
+from spacearm_ident.dynamics.regressor import rigid_body_torque
+from spacearm_ident.errors import UnfitDataError, UserError
+from spacearm_ident.identification.effort import in_newton_metres
+from spacearm_ident.logs.propose import propose
+from spacearm_ident.logs.read import propose_for, read_log
+from spacearm_ident.logs.words import meaning_of
+from spacearm_ident.recording import Recording, read_recording, write_recording
+from spacearm_ident.recording.log_mapping import LogMapping, mapping_beside, read_mapping, save_mapping
+from spacearm_ident.recording.tables import read_table
+
+UR10E = Path(__file__).parents[2] / "shared" / "recordings" / "real" / "ur10e" / "commissioning.mcap"
+CONSTANTS = np.array([14.0, 13.5, 11.0, 9.2, 9.1, 9.3])
+"""N m for each A, of this test alone: what the recording's publishers took does not matter here."""
+
+
+@pytest.fixture(scope="module")
+def ur10e() -> Recording:
+    if not UR10E.exists():
+        pytest.skip("no ur10e/commissioning.mcap in ../shared/recordings/real")
+    run = read_recording(UR10E).between(0.0, 40.0)
+    return replace(run, command=None, temperatures={})
+
+
+def arm_file(folder: Path, urdf: str, constants: dict[str, float] | None = None) -> Path:
+    """An arm YAML that declares effort in A, or the URDF alone."""
+    (folder / "arm.urdf").write_text(urdf, encoding="utf-8")
+    if constants is None:
+        return folder / "arm.urdf"
+    data = {"schema": "spacearm_ident/arm/1", "urdf": "arm.urdf", "effort": {"unit": "A", "constants": constants}}
+    (folder / "arm.yaml").write_text(yaml.safe_dump(data))
+    return folder / "arm.yaml"
+
+
+def german_csv(run: Recording, path: Path, constants: np.ndarray) -> None:
+    """Degrees and milliamperes, decimal commas, as a German spreadsheet has them."""
+    n = range(1, len(run.joints) + 1)
+    head = ["Zeit [ms]", *(f"Gelenk {k} Winkel [Grad]" for k in n), *(f"Gelenk {k} Drehzahl [Grad/s]" for k in n)]
+    head += [f"Gelenk {k} Motorstrom [mA]" for k in n]
+    rows = np.column_stack(
+        [run.time * 1e3, np.degrees(run.position), np.degrees(run.velocity), run.effort / constants * 1e3]
+    )
+    lines = [";".join(repr(float(cell)).replace(".", ",") for cell in row) for row in rows]
+    path.write_text("\n".join([";".join(head), *lines, ""]), encoding="cp1252")
+
+
+def write_mat(run: Recording, path: Path) -> None:
+    """The signals in a struct, time along the second dimension."""
+    log = {"t": run.time, "q": run.position.T, "dq": run.velocity.T, "tau": run.effort.T}
+    savemat(path, {"log": log, "comment": "made by a test"})
+
+
+def write_npz(run: Recording, path: Path) -> None:
+    stamps = run.start_ns + np.rint(run.time * 1e9).astype(np.int64)
+    np.savez(path, timestamp_ns=stamps, joint_angle_deg=np.degrees(run.position), joint_torque_Nm=run.effort)
+
+
+def write_hdf5(run: Recording, path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="needs h5py")
+    with h5py.File(path, "w") as file:
+        group = file.create_group("robot")
+        group["time"] = run.time
+        group["actual_q"], group["actual_qd"], group["actual_torque"] = run.position, run.velocity, run.effort
+        group["target_q"] = run.position + 0.001
+
+
+def write_lerobot(run: Recording, folder: Path) -> None:
+    """Version 2: an episode a file; states by joint, named as LeRobot names them."""
+    arrow = pytest.importorskip("pyarrow", reason="needs pyarrow")
+    from pyarrow import parquet
+
+    names = [name.removesuffix("_joint") for name in run.joints]
+    features = {
+        "observation.state": {"dtype": "float64", "names": [f"{name}.pos" for name in names]},
+        "observation.effort": {"dtype": "float64", "names": [f"{name}.effort" for name in names]},
+    }
+    (folder / "meta").mkdir(parents=True)
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    rate = 1.0 / np.median(np.diff(run.time))
+    (folder / "meta" / "info.json").write_text(json.dumps({"fps": rate, "features": features}))
+    half = len(run.time) // 2
+    for episode, part in enumerate((slice(0, half), slice(half, 2 * half))):
+        columns = {
+            "observation.state": list(run.position[part]),
+            "observation.effort": list(run.effort[part]),
+            "frame_index": np.arange(half),
+            "episode_index": np.full(half, episode),
+            "timestamp": (np.arange(half) / rate).astype(np.float32),
+        }
+        parquet.write_table(arrow.table(columns), folder / "data" / "chunk-000" / f"episode_{episode:06d}.parquet")
+
+
+def same_samples(got: Recording, run: Recording) -> None:
+    assert got.joints == run.joints
+    assert np.abs(got.time - run.time).max() < 2e-9
+    for one, other in ((got.position, run.position), (got.effort, run.effort)):
+        assert np.abs(one - other).max() < 1e-9 * (1.0 + np.abs(other).max())
+    assert got.segments == run.segments
+
+
+def test_german_csv_in_degrees_and_milliamperes_gives_the_samples_of_the_bag(ur10e, tmp_path):
+    arm = arm_file(tmp_path, ur10e.urdf, dict(zip(ur10e.joints, CONSTANTS.tolist())))
+    german_csv(ur10e, tmp_path / "lauf.csv", CONSTANTS)
+    got = read_log(tmp_path / "lauf.csv", arm)
+    assert got.mapping.units == {"position": "deg", "velocity": "deg/s", "effort": "mA"}
+    (run,) = in_newton_metres([got.recording], load_arm(arm))
+    same_samples(run, ur10e)
+    assert np.abs(run.velocity - ur10e.velocity).max() < 1e-9
+
+
+@pytest.mark.parametrize("write", [write_mat, write_npz, write_hdf5], ids=[".mat", ".npz", ".h5"])
+def test_logs_of_arrays_give_the_samples_of_the_bag(ur10e, tmp_path, write, request):
+    path = tmp_path / f"run{request.node.callspec.id}"
+    write(ur10e, path)
+    same_samples(read_log(path, arm_file(tmp_path, ur10e.urdf)).recording, ur10e)
+
+
+def test_lerobot_episodes_follow_each_other_with_a_pause(ur10e, tmp_path):
+    write_lerobot(ur10e, tmp_path / "set")
+    got = read_log(tmp_path / "set", arm_file(tmp_path, ur10e.urdf)).recording
+    half = len(ur10e.time) // 2
+    assert got.segments == (slice(0, half), slice(half, 2 * half))
+    assert np.array_equal(got.position, ur10e.position[: 2 * half])
+    assert np.array_equal(got.effort, ur10e.effort[: 2 * half])
+    steps = np.diff(got.time[:half])
+    assert np.ptp(steps) < 3e-9
+
+
+def test_a_log_and_its_bag_identify_the_same_parameters(tmp_path):
+    """Through the command line: CSV with the mapping that `import` wrote, and the bag that it wrote."""
+    pytest.importorskip("clarabel", reason="needs clarabel")
+    run = small_arm.recording(12.0)
+    arm = arm_file(tmp_path, small_arm.URDF)
+    german_csv(run, tmp_path / "lauf.csv", np.ones(2))
+    constants = ["--constants", "shoulder=1", "elbow=1"]
+    log, bag = str(tmp_path / "lauf.csv"), str(tmp_path / "lauf.mcap")
+    assert main(["import", log, "--arm", str(arm), "--out", bag, *constants]) == 0
+    write_recording(tmp_path / "run.mcap", run)
+    found = {}
+    for name, path in (("log", log), ("bag", bag), ("itself", str(tmp_path / "run.mcap"))):
+        assert main(["identify", path, "--quiet", "--friction", "coulomb-viscous", "--out", str(tmp_path / name)]) == 0
+        found[name] = yaml.safe_load((tmp_path / name / "model.yaml").read_text())["terms"]
+    for term, *others in zip(found["itself"], found["log"], found["bag"], strict=True):
+        for symbol, by_joint in term["values"].items():
+            for joint, value in by_joint.items():
+                for other in others:
+                    assert other["values"][symbol][joint] == pytest.approx(value, rel=1e-6, abs=1e-6)
+
+
+# --- what is decided, and what is asked ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "unit", "number"),
+    [
+        ("actual_q_0", "position", None, 0),
+        ("actual_current_5", "current", None, 5),
+        ("tau_J[2]", "torque", None, 2),
+        ("AxisTorqueAct_A3", "torque", None, 3),
+        ("Gelenk 3 Winkelgeschwindigkeit [°/s]", "velocity", "deg/s", 3),
+        ("关节1位置", "position", None, 1),
+        ("скорость 2 (rad/s)", "velocity", "rad/s", 2),
+        ("momento_articulacion_1", "torque", None, 1),
+        ("Achse1_Strom_mA", "current", "mA", 1),
+        ("current_position_1", "position", None, 1),
+        ("joint1_vel_deg_s", "velocity", "deg/s", 1),
+        ("time_ms", "time", "ms", None),
+        ("tcp_pose_3", "other", None, 3),
+    ],
+)
+def test_names_of_columns_say_quantity_unit_and_joint(name, quantity, unit, number):
+    meaning = meaning_of(name)
+    assert (meaning.quantity, meaning.unit, meaning.number) == (quantity, unit, number)
+
+
+def csv_of(folder: Path, head: list[str], *columns: np.ndarray) -> Path:
+    path = folder / "log.csv"
+    rows = np.column_stack(columns)
+    lines = ["\t".join(f"{cell:.12g}" for cell in row) for row in rows]
+    path.write_text("\n".join([*(["\t".join(head)] if head else []), *lines]))
+    return path
+
+
+def proposal(folder: Path, head: list[str], *columns: np.ndarray, **answers: str):
+    return propose_for(csv_of(folder, head, *columns), arm_file(folder, small_arm.URDF), answers)[1]
+
+
+def test_columns_without_names_are_told_by_derivative_and_weight(tmp_path):
+    run = small_arm.recording(10.0)
+    found = proposal(tmp_path, [], run.time, run.effort, np.degrees(run.velocity), np.degrees(run.position))
+    assert not found.questions
+    assert found.mapping.columns["elbow"] == {
+        "position": "column 7",
+        "velocity": "column 5",
+        "effort": "column 3",
+    }
+    assert found.mapping.units == {"position": "deg", "velocity": "deg/s", "effort": "N m"}
+
+
+def weight(folder: Path, position: np.ndarray) -> np.ndarray:
+    """What gravity asks of the small arm's motors."""
+    arm = load_arm(arm_file(folder, small_arm.URDF))
+    still = np.zeros_like(position)
+    return rigid_body_torque(arm, np.array([joint.inertial for joint in arm.joints]), position, still, still)
+
+
+def test_positions_within_the_limits_in_either_unit_are_told_by_weight(tmp_path):
+    """One rad and one degree are both within limits of 3 rad."""
+    run = small_arm.recording(10.0)
+    head = ["t", "q1", "q2", "tau1", "tau2"]
+    found = proposal(tmp_path, head, run.time, run.position, weight(tmp_path, run.position))
+    assert found.mapping.units["position"] == "rad"
+    assert "weight" in found.rows[1].because
+
+
+def test_a_motion_too_small_to_tell_its_unit_is_asked(tmp_path):
+    """Over half a degree, beside noise, weight is linear in the angle and as well explained in either unit."""
+    run = small_arm.recording(10.0)
+    small = np.radians(0.2 * run.position)
+    noise = 0.05 * np.random.default_rng(0).standard_normal(small.shape)
+    head = ["t", "q1", "q2", "tau1 [Nm]", "tau2 [Nm]"]
+    found = proposal(tmp_path, head, run.time, np.degrees(small), weight(tmp_path, small) + noise)
+    assert any("position_unit=" in question for question in found.questions)
+
+
+def test_a_written_unit_beyond_the_limits_is_asked_and_can_be_told(tmp_path):
+    run = small_arm.recording(8.0)
+    head = ["t", "q1_rad", "q2_rad", "tau1", "tau2"]
+    found = proposal(tmp_path, head, run.time, np.degrees(run.position), run.effort)
+    assert found.mapping is None
+    assert any("position_unit=" in question for question in found.questions)
+    told = proposal(tmp_path, head, run.time, np.degrees(run.position), run.effort, position_unit="deg")
+    assert told.mapping.units["position"] == "deg"
+
+
+def test_a_number_of_the_row_is_no_time_and_the_rate_is_asked(tmp_path):
+    run = small_arm.recording(8.0)
+    head = ["sample", "q1", "q2", "tau1", "tau2"]
+    columns = np.arange(len(run.time)), run.position, run.effort
+    found = proposal(tmp_path, head, *columns)
+    assert found.mapping is None and any("rate_hz=" in question for question in found.questions)
+    assert proposal(tmp_path, head, *columns, rate_hz="200").mapping.rate_hz == 200.0
+
+
+def test_currents_without_constants_are_asked_for(tmp_path):
+    run = small_arm.recording(8.0)
+    found = proposal(tmp_path, ["t", "q1", "q2", "I1 [A]", "I2 [A]"], run.time, run.position, run.effort / 20.0)
+    assert found.mapping is None and any("each A" in question for question in found.questions)
+
+
+def test_two_positions_alike_are_asked_and_measured_beats_motor_side(tmp_path):
+    run = small_arm.recording(8.0)
+    columns = run.time, run.position, 1.01 * run.position, run.effort
+    alike = proposal(tmp_path, ["t", "qa_1", "qa_2", "qb_1", "qb_2", "tau_1", "tau_2"], *columns)
+    assert alike.mapping is None and alike.questions
+    head = ["t", "motor_pos_1", "motor_pos_2", "link_pos_1", "link_pos_2", "tau_1", "tau_2"]
+    assert proposal(tmp_path, head, *columns).mapping.columns["elbow"]["position"] == "link_pos_2"
+
+
+def test_velocity_of_another_joint_is_not_taken_for_its_own(tmp_path):
+    run = small_arm.recording(8.0)
+    head = ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2"]
+    found = proposal(tmp_path, head, run.time, run.position, run.velocity[:, ::-1], run.effort)
+    assert found.mapping is None
+    assert any("does not follow the positions" in question for question in found.questions)
+
+
+def test_slow_logs_and_logs_without_torque_are_refused_with_what_they_are_good_for(tmp_path):
+    run = small_arm.recording(20.0)
+    slow = slice(None, None, 10)
+    with pytest.raises(UnfitDataError, match=r"20 rows a second, below 90 Hz.*can still show"):
+        proposal(tmp_path, ["t [s]", "q1", "q2", "tau1", "tau2"], run.time[slow], run.position[slow], run.effort[slow])
+    with pytest.raises(UnfitDataError, match=r"no torque or current.*can still show"):
+        proposal(tmp_path, ["t", "q1", "q2"], run.time, run.position)
+
+
+def test_joints_are_told_by_name_in_any_order(tmp_path):
+    run = small_arm.recording(8.0)
+    head = ["t", "elbow_pos", "shoulder_pos", "elbow_torque", "shoulder_torque"]
+    found = proposal(tmp_path, head, run.time, run.position[:, ::-1], run.effort[:, ::-1])
+    assert found.mapping.columns["shoulder"] == {"position": "shoulder_pos", "effort": "shoulder_torque"}
+
+
+def test_the_command_asks_writes_nothing_and_exits_2(tmp_path, capsys):
+    run = small_arm.recording(8.0)
+    log = csv_of(tmp_path, ["n", "q1", "q2", "tau1", "tau2"], np.arange(len(run.time)), run.position, run.effort)
+    arm = str(arm_file(tmp_path, small_arm.URDF))
+    assert main(["import", str(log), "--arm", arm]) == 2
+    assert "open: " in capsys.readouterr().out
+    assert mapping_beside(log) is None
+    assert main(["import", str(log), "--arm", arm, "--set", "rate_hz=200", "--quiet"]) == 0
+    assert read_log(log).recording.rate_hz == pytest.approx(200.0)
+    assert main(["check", str(log), "--quiet"]) in (0, 1)
+
+
+def test_a_log_without_an_arm_is_refused_in_one_line(tmp_path):
+    run = small_arm.recording(2.0)
+    with pytest.raises(UserError, match="--arm FILE"):
+        read_log(csv_of(tmp_path, ["t", "q1", "q2", "tau1", "tau2"], run.time, run.position, run.effort))
+
+
+def test_a_mapping_survives_its_file(tmp_path):
+    arm = arm_file(tmp_path, small_arm.URDF)
+    columns = {"shoulder": {"position": "Winkel ä", "effort": "τ", "command": "soll"}}
+    units = {"position": "counts", "velocity": "rpm", "effort": "percent"}
+    mapping = LogMapping(columns, units, "t", "us", None, {"shoulder": 80.0}, {"shoulder": -65536.0}, arm)
+    save_mapping(mapping, tmp_path / "m.yaml")
+    assert read_mapping(tmp_path / "m.yaml") == mapping
+
+
+def test_epoch_nanoseconds_in_text_keep_every_digit(tmp_path):
+    stamps = 1_700_000_000_123_456_789 + 1_000_003 * np.arange(5)
+    (tmp_path / "log.csv").write_text("\n".join(["stamp,q", *(f"{stamp},1.5" for stamp in stamps)]))
+    assert np.array_equal(read_table(tmp_path / "log.csv").columns["stamp"], stamps)
+
+
+def test_empty_cells_and_words_are_missing_values_and_counted(tmp_path):
+    (tmp_path / "log.csv").write_text("t,q1,tau\n0.1,1,2\n0.2,,3\n0.3,bad,4\n0.4,7,8\n")
+    table = read_table(tmp_path / "log.csv")
+    assert np.array_equal(np.isnan(table.columns["q1"]), [False, True, True, False])
+    assert table.issues[0].count == 2
+
+
+def test_propose_asks_rather_than_guesses_where_nothing_is_known(tmp_path):
+    rng = np.random.default_rng(0)
+    path = csv_of(tmp_path, ["t", *"abcd"], np.arange(500) * 0.005, rng.standard_normal((500, 4)))
+    arm = load_arm(arm_file(tmp_path, small_arm.URDF))
+    with pytest.raises(UserError, match="no columns of the positions"):
+        propose(read_table(path), arm, "log")
