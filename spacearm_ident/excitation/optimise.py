@@ -34,6 +34,9 @@ SHRINK = (1.0, 0.7, 0.45, 0.25, 0.12, 0.05, 0.02)
 INFORMATION_HZ = 500.0
 RATE_HZ = 1000.0
 LARGEST_HARMONICS = 10
+GENTLE = 0.4
+"""Share of the velocity and acceleration limits that a first run uses, and of the way from its start posture."""
+GENTLE_PERIODS = 2
 WORTH_A_HARMONIC = 0.03
 """A further harmonic is taken if it lowers the criterion by this share (of standard errors, or of the condition)."""
 
@@ -100,7 +103,7 @@ def optimise(
     sharpness, softness, steps, tolerance = STAGES[0]
     function = problem.function(sharpness, softness)
     report(0.0, "drawing starts")
-    drawn = draw_feasible(problem, function, rng, DRAWN)
+    drawn = draw_feasible(problem, problem.function(sharpness, softness, slopes=False), rng, DRAWN)
     starts = [*known_point(problem, function, known), *drawn[:DESCENDED]]
     found = []
     for number, (_, point) in enumerate(starts):
@@ -248,6 +251,23 @@ def finish(problem: Problem, point: FloatArray) -> Excitation:
     margins = check(run, problem.needs)
     require(margins)
     return Excitation(problem, series, run, information, margins)
+
+
+def gentle(excitation: Excitation) -> Excitation:
+    """The same motion drawn together about its start posture, slower to approach: for the first run on an arm.
+
+    What is wrong with a limit, a sign or a brake shows at a share `GENTLE` of everything.
+
+    Raises:
+        UserError: It cannot be joined within the limits.
+    """
+    full = excitation.problem
+    motion = full.needs.motion
+    slower = replace(motion, velocity=GENTLE * motion.velocity, acceleration=GENTLE * motion.acceleration)
+    problem = replace(full, needs=replace(full.needs, motion=slower), periods=GENTLE_PERIODS)
+    series = excitation.series
+    drawn = replace(series, q0=full.start + GENTLE * (series.q0 - full.start), a=GENTLE * series.a, b=GENTLE * series.b)
+    return finish(problem, problem.space.point(drawn))
 
 
 def join(problem: Problem, series: FourierTrajectory) -> tuple[FourierTrajectory, Trajectory]:
