@@ -37,9 +37,10 @@ from . import common
 DESCRIPTION = """
 Optimise an excitation trajectory for an arm: a finite Fourier series whose recording tells most of the dynamics, with
 approach and return, under limits of position, velocity, acceleration, jerk, torque, frequency and clearance, all of
-them verified with their margins. Beside it a gentle run of the same kind (40 % of the limits), to be recorded first, and
-a page that shows motion, limits, torques and postures. The same --seed gives the same trajectory, another seed one with other coefficients:
-use it for validation. With --for, a composite run for one question instead (constant speeds, slow reversals, chirps).
+them verified with their margins. Beside it a gentle run of the same kind (40 % of the limits), to be recorded first,
+and a page that shows motion, limits, torques and postures. The same --seed gives the same trajectory, another seed one
+with other coefficients: use it for validation. With --for, a composite run for one question instead (constant speeds,
+slow reversals, chirps).
 """
 AUTO = "auto"
 METHODS = {"gradient": optimise, "genetic": evolve}

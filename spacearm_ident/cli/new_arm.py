@@ -23,9 +23,9 @@ from ..excitation.start_posture import possible_start
 from ..recording.intake import listing as listed
 
 DESCRIPTION = f"""
-Write the files of an arm into DIR: its URDF with every joint locked that is not the arm's, {ARM_FILE} (limits, a posture
-to start from), {NODES_FILE} (parameters of the ROS nodes), layouts for Foxglove and PlotJuggler. Every line of the YAML
-says where its value is from: URDF, ASSUMED, or FILL IN for what nobody can guess; 'spacearm check DIR' says what is
+Write the files of an arm into DIR: its URDF with every joint locked that is not the arm's, {ARM_FILE} (limits, a
+posture to start from), {NODES_FILE} (parameters of the ROS nodes), layouts for Foxglove and PlotJuggler. Every value
+says where it is from: URDF, ASSUMED, or FILL IN for what nobody can guess; 'spacearm check DIR' says what is
 still missing. With --eds, --interface or a number from a data sheet also {CAN_FILE}, for CANopen drives. Without
 --base, --tip or --joints the arm is the longest chain; fingers, grippers and joints that mimic others become payload.
 """
@@ -165,9 +165,7 @@ def _summary(
     if chosen.others:
         lines.append(f"locked where they are (--lock NAME=VALUE: elsewhere): {listed(chosen.others)}")
     if start is None:
-        lines.append(
-            "no posture to start from was found: give one to excite with --start, or correct limits and masses"
-        )
+        lines.append("no posture to start from was found: give excite one with --start, or correct limits and masses")
     elif start.any():
         lines.append(f"starts from {' '.join(f'{value:g}' for value in start)}: all zeros is not possible, or tight")
     if advice := resolve_meshes(arm.urdf, arm.package_path).advice:
@@ -177,7 +175,7 @@ def _summary(
     empty = sum(row.count("# FILL IN:") for row in rows)
     if not canopen:
         lines.append(
-            "for CANopen drives of this package's driver: --eds, --interface, or a number from their data sheet"
+            "where this package's driver drives it (CANopen): --eds, --interface, or a number from a data sheet"
         )
     lines.append(f"{guesses} values assumed: look them through")
     lines.append(f"{empty} values to fill in; then: spacearm check {options.out}")

@@ -42,7 +42,7 @@ def add(commands: Any) -> None:
         "--model",
         type=Path,
         metavar="FILE",
-        help="what the arm obeys: a model.yaml or extended_model.yaml; default: the CAD inertials of --arm, and friction",
+        help="what the arm obeys: a model.yaml or extended_model.yaml; default: CAD inertials of --arm, and friction",
     )
     command.add_argument("--trajectory", required=True, type=Path, metavar="FILE", help="what it is to follow")
     command.add_argument("--out", required=True, type=Path, metavar="BAG", help="recording to write")

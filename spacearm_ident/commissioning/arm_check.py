@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..dynamics.arm import Arm, arm_from_description, load_arm
+from ..dynamics.arm import DRIVE_KEYS, Arm, arm_from_description, load_arm
 from ..dynamics.demand import drawn_postures, gravity_torques
 from ..errors import UserError
 from ..identification.consistency import pseudo_inertia
@@ -29,7 +29,14 @@ def check_arm(path: Path) -> list[CheckResult]:
     try:
         if path.suffix in (".yaml", ".yml"):
             data = read_yaml(path)
-            if empty := empty_keys(data):
+            empty = empty_keys(data)
+            drives = {key: empty.pop(key) for key in DRIVE_KEYS if key in empty}
+            if drives:
+                lacking = to_fill_in("drives", path, data, drives)
+                advice = f"{lacking.advice} for the CANopen driver, or effort in A; else leave them out"
+                results.append(warn("drives", lacking.message, advice))
+                arm = _without_empty(data, path)
+            if empty:
                 results.append(to_fill_in("arm file", path, data, empty))
                 arm = _without_empty(data, path)
         arm = arm or load_arm(path)
@@ -37,7 +44,7 @@ def check_arm(path: Path) -> list[CheckResult]:
         return [*results, fail("arm file", str(error), "correct it; config/paper_arm.yaml is an example")]
     turning = sum(joint.revolute for joint in arm.joints)
     what = f"{arm.name}: {turning} revolute and {len(arm.joints) - turning} prismatic joints"
-    if not results:
+    if not any(result.subject == "arm file" for result in results):
         results.append(ok("arm file", what))
     return [*results, *_inertials(arm), *_limits(arm), _gravity(arm), *_holding(arm), *_gears(arm), *_couplings(arm)]
 

@@ -32,7 +32,7 @@ CAUTIOUS_VELOCITY: Final = {True: 0.5, False: 0.05}
 CAUTIOUS_TRAVEL: Final = {True: math.pi, False: 0.25}
 """Position limit to either side where the URDF has none: half a turn, for the cables' sake; a quarter of a metre."""
 TORQUE_RESERVE: Final = 2.0
-"""Torque limit where the URDF has none, over what the CAD links ask (`dynamics.demand`): friction and rotors included."""
+"""Torque limit where the URDF has none, over what the CAD links ask (`dynamics.demand`), for friction and rotors."""
 PLACEHOLDER_RATIO: Final = 1.0
 """A transmission of 1 stands in most URDFs because ros_control wanted one, and is not the gear's."""
 UP_TO_SPEED_S: Final = 0.5
@@ -154,7 +154,7 @@ def completed(arm: Arm) -> Arm:
 
 
 def _has_travel(joint: Joint) -> bool:
-    """Whether its position limits leave it room: many URDFs give a joint `effort` and `velocity`, and 0 for the rest."""
+    """Whether its position limits leave it room: many URDFs give only `effort` and `velocity`, which leaves 0 to 0."""
     return math.isfinite(joint.upper - joint.lower) and joint.upper > joint.lower
 
 
@@ -315,7 +315,7 @@ def _nodes_yaml(directory: Path, canopen: bool) -> str:
     ]
     if not canopen:
         head = [
-            "# Parameters of the nodes beside the arm's own driver: `spacearm node NODE --ros-args --params-file FILE`.",
+            "# Parameters of the nodes beside the arm's own driver: spacearm node NODE --ros-args --params-file FILE.",
             "# How the trajectory node talks to a controller, and what else it can wait for: docs/ros2_control.md.",
         ]
     lines = [

@@ -178,7 +178,7 @@ def _to_child(rotation: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product along the first axis, the others broadcast; many times faster than `numpy.cross` on small arrays."""
+    """Cross product along the first axis, the others broadcast; many times faster than `numpy.cross`."""
     first = a[1] * b[2] - a[2] * b[1]
     out = np.empty((3, *first.shape))
     out[0] = first

@@ -2,8 +2,8 @@
 
 A robot's description holds more than the arm to identify: fingers, a head, wheels, a torso. `choose_joints` says which
 joints are the arm's, `locked` writes a URDF in which only they move. A locked joint becomes a fixed one, its position
-in its origin, so that all it carries counts as part of the link that carries it: a gripper is payload. Joints that mimic
-others have no drive of their own and are never the arm's.
+in its origin, so that all it carries counts as part of the link that carries it: a gripper is payload. Joints that
+mimic others have no drive of their own and are never the arm's.
 """
 
 from __future__ import annotations
@@ -130,9 +130,7 @@ def choose_joints(urdf: str, base: str | None = None, tip: str | None = None, na
     else:
         chosen = _longest(tree, base)
     if not chosen:
-        raise UserError(
-            "no joint that could be driven between base and tip: choose others with --base, --tip or --joints"
-        )
+        raise UserError("no joint between base and tip can be driven: choose others with --base, --tip or --joints")
     behind = {joint.name for joint in tree.joints if chosen[-1] in {other.name for other in tree.path(joint.parent)}}
     locked_ones = [j.name for j in tree.joints if j.kind in DRIVEN | FREE and j.name not in chosen]
     return Selection(

@@ -10,7 +10,7 @@ between samples break a limit, the motion is drawn towards rest in the start pos
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,6 +30,8 @@ Progress = Callable[[float, str], None]
 DRAWN, DESCENDED = 32, 2
 STAGES = ((6.0, 0.10, 40, 1e-2), (16.0, 0.06, 60, 3e-3), (64.0, 0.04, 40, 1e-3))
 """Sharpness, softness of the direction of motion (share of the velocity limit), steps, tolerance."""
+DRAWN_TOGETHER = 0.1
+"""A criterion (logarithm) worse by more after the final check: the motion had to be made much smaller, another is tried."""
 SHRINK = (1.0, 0.7, 0.45, 0.25, 0.12, 0.05, 0.02)
 INFORMATION_HZ = 500.0
 RATE_HZ = 1000.0
@@ -121,7 +123,30 @@ def optimise(
     report(0.9, "checking all limits")
     # Sharper is not always better once judged exactly.
     points.sort(key=lambda point: exact_value(problem, problem.space.series(point, 1)))
-    return finish(problem, points[0])
+    return _best_finished(problem, [*points, *(point for _, point in known_point(problem, function, known))])
+
+
+def _best_finished(problem: Problem, points: Sequence[FloatArray]) -> Excitation:
+    """The first point that `finish` leaves nearly as good as it was; where it draws all of them together, the best.
+
+    Raises:
+        UserError: None can be joined within the limits.
+    """
+    refusal = UserError()
+    found: list[tuple[float, Excitation]] = []
+    for point in points:
+        try:
+            excitation = finish(problem, point)
+        except UserError as error:
+            refusal = error
+            continue
+        value = exact_value(problem, excitation.series)
+        found.append((value, excitation))
+        if value < exact_value(problem, problem.space.series(point, 1)) + DRAWN_TOGETHER:
+            break
+    if not found:
+        raise refusal
+    return min(found, key=lambda pair: pair[0])[1]
 
 
 def optimise_harmonics(

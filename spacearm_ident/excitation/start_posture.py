@@ -34,7 +34,7 @@ def possible_start(arm: Arm, needs: Requirements) -> FloatArray | None:
     lower, upper = needs.motion.lower, needs.motion.upper
     zero = np.clip(np.zeros(len(lower)), lower, upper)
     middle = (lower + upper) / 2
-    postures = np.round(np.vstack([zero, middle, drawn_postures(arm, DRAWN)]), 2)
+    postures = np.asarray(np.round(np.vstack([zero, middle, drawn_postures(arm, DRAWN)]), 2), dtype=float)
     room = room_of(needs, postures)
     span = np.maximum(upper - lower, 1e-9)
     away = np.linalg.norm((postures - zero) / span, axis=1)
@@ -59,7 +59,7 @@ def room_of(needs: Requirements, postures: FloatArray) -> FloatArray:
     """(T,) how comfortable postures (T, n) are: 1 and more is comfortable, above 0 possible, below not."""
     span = np.maximum(needs.motion.upper - needs.motion.lower, 1e-9)
     beside = np.minimum(postures - needs.motion.lower, needs.motion.upper - postures) / span
-    room = beside.min(axis=1) / LIMIT_ROOM
+    room: FloatArray = beside.min(axis=1) / LIMIT_ROOM
     still = np.zeros_like(postures)
     used = np.abs(model_torque(needs.identified, Motion(postures, still, still), 1.0)) / needs.torque_Nm
     # All of the torque allowed is 0, half of it 1.

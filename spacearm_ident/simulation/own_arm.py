@@ -1,8 +1,9 @@
 """A simulated arm out of a description alone: CAD inertials, and friction and rotors of a stated default.
 
 For walking the whole road before the arm is there, and to see what an excitation would reveal. The defaults are shares
-of a joint's scale: the smaller of its torque limit and of twice what its CAD links ask (`dynamics.demand`). They are
-of the size that geared joints show; no particular arm's.
+of a joint's scale: its torque limit, since friction goes with the drive, not with the load; but at most twice what the
+CAD links ask of the most loaded joint of its kind (`dynamics.demand`), since a limit in a URDF may be anything. They
+are of the size that geared joints show; no particular arm's.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ ROTOR = 0.3
 USUAL_VELOCITY = 2.0
 """Velocity limit where none is stated, rad/s or m/s."""
 STATED = (
-    f"friction by default: Coulomb {COULOMB:.0%}, static {STATIC:.0%}, viscous at full speed {VISCOUS:.0%} of the torque "
-    f"limit, or of twice what the CAD links ask; rotors {ROTOR:.0%} of the CAD inertia"
+    f"default friction: Coulomb {COULOMB:.0%}, static {STATIC:.0%}, viscous at full speed {VISCOUS:.0%} of a joint's "
+    f"torque limit (at most twice what the CAD links ask of any joint); rotors {ROTOR:.0%} of the CAD inertia"
 )
 """What stands in for what nobody measured, in words."""
 
@@ -44,7 +45,10 @@ def default_model(arm: Arm) -> IdentifiedModel:
     light = [joint.name for joint, moved in zip(arm.joints, inertia) if not moved > 0.0]
     if light:
         raise UserError(f"the URDF gives what {light[0]} moves no inertia: add <inertial> to its links, or --model")
-    scale = np.minimum([joint.effort_limit for joint in arm.joints], 2.0 * asked)
+    limit = np.array([joint.effort_limit for joint in arm.joints])
+    turns = np.array([joint.revolute for joint in arm.joints])
+    most = np.array([2.0 * asked[turns == kind].max() for kind in turns])
+    scale = np.minimum(limit, most)
     speed = np.array([joint.velocity_limit for joint in arm.joints])
     speed = np.where(np.isfinite(speed), speed, USUAL_VELOCITY)
     values = {
