@@ -1,4 +1,4 @@
-"""Descriptions of arms as other people write them: a SCARA, a gantry of prismatic joints, a robot with more than an arm."""
+"""Descriptions as other people write them: a SCARA, a gantry of prismatic joints, a robot with more than an arm."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from ..conventions.check import check_conventions
 from ..conventions.finding import ConventionReport, sureness
 from ..conventions.finding import Level as Weight
 from ..errors import UserError
-from ..session import corrected, within
+from ..session import corrected, locked_words, within
 from . import common
 
 DESCRIPTION = """
@@ -83,6 +83,8 @@ def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:
         arm = common.arm_of(options, recordings)
         found = check_conventions(corrected(recordings, arm), arm, progress=within(report, 0.2, 1.0))
     common.note_findings(options, recordings)
+    for line in locked_words(arm):
+        common.note(options, line)
     if options.json:
         common.print_json(found.as_dict())
     else:

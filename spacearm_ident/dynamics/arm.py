@@ -6,7 +6,7 @@ what a URDF cannot say. A joint's twist axis and placement are all the batched r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -100,6 +100,7 @@ class Arm:
         effort_declared: Whether somebody has said what unit its driver publishes effort in.
         corrections: Of its recordings, whose conventions may be others; nothing of the arm itself.
         package_path: Folders in which the description's meshes are looked for, the description's own first.
+        locked: Joints of the description that a recording lacks, and that are fixed for it.
         empty: What its file names and leaves empty, as `JOINT: KEY`; a driver needs it, an identification does not.
     """
 
@@ -111,6 +112,7 @@ class Arm:
     effort_declared: bool = False
     corrections: Corrections = field(default_factory=Corrections)
     package_path: tuple[str, ...] = ()
+    locked: tuple[str, ...] = ()
     empty: tuple[str, ...] = ()
 
     @property
@@ -128,6 +130,14 @@ class Arm:
         """(n,) posture of rest that its file states, zero for joints it leaves out; None: it states none."""
         stated = np.array([joint.start for joint in self.joints])
         return None if np.isnan(stated).all() else np.nan_to_num(stated)
+
+    @property
+    def effort_unit(self) -> str:
+        """What a table over all joints is in: `N m`, `N`, or both with the joints that slide."""
+        sliding = [joint.name for joint in self.joints if not joint.revolute]
+        if not sliding:
+            return TURNING.effort
+        return SLIDING.effort if len(sliding) == len(self.joints) else f"{TURNING.effort} (N: {', '.join(sliding)})"
 
     def with_gravity(self, gravity: FloatArray) -> Arm:
         """The same arm under another gravity vector (3,), m/s^2, base frame."""
@@ -183,6 +193,34 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
         raise UserError("the URDF has no actuated joint: check that its joints are not all fixed")
     vector = np.array(EARTH) if gravity is None else np.asarray(gravity, dtype=float)
     return Arm(model.name, tuple(joints), urdf, vector)
+
+
+def without_joints(arm: Arm, names: Collection[str]) -> Arm:
+    """The arm with some of its joints fixed: at its posture of rest where its file states one, else near zero.
+
+    Raises:
+        UserError: A coupled motor turns with one of them, or they are all it has.
+    """
+    for coupling in arm.couplings:
+        if tied := sorted(set(coupling.ratios) & set(names)):
+            raise UserError(f"joint {tied[0]!r} is not in the recordings, but motor {coupling.name} turns with it")
+    if set(names) >= set(arm.joint_names):
+        raise UserError(f"none of the arm's joints is in the recordings: it has {', '.join(arm.joint_names)}")
+    stated = {joint.name: joint.start for joint in arm.joints if joint.name in names and np.isfinite(joint.start)}
+    smaller = arm_from_urdf(locked(arm.urdf, names, stated))
+    known = {joint.name: joint for joint in arm.joints}
+    joints = tuple(
+        replace(
+            known[new.name],
+            parent=new.parent,
+            rotation=new.rotation,
+            translation=new.translation,
+            inertial=new.inertial,
+        )
+        for new in smaller.joints
+    )
+    fixed = tuple(joint for joint in arm.joint_names if joint in names)
+    return replace(arm, joints=joints, urdf=smaller.urdf, locked=(*arm.locked, *fixed))
 
 
 def _pinocchio_model(urdf: str) -> pin.Model:

@@ -69,10 +69,12 @@ def package_folders(urdf: str, folders: Sequence[str]) -> list[str]:
         name = mesh.get("filename", "")
         if any(path.is_file() for path in _exact(name, needed)):
             continue
-        for folder in _around(folders):
-            if any(path.is_file() for path in _exact(name, [str(folder)])):
-                needed.append(str(folder.resolve()))
-                break
+        # The folder that holds the package before the package itself.
+        places = [(folder, loose) for loose in (False, True) for folder in _around(folders)]
+        fits = (f for f, loose in places if any(path.is_file() for path in _exact(name, [str(f)], loose)))
+        folder = next(fits, None)
+        if folder is not None:
+            needed.append(str(folder.resolve()))
     return needed
 
 
@@ -80,14 +82,14 @@ def _candidates(name: str, folders: Sequence[str]) -> Iterator[Path]:
     yield from _exact(name, [str(folder) for folder in _around(folders)])
 
 
-def _exact(name: str, folders: Sequence[str]) -> Iterator[Path]:
-    """Files a name may mean, with packages in just these folders."""
+def _exact(name: str, folders: Sequence[str], loose: bool = True) -> Iterator[Path]:
+    """Files a name may mean, with packages in just these folders; `loose`: or with a package itself among them."""
     if name.startswith(_FILE):
         yield Path(name.removeprefix(_FILE))
     elif name.startswith(_PACKAGE):
         package, _, rest = name.removeprefix(_PACKAGE).partition("/")
         yield from (Path(folder) / package / rest for folder in folders)
-        yield from (Path(folder) / rest for folder in folders if rest)
+        yield from (Path(folder) / rest for folder in folders if rest and loose)
     else:
         yield from (Path(folder) / name for folder in folders or ("",))
 

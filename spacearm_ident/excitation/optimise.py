@@ -31,7 +31,7 @@ DRAWN, DESCENDED = 32, 2
 STAGES = ((6.0, 0.10, 40, 1e-2), (16.0, 0.06, 60, 3e-3), (64.0, 0.04, 40, 1e-3))
 """Sharpness, softness of the direction of motion (share of the velocity limit), steps, tolerance."""
 DRAWN_TOGETHER = 0.1
-"""A criterion (logarithm) worse by more after the final check: the motion had to be made much smaller, another is tried."""
+"""A criterion (logarithm) worse by more after the last check: the motion was made much smaller, another is tried."""
 SHRINK = (1.0, 0.7, 0.45, 0.25, 0.12, 0.05, 0.02)
 INFORMATION_HZ = 500.0
 RATE_HZ = 1000.0
