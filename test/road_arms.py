@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 
 def link(name: str, mass: float, centre: str = "0 0 0", size: tuple[float, float, float] = (0.1, 0.1, 0.1)) -> str:
     """A link with the inertia and the geometry of a box of so many metres."""
@@ -29,20 +31,8 @@ def limit(lower: float, upper: float, effort: float, velocity: float) -> str:
     return f'<limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="{velocity}"/>'
 
 
-SCARA = (
-    '<robot name="scara">'
-    + link("base", 20, "0 0 0.2", (0.2, 0.2, 0.4))
-    + link("upper", 6, "0.15 0 0", (0.3, 0.1, 0.08))
-    + link("fore", 4, "0.13 0 0", (0.26, 0.08, 0.08))
-    + link("quill", 1.0, "0 0 -0.1", (0.03, 0.03, 0.3))
-    + link("flange", 0.5, "0.02 0 -0.03", (0.08, 0.05, 0.03))
-    + joint("j1", "revolute", "base", "upper", "0 0 0.45", "0 0 1", limit(-2.3, 2.3, 120, 4))
-    + joint("j2", "revolute", "upper", "fore", "0.3 0 0.09", "0 0 1", limit(-2.4, 2.4, 60, 5))
-    + joint("j3", "prismatic", "fore", "quill", "0.26 0 0.05", "0 0 1", limit(-0.16, 0.0, 150, 0.8))
-    + joint("j4", "continuous", "quill", "flange", "0 0 -0.26", "0 0 1", '<limit effort="12" velocity="10"/>')
-    + "</robot>"
-)
-"""Two vertical axes, a quill, and a continuous last joint."""
+SCARA = (Path(__file__).parent.parent / "config" / "scara.urdf").read_text(encoding="utf-8")
+"""The tutorial's: two vertical axes, a quill, and a continuous last joint."""
 
 GANTRY = (
     '<robot name="gantry">'

@@ -17,6 +17,11 @@ import yaml
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
 from spacearm_ident.dynamics.urdf_chain import bounded, choose_joints, locked
+from spacearm_ident.excitation.clearance import Clearance
+from spacearm_ident.excitation.constraints import Requirements, check, limits_for_excitation, require
+from spacearm_ident.excitation.nominal import nominal_model
+from spacearm_ident.excitation.segments import Rest
+from spacearm_ident.excitation.trajectory import Trajectory
 from spacearm_ident.excitation.trajectory_file import load_trajectory
 from spacearm_ident.recording import read_recording, write_recording
 
