@@ -23,7 +23,7 @@ from .identification.identify import Progress, Settings
 from .identification.solvers import SEPARABLE
 from .recording import Recording, describe
 from .report.store import ARRAYS, MODEL, load_prior
-from .session import AUTO, Session, find_arm, identify_session, read_bags, settings_for, within
+from .session import AUTO, Session, find_arm, identify_session, locked_words, read_bags, settings_for, within
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,8 @@ def identify_bags(
         known=known,
         progress=within(report, 0.3, 1.0),
     )
-    return session, tuple(line for recording in recordings for line in describe(recording))
+    lines = [line for recording in recordings for line in describe(recording)]
+    return session, (*lines, *locked_words(arm))
 
 
 def arm_words(arm: Path | None, gravity: Sequence[float] | None) -> list[str]:

@@ -46,11 +46,12 @@ MISTAKES = frozenset(
 
 @dataclass(frozen=True)
 class MismatchSession:
-    """What came out: the explanation, the page to open, and all recordings that were read."""
+    """What came out: the explanation, the page to open, all recordings that were read, and the arm."""
 
     explanation: Explanation
     page: Path
     recordings: tuple[Recording, ...]
+    arm: Arm
 
 
 def explain_session(
@@ -105,7 +106,7 @@ def explain_session(
     else:
         explanation = explain(its_arm, known, bags, judges, excluded, progress=within(report, 0.15, 0.95))
     page = write_mismatch(explanation, its_arm, bags, judges, healthy, directory, command)
-    return MismatchSession(explanation, page, recordings)
+    return MismatchSession(explanation, page, recordings, its_arm)
 
 
 def mistakes(

@@ -15,11 +15,12 @@ import numpy as np
 
 from .conventions.check import check_conventions
 from .conventions.finding import ConventionReport
-from .dynamics.arm import Arm, arm_from_urdf, load_arm
+from .dynamics.arm import Arm, arm_from_urdf, load_arm, without_joints
 from .dynamics.effects import Effect
 from .dynamics.model import Structure, TorqueModel, over_temperature, structure_of
 from .dynamics.model_file import load_model
-from .errors import UserError
+from .dynamics.urdf_chain import JointTree
+from .errors import UnfitDataError, UserError
 from .identification.from_prior import GroundPrior
 from .identification.gravity import require_gravity_choice
 from .identification.identified import Identified, Validation
@@ -33,6 +34,10 @@ from .report.folder import write_result
 from .report.provenance import OPTIONS, provenance
 
 AUTO, VACUUM = "auto", "vacuum"
+LEAST_RATE_HZ = 25.0
+"""Slowest sampling that can be differentiated: five samples in a period of the lowest bandwidth a fit uses, 5 Hz."""
+USUAL_RATE_HZ = 100.0
+"""What any driver of an arm publishes, Hz."""
 ON_OTHERS = "on other recordings than the fit"
 ON_THE_FITTED = "on recordings of the fit itself"
 ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fit"
@@ -148,6 +153,7 @@ def read_bags(
 
     Raises:
         UserError: One cannot be read, or holds no joint states.
+        UnfitDataError: One is sampled slower than `LEAST_RATE_HZ`.
     """
     recordings = []
     paths = [bag for path in paths for bag in recordings_in(Path(path))]
@@ -156,6 +162,11 @@ def read_bags(
         recording = (
             read_log(path, arm, mapping).recording if is_log(path) else read_recording(path, namespace=namespace)
         )
+        if recording.rate_hz < LEAST_RATE_HZ:
+            raise UnfitDataError(
+                f"{path}: {recording.rate_hz:.3g} Hz is too slow: friction reverses, inertia acts between the samples; "
+                f"record joint states at {USUAL_RATE_HZ:g} Hz or more, {LEAST_RATE_HZ:g} Hz at the very least"
+            )
         recordings.append(replace(recording, base=None) if fixed_base else recording)
     return recordings
 
@@ -188,7 +199,29 @@ def find_arm(
         if urdf is None:
             raise UserError("no bag holds a /robot_description: name the arm's URDF or arm YAML as 'arm' (--arm FILE)")
         arm = arm_from_urdf(urdf)
+    if prior is None:
+        arm = _as_recorded(arm, recordings)
     return arm if gravity is None else arm.with_gravity(np.array(gravity, dtype=float))
+
+
+def _as_recorded(arm: Arm, recordings: Sequence[Recording]) -> Arm:
+    """The arm with those joints fixed that a recording lacks.
+
+    Where a recording has joints that the description does not know, a joint may only have another name there: then the
+    arm stays, and is refused for it.
+    """
+    lacking = {joint for joint in arm.joint_names for recording in recordings if joint not in recording.joints}
+    strange = {joint for recording in recordings for joint in recording.joints} - set(JointTree(arm.urdf).by_name)
+    if not lacking or strange or len(lacking) == len(arm.joints):
+        return arm
+    return without_joints(arm, lacking)
+
+
+def locked_words(arm: Arm) -> list[str]:
+    """A line on the joints that were fixed since the recordings lack them; none where there are none."""
+    if not arm.locked:
+        return []
+    return [f"not in the recordings, and taken as fixed: {', '.join(arm.locked)} (elsewhere than at 0: new-arm --lock)"]
 
 
 def settings_for(

@@ -129,7 +129,7 @@ def test_auto_tells_what_each_number_of_harmonics_gave(arm, tmp_path, capsys):
         *START,
     )
     out, err = excite(capsys, *words, "--out", tmp_path / "t.yaml")
-    assert out.startswith("prediction by number of harmonics 3: ") and "4: " in out
+    assert "\nprediction by number of harmonics 3: " in out and "4: " in out
     assert "capsules" in err and "CAD links alone" in err
 
 

@@ -62,7 +62,8 @@ def test_what_nobody_can_guess_is_refused_by_name_until_it_is_there(tmp_path, ca
     assert new_arm(tmp_path) == 0
     assert "24 values to fill in" in capsys.readouterr().out
     with pytest.raises(UserError, match=r"joint_1: gear_ratio is still empty"):
-        load_arm(tmp_path / "arm.yaml")
+        load_arm_can(tmp_path / "arm_can.yaml")
+    assert "joint_1: gear_ratio" in load_arm(tmp_path / "arm.yaml").empty, "an excitation does not need it"
     assert new_arm(tmp_path, "--force", *WORDS[: WORDS.index("--rated-current")]) == 0
     load_arm(tmp_path / "arm.yaml")
     with pytest.raises(UserError, match=r"joint_1: counts_per_turn is still empty"):
@@ -75,7 +76,9 @@ def test_what_the_urdf_lacks_is_assumed_and_marked(tmp_path):
     data = yaml.safe_load(texts["arm.yaml"])["joints"]
     assert data["turn"]["position_upper_rad"] == pytest.approx(math.pi)
     assert (data["slide"]["position_lower_rad"], data["slide"]["position_upper_rad"]) == (-1, 2)
-    assert data["turn"]["torque_limit_Nm"] is None and data["slide"]["torque_limit_Nm"] == 80
+    # One kilogram metre squared about a vertical axis: its inertia alone, at the acceleration assumed, twice.
+    assert data["turn"]["torque_limit_Nm"] == pytest.approx(2 * 2 * 1.0 * 1.0, rel=0.05)
+    assert data["slide"]["torque_limit_Nm"] == 80
     assert 0 < data["slide"]["velocity_limit_rad_s"] < data["turn"]["velocity_limit_rad_s"]
     marked = [line.strip() for line in texts["arm.yaml"].splitlines() if "# ASSUMED" in line]
     assert sum(line.startswith("velocity_limit") for line in marked) == 2

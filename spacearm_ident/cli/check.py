@@ -24,7 +24,7 @@ from ..conventions.finding import Level as Weight
 from ..errors import UserError
 from ..recording.ros_bags import is_ros_bag
 from ..recording.tables import is_log
-from ..session import corrected, within
+from ..session import corrected, locked_words, within
 from . import common
 
 DESCRIPTION = """
@@ -90,6 +90,8 @@ def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:
         arm = common.arm_of(options, recordings)
         found = check_conventions(corrected(recordings, arm), arm, progress=within(report, 0.2, 1.0))
     common.note_findings(options, recordings)
+    for line in locked_words(arm):
+        common.note(options, line)
     if options.json:
         common.print_json(found.as_dict())
     else:

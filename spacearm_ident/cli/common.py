@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -105,12 +106,32 @@ def print_json(value: Any) -> None:
     print(json.dumps(value, indent=2, allow_nan=False))
 
 
+LINE_EVERY_S = 10.0
+"""Between two lines of progress where standard error is no terminal; what is done sooner says nothing."""
+
+
+class _ProgressLines:
+    """Progress for a log: share done, what is being done, and the time taken so far."""
+
+    def __init__(self) -> None:
+        self._begun = self._last = time.monotonic()
+
+    def __call__(self, share: float, what: str) -> None:
+        now = time.monotonic()
+        if now - self._last >= LINE_EVERY_S:
+            self._last = now
+            print(f"{share:4.0%} {now - self._begun:5.0f} s  {what}", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def progress(options: argparse.Namespace) -> Iterator[Report]:
-    """A progress bar on standard error where that is a terminal; silent otherwise."""
+    """A progress bar on standard error where that is a terminal, else a line now and then."""
     console = Console(stderr=True)
-    if options.quiet or not console.is_terminal:
+    if options.quiet:
         yield lambda share, what: None
+        return
+    if not console.is_terminal:
+        yield _ProgressLines()
         return
     columns = (TextColumn("{task.description:<44}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:

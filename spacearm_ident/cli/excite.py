@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from ..canbus.arm_bus import EXTRAPOLATION
 from ..driver.playback import BRIDGED_ACCELERATION, EASED_ACCELERATION, acceleration_for_stalls
 from ..driver.safety import Margins
-from ..dynamics.arm import load_arm
+from ..dynamics.arm import Arm, load_arm
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.model_file import load_model
 from ..errors import UserError
@@ -24,18 +24,23 @@ from ..excitation.criteria import CRITERIA, CRITERION_WORDS, DEFAULT_CRITERION, 
 from ..excitation.genetic import evolve
 from ..excitation.joint_trajectory import PATH_RATE_HZ, save_joint_trajectory
 from ..excitation.nominal import nominal_model
-from ..excitation.optimise import Excitation, optimise, optimise_harmonics
+from ..excitation.optimise import GENTLE, Excitation, gentle, optimise, optimise_harmonics
 from ..excitation.problem import Problem
 from ..excitation.segments import FloatArray, MotionLimits
+from ..excitation.start_posture import possible_start, room_of
 from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import save_trajectory
+from ..report.excitation_html import excitation_html, write_page
+from ..session import within
 from . import common
 
 DESCRIPTION = """
 Optimise an excitation trajectory for an arm: a finite Fourier series whose recording tells most of the dynamics, with
 approach and return, under limits of position, velocity, acceleration, jerk, torque, frequency and clearance, all of
-them verified with their margins. The same --seed gives the same trajectory, another seed one with other coefficients:
-use it for validation. With --for, a composite run for one question instead (constant speeds, slow reversals, chirps).
+them verified with their margins. Beside it a gentle run of the same kind (40 % of the limits), to be recorded first,
+and a page that shows motion, limits, torques and postures. The same --seed gives the same trajectory, another seed one
+with other coefficients: use it for validation. With --for, a composite run for one question instead (constant speeds,
+slow reversals, chirps).
 """
 AUTO = "auto"
 METHODS = {"gradient": optimise, "genetic": evolve}
@@ -71,6 +76,9 @@ def add(commands: Any) -> None:
     command.add_argument("--fundamental", type=float, default=0.1, metavar="HZ", help="default 0.1")
     command.add_argument("--periods", type=int, default=5, help="how often the period is repeated (default 5)")
     command.add_argument(
+        "--no-gentle", dest="gentle", action="store_false", help="no gentle run, for an arm that is known already"
+    )
+    command.add_argument(
         "--slow", type=int, default=0, metavar="N", help="append N slow sines of 10 s, at most 0.01 rad/s (default 0)"
     )
     _add_limit_options(command)
@@ -81,7 +89,11 @@ def add(commands: Any) -> None:
 
 def _add_limit_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--start", type=float, nargs="+", metavar="RAD", help="posture of rest before and after (default: all zeros)"
+        "--start",
+        type=float,
+        nargs="+",
+        metavar="RAD",
+        help="posture of rest before and after (default: the arm file's, or one found)",
     )
     command.add_argument("--jerk", type=float, nargs="+", metavar="RAD/S3", help="jerk limit: one, or one a joint")
     command.add_argument(
@@ -107,11 +119,14 @@ def _add_limit_options(command: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Load, optimise, write."""
     identified = model_of(options)
-    joints = identified.model.arm.joint_names
-    start = _per_joint(options.start, joints, "--start")
-    needs, notes = requirements(options, identified, np.zeros(len(joints)) if start is None else start)
-    home = np.zeros(len(joints)) if start is None else start
-    excitation = None
+    stated = _per_joint(options.start, identified.model.arm.joint_names, "--start")
+    home = stated if stated is not None else identified.model.arm.start
+    needs, notes = requirements(
+        options, identified, np.zeros(len(identified.model.arm.joints)) if home is None else home
+    )
+    if home is None:
+        home = _found_start(identified.model.arm, needs, notes)
+    excitation = first = None
     with common.progress(options) as report:
         if options.purpose is not None:
             report(0.3, f"composing for {options.purpose}")
@@ -119,23 +134,62 @@ def run(options: argparse.Namespace) -> int:
         else:
             if options.joints is not None:
                 raise UserError("--joints goes with --for: a Fourier excitation moves all joints")
-            excitation = best(options, identified, needs, home, report)
+            excitation = best(options, identified, needs, home, within(report, 0.0, 0.95))
             trajectory = excitation.run
+            if options.gentle:
+                first = gentle(excitation)
             if options.slow:
                 trajectory = with_slow_segment(trajectory, needs, options.slow)
         margins = check(trajectory, needs) if excitation is None or options.slow else excitation.margins
-    origin = common.origin(options, options.arm, options.model)
-    save_trajectory(trajectory, options.out, origin)
-    if options.joint_trajectory is not None:
-        save_joint_trajectory(trajectory, options.joint_trajectory, origin)
-        notes.append(f"{options.joint_trajectory}: {PATH_RATE_HZ:g} points a second, begins in the posture of rest")
+        report(0.97, "writing")
+        files = write(options, needs, trajectory, margins, first)
     for line in notes:
         common.note(options, line)
     if options.json:
-        common.print_json(document(options, trajectory, margins, excitation))
+        common.print_json(document(options, trajectory, margins, excitation) | files)
     else:
-        print(summary(options, trajectory, margins, excitation, needs))
+        print(summary(options, trajectory, margins, excitation, needs, files))
     return 0
+
+
+def write(
+    options: argparse.Namespace,
+    needs: Requirements,
+    trajectory: Trajectory,
+    margins: Sequence[Margin],
+    first: Excitation | None,
+) -> dict[str, str]:
+    """Write the runs and their page; returns what was written beside the run, for `document`."""
+    origin = common.origin(options, options.arm, options.model)
+    save_trajectory(trajectory, options.out, origin)
+    files = {}
+    if options.joint_trajectory is not None:
+        save_joint_trajectory(trajectory, options.joint_trajectory, origin)
+        files["joint_trajectory"] = str(options.joint_trajectory)
+    if first is not None:
+        path = options.out.with_name(f"{options.out.stem}_gentle{options.out.suffix}")
+        save_trajectory(first.run, path, origin)
+        files["gentle"] = str(path)
+        if options.joint_trajectory is not None:
+            message = options.joint_trajectory
+            save_joint_trajectory(first.run, message.with_name(f"{message.stem}_gentle{message.suffix}"), origin)
+    page = options.out.with_suffix(".html")
+    runs = [(options.out.name, trajectory)] + ([] if first is None else [(Path(files["gentle"]).name, first.run)])
+    write_page(page, excitation_html(needs, runs, worst(margins)))
+    return files | {"page": str(page)}
+
+
+def _found_start(arm: Arm, needs: Requirements, notes: list[str]) -> FloatArray:
+    """All zeros where the arm can rest there, else a posture found."""
+    zero = np.zeros(len(arm.joints))
+    if room_of(needs, zero[None])[0] > 0.0:
+        return zero
+    found = possible_start(arm, needs)
+    if found is None:
+        return zero
+    words = " ".join(f"{value:g}" for value in found)
+    notes.append(f"starts from {words}, since all zeros is not possible: --start or start_position_rad for another")
+    return found
 
 
 def model_of(options: argparse.Namespace) -> IdentifiedModel:
@@ -310,9 +364,15 @@ def summary(
     margins: Sequence[Margin],
     excitation: Excitation | None,
     needs: Requirements,
+    files: Mapping[str, str],
 ) -> str:
     """The result on a terminal."""
-    lines = []
+    lines = [f"{options.out}: {trajectory.duration_s:.1f} s, all limits of {len(needs.joints)} joints kept"]
+    if "gentle" in files:
+        lines.append(f"record first: {files['gentle']}, at most {GENTLE:.0%} of the velocity and acceleration limits")
+    if "joint_trajectory" in files:
+        lines.append(f"{files['joint_trajectory']}: {PATH_RATE_HZ:g} points a second, begins in the posture of rest")
+    lines.append(f"to look at: {files['page']}")
     if excitation is None:
         lines.append(f"for {options.purpose}: {PURPOSES[options.purpose]}")
     else:
@@ -324,13 +384,13 @@ def summary(
         for name, value in excitation.criteria.items():
             chosen = "  <- optimised" if name == options.criterion else ""
             lines.append(f"  {CRITERION_WORDS[name]:<64}{value:>10.4g}{chosen}")
-        sd = ", ".join(f"{value:.3g}" for value in excitation.prediction_sd)
-        lines.append(f"sd of predicted torque, N m, by joint: {sd}")
+        arm = needs.identified.model.arm
+        sd = ", ".join(f"{value:.3g} {j.units.effort}" for value, j in zip(excitation.prediction_sd, arm.joints))
+        lines.append(f"standard deviation of predicted torque by joint: {sd}")
         errors = whole_errors(excitation, trajectory)
         if errors:
             lines.append("relative errors: " + ", ".join(f"{name} {value:.2g}" for name, value in errors.items()))
     lines.append(f"{'limit':<14}{'nearest to it':<28}{'value':>10}{'limit':>10} {'unit':<8}{'used':>6}")
     for m in worst(margins):
         lines.append(f"{m.kind:<14}{m.where:<28}{m.value:>10.4g}{m.limit:>10.4g} {m.unit:<8}{m.used:>6.0%}")
-    lines.append(f"{options.out}: {trajectory.duration_s:.1f} s, all limits of {len(needs.joints)} joints kept")
     return "\n".join(lines)

@@ -168,6 +168,7 @@ def _symbols(text: str) -> tuple[str, ...]:
 def summary(identified: Identified, validation: Validation, page: Path) -> str:
     """The result on a terminal."""
     bandwidth = identified.bandwidth
+    units = {joint.name: joint.units.effort for joint in identified.model.model.arm.joints}
     lines = [
         *judge_result(identified, validation).lines,
         f"solver {identified.solver}",
@@ -175,12 +176,12 @@ def summary(identified: Identified, validation: Validation, page: Path) -> str:
         *identified.notes,
         *_beyond_the_plain_law(identified),
         f"validated {validation.what}",
-        f"{'joint':<24}{'RMSE N m':>10}{'max N m':>10}{'R':>8}{'rel. RMS':>10}{'moving':>9}",
+        f"{'joint':<24}{'RMSE':>10}{'max':>10} {'unit':<5}{'R':>8}{'rel. RMS':>10}{'moving':>9}",
     ]
     for joint, figures in validation.joints.items():
         fit = figures.everything
         lines.append(
-            f"{joint:<24}{fit.rmse:>10.3f}{fit.largest:>10.3f}{fit.correlation:>8.4f}"
+            f"{joint:<24}{fit.rmse:>10.3f}{fit.largest:>10.3f} {units[joint]:<5}{fit.correlation:>8.4f}"
             f"{fit.relative_rms:>10.1%}{figures.moving.relative_rms:>9.1%}"
         )
     known = sum(estimate.identifiable for estimate in identified.estimates)

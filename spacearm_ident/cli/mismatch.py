@@ -12,6 +12,7 @@ from ..errors import UserError
 from ..mismatch.document import NEXT_RUN, to_document
 from ..mismatch.finding import DATA_UNFIT, Explanation, Finding
 from ..mismatch_session import explain_session
+from ..session import locked_words
 from . import common
 
 DESCRIPTION = """
@@ -78,10 +79,12 @@ def run(options: argparse.Namespace) -> int:
             progress=report,
         )
     common.note_findings(options, session.recordings)
+    for line in locked_words(session.arm):
+        common.note(options, line)
     if options.json:
         print(json.dumps(to_document(session.explanation), indent=2, allow_nan=False))
     else:
-        print(summary(session.explanation, session.page))
+        print(summary(session.explanation, session.page, session.arm.effort_unit))
     return 1 if session.explanation.verdict == DATA_UNFIT else 0
 
 
@@ -106,14 +109,14 @@ def sort_bags(
     return bags, [path for group in reference for path in group], [path for group in validate for path in group]
 
 
-def summary(explanation: Explanation, page: Path) -> str:
-    """The result on a terminal."""
+def summary(explanation: Explanation, page: Path, unit: str) -> str:
+    """The result on a terminal, residuals in `unit`."""
     lines = [explanation.verdict.replace("_", " ")]
     lines += [f"  {reason}" for reason in explanation.reasons]
     for finding in explanation.findings:
         lines += _finding_lines(finding)
     if explanation.verdict != DATA_UNFIT:
-        lines.append(f"residual RMS, N m, on {explanation.judged_on}")
+        lines.append(f"residual RMS, {unit}, on {explanation.judged_on}")
         heads = ("healthy", "detectable", "before", "after")
         lines.append(f"{'joint':24}" + "".join(f"{head:>11}" for head in heads))
         columns = (

@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..commissioning.starter import ARM_FILE, CAN_FILE, NODES_FILE, DataSheet, starter_files
-from ..dynamics.arm import arm_from_urdf
+import numpy as np
+
+from ..commissioning.starter import ARM_FILE, CAN_FILE, NODES_FILE, DataSheet, completed, starter_files
+from ..dynamics.arm import Arm, FloatArray, arm_from_urdf
+from ..dynamics.meshes import package_folders, resolve_meshes
+from ..dynamics.urdf_chain import Selection, choose_joints, locked
 from ..errors import UserError
+from ..excitation.clearance import Clearance
+from ..excitation.constraints import Requirements, limits_for_excitation
+from ..excitation.nominal import nominal_model
+from ..excitation.start_posture import possible_start
+from ..recording.intake import listing as listed
 
 DESCRIPTION = f"""
-Write the files of an arm into DIR: {ARM_FILE} (limits, gears), {CAN_FILE} (buses and drives), {NODES_FILE} (parameters
-of the ROS nodes), layouts for Foxglove and PlotJuggler, with URDF and EDS beside them. Every line of the YAML says
-where its value is from: URDF, ASSUMED, or FILL IN for what nobody can guess; 'spacearm check DIR' says what is still
-missing. What the data sheets say can be given here at once, one number for all joints or one a joint.
+Write the files of an arm into DIR: its URDF with every joint locked that is not the arm's, {ARM_FILE} (limits, a
+posture to start from), {NODES_FILE} (parameters of the ROS nodes), layouts for Foxglove and PlotJuggler. Every value
+says where it is from: URDF, ASSUMED, or FILL IN for what nobody can guess; 'spacearm check DIR' says what is
+still missing. With --eds, --interface or a number from a data sheet also {CAN_FILE}, for CANopen drives. Without
+--base, --tip or --joints the arm is the longest chain; fingers, grippers and joints that mimic others become payload.
 """
 SHEET = {
     "gear_ratio": "motor turns a joint turn (also taken from the URDF's transmissions)",
@@ -32,10 +45,10 @@ def add(commands: Any) -> None:
     command.add_argument("--eds", type=Path, metavar="FILE", help="the drives' electronic data sheet (CiA 306)")
     command.add_argument(
         "--interface",
-        default="socketcan",
         metavar="NAME",
-        help="python-can's interface (default socketcan); local: the simulated arm",
+        help="of CANopen drives, python-can's name (socketcan unless said); local: the simulated arm",
     )
+    _add_chain_options(command)
     for key, words in SHEET.items():
         option = f"--{key.replace('_', '-')}"
         command.add_argument(option, type=float, nargs="+", default=(), metavar="N", help=words)
@@ -43,11 +56,35 @@ def add(commands: Any) -> None:
     command.set_defaults(run=run)
 
 
+def _add_chain_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--base", metavar="LINK", help="link at which the arm begins (default: the root)")
+    command.add_argument("--tip", metavar="LINK", help="link at which it ends (default: the end of the longest chain)")
+    command.add_argument("--joints", nargs="+", default=(), metavar="JOINT", help="its joints, instead of base and tip")
+    command.add_argument(
+        "--lock",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=VALUE",
+        help="where a joint that is not the arm's stands, rad or m (default: 0, or the limit next to it)",
+    )
+    command.add_argument(
+        "--package-path",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="FOLDER",
+        help="folder that holds the packages whose meshes the URDF names (also ROS_PACKAGE_PATH, AMENT_PREFIX_PATH)",
+    )
+
+
 def run(options: argparse.Namespace) -> int:
-    """Read, write, say what is next."""
-    urdf = _read(options.urdf, "URDF")
+    """Read, choose the arm's joints, write, say what is next."""
+    whole = _read(options.urdf, "URDF")
+    if options.joints and (options.base or options.tip):
+        raise UserError("--joints says it all: leave out --base and --tip")
     try:
-        arm = arm_from_urdf(urdf)
+        chosen, urdf, arm = _arm(whole, options)
     except UserError as error:
         raise UserError(f"{options.urdf}: {error}") from error
     texts = {options.urdf.name: urdf}
@@ -55,12 +92,94 @@ def run(options: argparse.Namespace) -> int:
         texts[options.eds.name] = _read(options.eds, "EDS")
     sheet = DataSheet(**{key: getattr(options, key) for key in SHEET})
     eds = None if options.eds is None else options.eds.name
-    texts |= starter_files(arm, options.urdf.name, eds, sheet, options.out.resolve(), options.interface)
+    canopen = bool(eds or options.interface or any(getattr(options, key) for key in SHEET))
+    start = _start(arm)
+    texts |= starter_files(
+        arm,
+        options.urdf.name,
+        eds,
+        sheet,
+        options.out.resolve(),
+        options.interface or "socketcan",
+        canopen=canopen,
+        start=None if start is None else start.tolist(),
+        package_path=package_folders(urdf, arm.package_path),
+    )
     _write(options.out, texts, options.force)
-    empty = sum(line.count("# FILL IN:") for text in texts.values() for line in text.splitlines())
-    print(f"{options.out}: {', '.join(texts)}")
-    print(f"{empty} values to fill in; then: spacearm check {options.out}")
+    print("\n".join(_summary(options, chosen, arm, texts, start, canopen)))
     return 0
+
+
+def _arm(whole: str, options: argparse.Namespace) -> tuple[Selection, str, Arm]:
+    """The joints chosen, the URDF in which only they move, and its arm."""
+    chosen = choose_joints(whole, options.base, options.tip, options.joints)
+    others = (*chosen.hand, *chosen.others)
+    urdf = locked(whole, others, _positions(options.lock)) if others or options.lock else whole
+    folders = (str(options.urdf.parent), *options.package_path)
+    return chosen, urdf, replace(arm_from_urdf(urdf), package_path=folders)
+
+
+def _positions(words: Sequence[str]) -> dict[str, float]:
+    """`NAME=VALUE` words.
+
+    Raises:
+        UserError: One is something else.
+    """
+    found = {}
+    for word in words:
+        name, equals, value = word.rpartition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            equals = ""
+        if not (equals and name and math.isfinite(found[name])):
+            raise UserError(f"--lock {word}: give NAME=VALUE, as in --lock torso_lift_joint=0.15")
+    return found
+
+
+def _start(arm: Arm) -> FloatArray | None:
+    """A posture to start from; None where none is possible, or limits leave no room."""
+    full = completed(arm)
+    try:
+        limits, _ = limits_for_excitation(full, np.zeros(len(arm.joints)))
+    except UserError:
+        return None
+    ground = 0.0 if full.gravity[2] < 0 else None
+    clearance = Clearance(full, ground, limits.lower, limits.upper)
+    return possible_start(full, Requirements.of(nominal_model(full), limits, clearance=clearance))
+
+
+def _summary(
+    options: argparse.Namespace,
+    chosen: Selection,
+    arm: Arm,
+    texts: Mapping[str, str],
+    start: FloatArray | None,
+    canopen: bool,
+) -> list[str]:
+    """What was written and decided, and what is next."""
+    lines = [f"{options.out}: {', '.join(texts)}"]
+    lines.append(f"the arm: {len(arm.joints)} joints, {listed(arm.joint_names)}")
+    if chosen.hand:
+        lines.append(f"payload of {arm.joint_names[-1]}, locked: {listed(chosen.hand)}")
+    if chosen.others:
+        lines.append(f"locked where they are (--lock NAME=VALUE: elsewhere): {listed(chosen.others)}")
+    if start is None:
+        lines.append("no posture to start from was found: give excite one with --start, or correct limits and masses")
+    elif start.any():
+        lines.append(f"starts from {' '.join(f'{value:g}' for value in start)}: all zeros is not possible, or tight")
+    if advice := resolve_meshes(arm.urdf, arm.package_path).advice:
+        lines.append(f"{advice}; until then distances are kept by capsules")
+    rows = [line for text in texts.values() for line in text.splitlines()]
+    guesses = sum("# ASSUMED" in row for row in rows)
+    empty = sum(row.count("# FILL IN:") for row in rows)
+    if not canopen:
+        lines.append(
+            "where this package's driver drives it (CANopen): --eds, --interface, or a number from a data sheet"
+        )
+    lines.append(f"{guesses} values assumed: look them through")
+    lines.append(f"{empty} values to fill in; then: spacearm check {options.out}")
+    return lines
 
 
 def _read(path: Path, what: str) -> str:

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.arm import Arm, load_arm
+from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
+from ..dynamics.rigid_body import RigidBody
 from ..errors import UserError
 from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import load_trajectory
@@ -19,14 +21,15 @@ from ..recording import Recording, write_recording
 from ..simulation.closed_loop import SensorNoise, simulate_run
 from ..simulation.concealed import Concealment, Effect, load_concealed
 from ..simulation.concealed.from_model import simulated_arm
+from ..simulation.own_arm import STATED, default_model, drives_of
 from ..simulation.parameters import PlantParameters
-from ..simulation.servo import DriveData
 from ..simulation.thermal import ThermalParameters, surroundings
 from . import common
 
 DESCRIPTION = """
 Move a simulated arm along a trajectory, in closed loop and with real sensors' noise, and write the recording as an
-MCAP file (or, where BAG does not end in .mcap, as a rosbag2 folder). With --conceal the arm also obeys physics that
+MCAP file (or, where BAG does not end in .mcap, as a rosbag2 folder). With --arm alone it is an arm of its description:
+CAD inertials, and friction of a default that is stated. With --conceal the arm also obeys physics that
 its model does not tell of: a YAML file `schema: spacearm_ident/conceal/1`, `effects: [{effect: torque_ripple, joints:
 [joint_3], parameters: {amplitude: 1.1, cycles: 24}}]`.
 """
@@ -37,15 +40,14 @@ def add(commands: Any) -> None:
     command = commands.add_parser("simulate", help="record the simulated arm", description=DESCRIPTION)
     command.add_argument(
         "--model",
-        required=True,
         type=Path,
         metavar="FILE",
-        help="what the arm obeys: a model.yaml or extended_model.yaml",
+        help="what the arm obeys: a model.yaml or extended_model.yaml; default: CAD inertials of --arm, and friction",
     )
     command.add_argument("--trajectory", required=True, type=Path, metavar="FILE", help="what it is to follow")
     command.add_argument("--out", required=True, type=Path, metavar="BAG", help="recording to write")
     command.add_argument(
-        "--arm", type=Path, metavar="FILE", help="arm YAML with gear ratios, torque constants and torque limits"
+        "--arm", type=Path, metavar="FILE", help="URDF, or arm YAML with gear ratios, torque constants, torque limits"
     )
     command.add_argument("--conceal", type=Path, metavar="FILE", help="physics to add that the model does not know")
     command.add_argument(
@@ -80,8 +82,7 @@ def run(options: argparse.Namespace) -> int:
         raise UserError(f"--noise {options.noise:g} is negative: give 0 for none, 1 for the default")
     if options.base_imu < 0:
         raise UserError(f"--base-imu {options.base_imu:g} is negative: give its rate in Hz, such as 200")
-    model = load_model(options.model)
-    arm = model.model.arm if options.arm is None else load_arm(options.arm)
+    model, arm = model_of(options)
     parameters, effects = simulated_arm(model, arm.urdf)
     if options.gravity is not None:
         parameters = replace(parameters, gravity=np.array(options.gravity))
@@ -107,6 +108,24 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(f"{options.out}: {recording.time[-1]:.1f} s, {len(recording.time)} samples")
     return 0
+
+
+def model_of(options: argparse.Namespace) -> tuple[IdentifiedModel, Arm]:
+    """What the arm obeys, and the arm with its drives.
+
+    Raises:
+        UserError: Neither model nor arm is given, or the model has no links.
+    """
+    if options.model is None:
+        if options.arm is None:
+            raise UserError("nothing to simulate: give --arm ARM (URDF or arm YAML), --model model.yaml, or both")
+        arm = load_arm(options.arm)
+        common.note(options, STATED)
+        return default_model(arm), arm
+    model = load_model(options.model)
+    if not any(isinstance(term, RigidBody) for term in model.model.terms):
+        raise UserError(f"{options.model} has no rigid_body term: its links would weigh nothing; name a whole model")
+    return model, model.model.arm if options.arm is None else load_arm(options.arm)
 
 
 def record(
@@ -144,12 +163,7 @@ def record(
             accelerometer_noise=noise * usual.accelerometer_noise,
         )
     )
-    drives = DriveData.plain(
-        len(arm.joints),
-        gear_ratio=np.array([joint.gear_ratio for joint in arm.joints]),
-        torque_constant=np.array([joint.torque_constant for joint in arm.joints]),
-        torque_limit=np.array([joint.effort_limit for joint in arm.joints]),
-    )
+    drives = drives_of(arm)
     return simulate_run(
         parameters,
         trajectory,

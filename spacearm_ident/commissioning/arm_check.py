@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pinocchio as pin
 
-from ..dynamics.arm import Arm, arm_from_description, load_arm
+from ..dynamics.arm import DRIVE_KEYS, Arm, arm_from_description, load_arm
+from ..dynamics.demand import drawn_postures, gravity_torques
 from ..errors import UserError
 from ..identification.consistency import pseudo_inertia
 from .result import CheckResult, fail, ok, warn
 from .yaml_file import empty_keys, read_yaml, to_fill_in
 
-POSTURES: Final = 300
-"""Random postures in which gravity is compared with the torque limits."""
 HOLDING_SHARE: Final = 0.9
 GRAVITIES: Final = {"Earth": 9.81, "Mars": 3.72, "the Moon": 1.62}
 FASTEST: Final = 20.0
@@ -31,7 +29,14 @@ def check_arm(path: Path) -> list[CheckResult]:
     try:
         if path.suffix in (".yaml", ".yml"):
             data = read_yaml(path)
-            if empty := empty_keys(data):
+            empty = empty_keys(data)
+            drives = {key: empty.pop(key) for key in DRIVE_KEYS if key in empty}
+            if drives:
+                lacking = to_fill_in("drives", path, data, drives)
+                advice = f"{lacking.advice} for the CANopen driver, or effort in A; else leave them out"
+                results.append(warn("drives", lacking.message, advice))
+                arm = _without_empty(data, path)
+            if empty:
                 results.append(to_fill_in("arm file", path, data, empty))
                 arm = _without_empty(data, path)
         arm = arm or load_arm(path)
@@ -39,7 +44,7 @@ def check_arm(path: Path) -> list[CheckResult]:
         return [*results, fail("arm file", str(error), "correct it; config/paper_arm.yaml is an example")]
     turning = sum(joint.revolute for joint in arm.joints)
     what = f"{arm.name}: {turning} revolute and {len(arm.joints) - turning} prismatic joints"
-    if not results:
+    if not any(result.subject == "arm file" for result in results):
         results.append(ok("arm file", what))
     return [*results, *_inertials(arm), *_limits(arm), _gravity(arm), *_holding(arm), *_gears(arm), *_couplings(arm)]
 
@@ -130,15 +135,10 @@ def _gravity(arm: Arm) -> CheckResult:
 
 def _holding(arm: Arm) -> Iterator[CheckResult]:
     """Torque of gravity by the CAD links against the torque limits."""
-    bounds = np.array([(max(j.lower, -np.pi), min(j.upper, np.pi), j.effort_limit) for j in arm.joints]).T
-    if not arm.gravity.any() or not np.all(bounds[1] > bounds[0]):
+    if not arm.gravity.any() or not all(joint.upper > joint.lower for joint in arm.joints):
         return
-    model = pin.buildModelFromXML(arm.urdf)
-    model.gravity.linear = arm.gravity
-    data, neutral = model.createData(), pin.neutral(model)
-    draws = np.random.default_rng(0).uniform(bounds[0], bounds[1], (POSTURES, len(arm.joints)))
-    torques = [pin.computeGeneralizedGravity(model, data, pin.integrate(model, neutral, q)).copy() for q in draws]
-    share = np.abs(torques).max(axis=0) / bounds[2]
+    limits = np.array([joint.effort_limit for joint in arm.joints])
+    share = np.abs(gravity_torques(arm, drawn_postures(arm))).max(axis=0) / limits
     worst = int(np.argmax(share))
     what = f"gravity takes up to {share[worst]:.0%} of a torque limit ({arm.joint_names[worst]}), by the CAD links"
     if share[worst] > HOLDING_SHARE:

@@ -2,7 +2,8 @@
 
 Where the URDF says something it is taken and marked `URDF`. What can be guessed cautiously is marked `ASSUMED`. What
 cannot be guessed (gear ratios, torque constants, what a drive's per mille stand for) is left empty and marked
-`FILL IN`: the loaders refuse an empty value by its name, and `spacearm check` lists them all.
+`FILL IN`: what needs an empty value refuses it by its name, and `spacearm check` lists them all. Nothing of that is
+asked where the arm's own driver publishes torque: then there is no CAN file, and no drive's constants.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +20,7 @@ import yaml
 from ..canbus.bus_load import BusLoad, Traffic, bus_load
 from ..driver.arm_can import CAN_SCHEMA
 from ..dynamics.arm import ARM_SCHEMA, Arm, Joint
+from ..dynamics.demand import torque_asked
 from ..errors import UserError
 from .layouts import FOXGLOVE, PLOTJUGGLER, foxglove_layout, plotjuggler_layout
 
@@ -27,6 +29,12 @@ CAN_FILE: Final = "arm_can.yaml"
 NODES_FILE: Final = "arm_nodes.yaml"
 CAUTIOUS_VELOCITY: Final = {True: 0.5, False: 0.05}
 """Velocity limit where the URDF has none, by whether the joint turns: rad/s or m/s."""
+CAUTIOUS_TRAVEL: Final = {True: math.pi, False: 0.25}
+"""Position limit to either side where the URDF has none: half a turn, for the cables' sake; a quarter of a metre."""
+TORQUE_RESERVE: Final = 2.0
+"""Torque limit where the URDF has none, over what the CAD links ask (`dynamics.demand`), for friction and rotors."""
+PLACEHOLDER_RATIO: Final = 1.0
+"""A transmission of 1 stands in most URDFs because ros_control wanted one, and is not the gear's."""
 UP_TO_SPEED_S: Final = 0.5
 """Acceleration limit: the velocity limit in so long, as `spacearm excite` assumes."""
 COMFORTABLE: Final = 0.85
@@ -87,7 +95,16 @@ class Entry:
 
 
 def starter_files(
-    arm: Arm, urdf: str, eds: str | None, sheet: DataSheet, directory: Path, interface: str = "socketcan"
+    arm: Arm,
+    urdf: str,
+    eds: str | None,
+    sheet: DataSheet,
+    directory: Path,
+    interface: str = "socketcan",
+    *,
+    canopen: bool = True,
+    start: Sequence[float] | None = None,
+    package_path: Sequence[str] = (),
 ) -> Mapping[str, str]:
     """Names and texts of the files.
 
@@ -98,21 +115,51 @@ def starter_files(
         sheet: What is known of gears, motors and drives.
         directory: Where the files will be; the nodes' parameters name it.
         interface: python-can's, or `local` for the simulated arm.
+        canopen: Whether this package's driver is to drive the arm: its constants and a CAN file are asked for.
+        start: (n,) posture of rest, rad or m; None: none is known.
+        package_path: Folders in which the URDF's meshes are.
 
     Raises:
         UserError: The numbers of the sheet do not fit the arm.
     """
-    return {
-        ARM_FILE: _arm_yaml(arm, urdf, sheet),
-        CAN_FILE: _can_yaml(arm, eds, sheet, interface),
-        NODES_FILE: _nodes_yaml(directory),
+    files = {ARM_FILE: _arm_yaml(arm, urdf, sheet, canopen, start, package_path)}
+    if canopen:
+        files[CAN_FILE] = _can_yaml(arm, eds, sheet, interface)
+    return files | {
+        NODES_FILE: _nodes_yaml(directory, canopen),
         FOXGLOVE: foxglove_layout(arm.joint_names),
         PLOTJUGGLER: plotjuggler_layout(arm.name, arm.joint_names),
     }
 
 
+def completed(arm: Arm) -> Arm:
+    """The arm with a limit for everything that its description does not limit; `_joint_entries` marks those."""
+    joints = []
+    for joint in arm.joints:
+        velocity = joint.velocity_limit
+        velocity = velocity if math.isfinite(velocity) else CAUTIOUS_VELOCITY[joint.revolute]
+        travel = CAUTIOUS_TRAVEL[joint.revolute]
+        lower, upper = (joint.lower, joint.upper) if _has_travel(joint) else (-travel, travel)
+        acceleration = min(joint.acceleration_limit, velocity / UP_TO_SPEED_S)
+        joints.append(
+            replace(joint, lower=lower, upper=upper, velocity_limit=velocity, acceleration_limit=acceleration)
+        )
+    arm = replace(arm, joints=tuple(joints))
+    asked = TORQUE_RESERVE * torque_asked(arm)
+    limits = [
+        joint.effort_limit if math.isfinite(joint.effort_limit) or not most > 0 else float(f"{most:.2g}")
+        for joint, most in zip(arm.joints, asked)
+    ]
+    return replace(arm, joints=tuple(replace(joint, effort_limit=limit) for joint, limit in zip(arm.joints, limits)))
+
+
+def _has_travel(joint: Joint) -> bool:
+    """Whether its position limits leave it room: many URDFs give only `effort` and `velocity`, which leaves 0 to 0."""
+    return math.isfinite(joint.upper - joint.lower) and joint.upper > joint.lower
+
+
 def gear_ratios(urdf: str) -> dict[str, float]:
-    """Joint -> reduction, where the URDF has `<transmission>` elements that say one."""
+    """Joint -> reduction, where the URDF has `<transmission>` elements that say one other than the placeholder."""
     found = {}
     for transmission in ET.fromstring(urdf).iter("transmission"):
         texts = [item.text for item in transmission.iter("mechanicalReduction") if item.text]
@@ -121,24 +168,35 @@ def gear_ratios(urdf: str) -> dict[str, float]:
             ratio = abs(float(texts[0])) if len(texts) == 1 and len(joints) == 1 else 0.0
         except ValueError:
             continue
-        if ratio > 0 and joints[0]:
+        if ratio not in (0.0, PLACEHOLDER_RATIO) and joints[0]:
             found[joints[0]] = ratio
     return found
 
 
-def _arm_yaml(arm: Arm, urdf: str, sheet: DataSheet) -> str:
+def _arm_yaml(
+    arm: Arm, urdf: str, sheet: DataSheet, canopen: bool, start: Sequence[float] | None, package_path: Sequence[str]
+) -> str:
+    full = completed(arm)
     reductions = gear_ratios(arm.urdf)
     lines = [
         f"# What is known of {arm.name} before it is identified; everything on the output side of the gears, SI.",
         _HEAD,
         f"schema: {ARM_SCHEMA}",
         f"urdf: {_quoted(urdf)}  # kinematics, and CAD inertials as prior",
+    ]
+    if package_path:
+        lines.append(f"package_path: [{', '.join(map(_quoted, package_path))}]  # where its meshes are")
+    lines += [
         "gravity_m_s2: [0, 0, -9.81]  # ASSUMED: in the base frame; [0, 0, 0] in orbit",
         "joints:  # prismatic joints have m and N in place of rad and N m, under the same keys",
     ]
-    for number, joint in enumerate(arm.joints):
+    for number, (joint, whole) in enumerate(zip(arm.joints, full.joints)):
         lines.append(f"  {_quoted(joint.name)}:" + ("" if joint.revolute else "  # prismatic"))
-        lines += map(str, _joint_entries(joint, number, len(arm.joints), sheet, reductions.get(joint.name)))
+        if canopen:
+            lines += map(str, _drive_entries(joint, number, len(arm.joints), sheet, reductions.get(joint.name)))
+        lines += map(str, _limit_entries(joint, whole))
+        if start is not None:
+            lines.append(str(Entry("start_position_rad", start[number], "ASSUMED: rests here before and after a run")))
     lines += [
         "# A wrist whose last motor turns with two joints: [{name: motor_6, ratios: {joint_5: 1.0, joint_6: 1.0}}]",
         "couplings: []",
@@ -146,30 +204,40 @@ def _arm_yaml(arm: Arm, urdf: str, sheet: DataSheet) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _joint_entries(joint: Joint, number: int, count: int, sheet: DataSheet, reduction: float | None) -> list[Entry]:
+def _drive_entries(joint: Joint, number: int, count: int, sheet: DataSheet, reduction: float | None) -> list[Entry]:
     gear = sheet.of("gear_ratio", number, count)
-    velocity = joint.velocity_limit
-    limited = math.isfinite(velocity)
-    if not limited:
-        velocity = CAUTIOUS_VELOCITY[joint.revolute]
-    bounded = math.isfinite(joint.upper - joint.lower)
-    lower, upper = (joint.lower, joint.upper) if bounded else (-math.pi, math.pi)
-    bounds = "URDF" if bounded else "ASSUMED: no limit in the URDF; half a turn, for the cables' sake"
-    torque = joint.effort_limit if math.isfinite(joint.effort_limit) else None
     return [
         Entry("gear_ratio", gear or reduction, "motor turns a joint turn" if gear or not reduction else "URDF"),
         Entry(
             "torque_constant_Nm_per_A", sheet.of("torque_constant", number, count), "at the motor, by its data sheet"
         ),
-        Entry("position_lower_rad", lower, bounds),
-        Entry("position_upper_rad", upper, bounds),
-        Entry("velocity_limit_rad_s", velocity, "URDF" if limited else "ASSUMED: the URDF has none"),
+    ]
+
+
+def _limit_entries(joint: Joint, whole: Joint) -> list[Entry]:
+    """Limits of a joint, of which `whole` has those that its description lacks as well."""
+    travel = "half a turn, for the cables' sake" if joint.revolute else "a short way"
+    bounds = "URDF" if _has_travel(joint) else f"ASSUMED: no limit in the URDF; {travel}"
+    if math.isfinite(joint.effort_limit):
+        torque, source = whole.effort_limit, "URDF"
+    elif math.isfinite(whole.effort_limit):
+        torque, source = whole.effort_limit, f"ASSUMED: {TORQUE_RESERVE:g} times what its CAD links ask; URDF has none"
+    else:
+        torque, source = None, "the most gear and motor bear"
+    return [
+        Entry("position_lower_rad", whole.lower, bounds),
+        Entry("position_upper_rad", whole.upper, bounds),
+        Entry(
+            "velocity_limit_rad_s",
+            whole.velocity_limit,
+            "URDF" if math.isfinite(joint.velocity_limit) else "ASSUMED: the URDF has none",
+        ),
         Entry(
             "acceleration_limit_rad_s2",
-            velocity / UP_TO_SPEED_S,
+            whole.acceleration_limit,
             f"ASSUMED: up to speed in {UP_TO_SPEED_S:g} s",
         ),
-        Entry("torque_limit_Nm", torque, "the most gear and motor bear" if torque is None else "URDF"),
+        Entry("torque_limit_Nm", torque, source),
     ]
 
 
@@ -232,23 +300,40 @@ def buses_for(axes: int) -> tuple[int, BusLoad]:
     return buses, load
 
 
-def _nodes_yaml(directory: Path) -> str:
+def _nodes_yaml(directory: Path, canopen: bool) -> str:
     arm, can = (_quoted(str(directory / name)) for name in (ARM_FILE, CAN_FILE))
-    lines = [
+    driver = _node("canopen_driver", f"can_config: {can}", "connect_timeout_s: 30.0  # 0: wait for the drives for ever")
+    simulated = _node(
+        "simulated_arm",
+        f"can_config: {can}",
+        f"# model: {directory / 'identified' / 'model.yaml'}  # once there is one: what the simulated arm obeys",
+    )
+    head = [
         "# Parameters of all nodes for this arm; `ros2 param describe /NODE NAME` explains one. They are used with",
         "# `spacearm node NODE --ros-args --params-file THIS_FILE`. `ros2 launch spacearm_ident spacearm.launch.py`",
         "# wants this file as `params:=`, and beside it `arm:=`, `can:=` and, with drives on the buses, `sim:=false`.",
-        *_node("canopen_driver", f"can_config: {can}", "connect_timeout_s: 30.0  # 0: wait for the drives for ever"),
-        *_node("trajectory", f"arm: {arm}  # its limits are kept", "require_enabled: true"),
+    ]
+    if not canopen:
+        head = [
+            "# Parameters of the nodes beside the arm's own driver: spacearm node NODE --ros-args --params-file FILE.",
+            "# How the trajectory node talks to a controller, and what else it can wait for: docs/ros2_control.md.",
+        ]
+    lines = [
+        *head,
+        *(driver if canopen else []),
+        *_node("trajectory", f"arm: {arm}  # its limits are kept", *_release(canopen)),
         *_node("recorder", f"directory: {_quoted(str(directory / 'recordings'))}"),
         *_node("identifier", f"arm: {arm}", f"result_directory: {_quoted(str(directory / 'identified'))}"),
-        *_node(
-            "simulated_arm",
-            f"can_config: {can}",
-            f"# model: {directory / 'identified' / 'model.yaml'}  # once there is one: what the simulated arm obeys",
-        ),
+        *(simulated if canopen else []),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _release(canopen: bool) -> list[str]:
+    """What releases a run: this package's driver, or the controller of the arm's own."""
+    if canopen:
+        return ["require_enabled: true"]
+    return ["output: joint_trajectory", "enabled_from: [controller]", "controller: arm_controller  # ASSUMED"]
 
 
 def _node(name: str, *parameters: str) -> list[str]:

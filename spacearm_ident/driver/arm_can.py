@@ -106,6 +106,11 @@ def load_arm_can(path: Path) -> ArmCan:
     if "arm" not in data:
         raise UserError(f"{path}: the key 'arm' is missing: name the arm YAML")
     arm = load_arm(path.parent / str(data["arm"]))
+    if arm.empty:
+        raise UserError(
+            f"{path.parent / str(data['arm'])}: {arm.empty[0]} is still empty: fill it in (spacearm check lists all "
+            "that is missing)"
+        )
     if np.any(arm.effort_scale != 1.0):
         raise UserError(f"{path}: {data['arm']} declares a unit of effort, but this driver publishes N·m: remove it")
     try:

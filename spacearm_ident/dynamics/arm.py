@@ -6,7 +6,7 @@ what a URDF cannot say. A joint's twist axis and placement are all the batched r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,26 @@ from numpy.typing import NDArray
 from ..documents import parse_yaml, read_text
 from ..errors import UserError
 from ..recording.corrections import Corrections, read_corrections
-from .urdf_check import check_urdf
+from .urdf_chain import locked, mimicking
 
 FloatArray = NDArray[np.float64]
 ARM_SCHEMA = "spacearm_ident/arm/1"
 EARTH = (0.0, 0.0, -9.81)
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of a joint's coordinate, its derivatives, and what drives it."""
+
+    position: str
+    velocity: str
+    acceleration: str
+    jerk: str
+    effort: str
+
+
+TURNING = Units("rad", "rad/s", "rad/s²", "rad/s³", "N m")
+SLIDING = Units("m", "m/s", "m/s²", "m/s³", "N")
 
 
 @dataclass(frozen=True)
@@ -43,6 +58,7 @@ class Joint:
         gear_ratio: Motor turns a joint turn.
         torque_constant: N·m/A at the motor.
         effort_scale: N·m on the output side for each unit of what the arm's driver publishes as effort.
+        start: Where it rests before and after an excitation, rad or m; NaN: not stated.
     """
 
     name: str
@@ -60,6 +76,12 @@ class Joint:
     gear_ratio: float = 1.0
     torque_constant: float = 1.0
     effort_scale: float = 1.0
+    start: float = np.nan
+
+    @property
+    def units(self) -> Units:
+        """What its position, velocity, acceleration and effort are in."""
+        return TURNING if self.revolute else SLIDING
 
 
 @dataclass(frozen=True)
@@ -77,6 +99,9 @@ class Arm:
     Attributes:
         effort_declared: Whether somebody has said what unit its driver publishes effort in.
         corrections: Of its recordings, whose conventions may be others; nothing of the arm itself.
+        package_path: Folders in which the description's meshes are looked for, the description's own first.
+        locked: Joints of the description that a recording lacks, and that are fixed for it.
+        empty: What its file names and leaves empty, as `JOINT: KEY`; a driver needs it, an identification does not.
     """
 
     name: str
@@ -86,6 +111,9 @@ class Arm:
     couplings: tuple[Coupling, ...] = ()
     effort_declared: bool = False
     corrections: Corrections = field(default_factory=Corrections)
+    package_path: tuple[str, ...] = ()
+    locked: tuple[str, ...] = ()
+    empty: tuple[str, ...] = ()
 
     @property
     def effort_scale(self) -> FloatArray:
@@ -96,6 +124,20 @@ class Arm:
     def joint_names(self) -> tuple[str, ...]:
         """Names in the order of every array."""
         return tuple(joint.name for joint in self.joints)
+
+    @property
+    def start(self) -> FloatArray | None:
+        """(n,) posture of rest that its file states, zero for joints it leaves out; None: it states none."""
+        stated = np.array([joint.start for joint in self.joints])
+        return None if np.isnan(stated).all() else np.nan_to_num(stated)
+
+    @property
+    def effort_unit(self) -> str:
+        """What a table over all joints is in: `N m`, `N`, or both with the joints that slide."""
+        sliding = [joint.name for joint in self.joints if not joint.revolute]
+        if not sliding:
+            return TURNING.effort
+        return SLIDING.effort if len(sliding) == len(self.joints) else f"{TURNING.effort} (N: {', '.join(sliding)})"
 
     def with_gravity(self, gravity: FloatArray) -> Arm:
         """The same arm under another gravity vector (3,), m/s^2, base frame."""
@@ -110,12 +152,14 @@ class Arm:
 
 
 def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
-    """Read an arm from the text of a URDF.
+    """Read an arm from the text of a URDF; joints that mimic others are locked: they are payload.
 
     Raises:
         UserError: Not a URDF (`check_urdf`), no actuated joint, a joint that is neither revolute nor prismatic, or one
             without axis.
     """
+    if fixed := mimicking(urdf):
+        urdf = locked(urdf, fixed)
     model = _pinocchio_model(urdf)
     joints = []
     for index in range(1, model.njoints):
@@ -151,10 +195,35 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     return Arm(model.name, tuple(joints), urdf, vector)
 
 
+def without_joints(arm: Arm, names: Collection[str]) -> Arm:
+    """The arm with some of its joints fixed: at its posture of rest where its file states one, else near zero.
+
+    Raises:
+        UserError: A coupled motor turns with one of them, or they are all it has.
+    """
+    for coupling in arm.couplings:
+        if tied := sorted(set(coupling.ratios) & set(names)):
+            raise UserError(f"joint {tied[0]!r} is not in the recordings, but motor {coupling.name} turns with it")
+    if set(names) >= set(arm.joint_names):
+        raise UserError(f"none of the arm's joints is in the recordings: it has {', '.join(arm.joint_names)}")
+    stated = {joint.name: joint.start for joint in arm.joints if joint.name in names and np.isfinite(joint.start)}
+    smaller = arm_from_urdf(locked(arm.urdf, names, stated))
+    known = {joint.name: joint for joint in arm.joints}
+    joints = tuple(
+        replace(
+            known[new.name],
+            parent=new.parent,
+            rotation=new.rotation,
+            translation=new.translation,
+            inertial=new.inertial,
+        )
+        for new in smaller.joints
+    )
+    fixed = tuple(joint for joint in arm.joint_names if joint in names)
+    return replace(arm, joints=joints, urdf=smaller.urdf, locked=(*arm.locked, *fixed))
+
+
 def _pinocchio_model(urdf: str) -> pin.Model:
-    if "<robot" not in urdf:
-        raise UserError("this is not a URDF: it has no <robot> element")
-    check_urdf(urdf)
     try:
         return pin.buildModelFromXML(urdf)
     except Exception as error:
@@ -180,17 +249,22 @@ def load_arm(path: Path) -> Arm:
     """
     text = read_text(path, "the arm")
     if path.suffix not in (".yaml", ".yml"):
-        return arm_from_urdf(text)
+        return replace(arm_from_urdf(text), package_path=(str(path.parent),))
     data = parse_yaml(text, str(path))
     if not isinstance(data, dict) or data.get("schema") != ARM_SCHEMA:
         raise UserError(f"{path} is not an arm description: its first line should be 'schema: {ARM_SCHEMA}'")
-    unknown = set(data) - {"schema", "name", "urdf", "gravity_m_s2", "joints", "couplings", "effort", "corrections"}
+    unknown = set(data) - ARM_KEYS
     if unknown:
         raise UserError(f"{path}: unknown key {sorted(unknown, key=str)[0]!r}")
     if "urdf" not in data:
         raise UserError(f"{path}: the key 'urdf' is missing: name the arm's URDF file")
     urdf = read_text(path.parent / str(data["urdf"]), f"the URDF that {path} names,")
-    return arm_from_description(urdf, data, str(path))
+    arm = arm_from_description(urdf, data, str(path))
+    listed = data.get("package_path") or []
+    if not isinstance(listed, list) or not all(isinstance(folder, str) for folder in listed):
+        raise UserError(f"{path}: package_path is a list of folders, not {listed!r}")
+    beside = (path.parent / str(data["urdf"])).parent
+    return replace(arm, package_path=(str(beside), *(str(path.parent / folder) for folder in listed)))
 
 
 def arm_from_description(urdf: str, data: Mapping[str, Any], where: str) -> Arm:
@@ -207,10 +281,22 @@ def arm_from_description(urdf: str, data: Mapping[str, Any], where: str) -> Arm:
     couplings = tuple(_coupling(item, arm.joint_names, where) for item in listed)
     corrections = read_corrections(data.get("corrections"), arm.joint_names, f"{where}: corrections")
     name = str(data.get("name", arm.name))
-    arm = replace(arm, name=name, joints=joints, couplings=couplings, corrections=corrections)
+    empty = tuple(
+        f"{joint}: {key}"
+        for joint, keys in given.items()
+        for key in DRIVE_KEYS
+        if key in (keys or {}) and keys[key] is None
+    )
+    arm = replace(arm, name=name, joints=joints, couplings=couplings, corrections=corrections, empty=empty)
     return arm if data.get("effort") is None else _with_effort(arm, data["effort"], given, f"{where}: effort")
 
 
+ARM_KEYS = frozenset(
+    {"schema", "name", "urdf", "package_path", "gravity_m_s2", "joints", "couplings", "effort", "corrections"}
+)
+"""What an arm YAML may hold."""
+DRIVE_KEYS = ("gear_ratio", "torque_constant_Nm_per_A")
+"""What of a joint may be left empty: only a driver's scaling and effort in amperes need it."""
 JOINT_KEYS = {
     "gear_ratio": "gear_ratio",
     "torque_constant_Nm_per_A": "torque_constant",
@@ -219,6 +305,7 @@ JOINT_KEYS = {
     "velocity_limit_rad_s": "velocity_limit",
     "acceleration_limit_rad_s2": "acceleration_limit",
     "torque_limit_Nm": "effort_limit",
+    "start_position_rad": "start",
 }
 """What an arm YAML may say of a joint, and the attribute of `Joint` that holds it."""
 
@@ -229,7 +316,9 @@ def _with_drive(joint: Joint, given: Any, where: str) -> Joint:
     if unknown:
         raise UserError(f"{where}: {joint.name} has an unknown key {sorted(unknown, key=str)[0]!r}")
     values: dict[str, Any] = {
-        JOINT_KEYS[key]: _number(value, f"{where}: {joint.name}: {key}") for key, value in data.items()
+        JOINT_KEYS[key]: _number(value, f"{where}: {joint.name}: {key}")
+        for key, value in data.items()
+        if value is not None or key not in DRIVE_KEYS
     }
     return replace(joint, **values)
 
@@ -265,7 +354,7 @@ def _with_effort(arm: Arm, data: Any, joints: Mapping[str, Any], where: str) -> 
         own = _mapping(joints.get(joint.name), where)
         if joint.name in constants:
             constant = _number(constants[joint.name], f"{where}: constants: {joint.name}")
-        elif unit == "A" and {"gear_ratio", "torque_constant_Nm_per_A"} <= set(own):
+        elif unit == "A" and all(own.get(key) is not None for key in DRIVE_KEYS):
             constant = joint.gear_ratio * joint.torque_constant
         else:
             what = "N·m on the output side for each A" if unit == "A" else "N·m on the output side at 100 %"

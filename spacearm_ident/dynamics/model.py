@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -109,6 +109,24 @@ def temperature_joints(structure: Structure, arm: Arm) -> tuple[str, ...]:
     return tuple(joint for joint in arm.joint_names if joint in asked)
 
 
+def _in_own_units(term: Term, sliding: frozenset[str]) -> Term:
+    """A term whose parameters and constants at `sliding` joints are in metres and newtons."""
+    if sliding.isdisjoint([*(item.joint for item in term.parameters), *(item.joint for item in term.constants)]):
+        return term
+    return replace(
+        term,
+        parameters=tuple(replace(p, unit=_sliding_unit(p)) if p.joint in sliding else p for p in term.parameters),
+        constants=tuple(replace(c, unit=_sliding_unit(c)) if c.joint in sliding else c for c in term.constants),
+    )
+
+
+def _sliding_unit(item: Parameter | Constant) -> str:
+    """The unit at a joint that slides, from that at one that turns; inertials of a link are the same."""
+    if item.symbol == "J_m":
+        return item.unit.replace("kg m^2", "kg")
+    return item.unit.replace("N m", "N").replace("rad", "m")
+
+
 @dataclass(frozen=True)
 class TorqueModel:
     """An arm and its terms; parameters and constants are numbered through in the order of the terms."""
@@ -126,9 +144,9 @@ class TorqueModel:
         unknown = set(self.structure) - set(CATALOGUE)
         if unknown:
             raise UserError(f"unknown term {sorted(unknown)[0]!r}: this version knows {', '.join(CATALOGUE)}")
-        return tuple(
-            term for kind, options in self.structure.items() for term in CATALOGUE[kind].build(self.arm, options)
-        )
+        sliding = frozenset(joint.name for joint in self.arm.joints if not joint.revolute)
+        built = (term for kind, options in self.structure.items() for term in CATALOGUE[kind].build(self.arm, options))
+        return tuple(_in_own_units(term, sliding) for term in built)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -144,19 +144,19 @@ def _child_motion(
     epsilon = _to_child(rotation, carrier.epsilon)
     accel = _to_child(
         rotation,
-        carrier.accel + _cross(carrier.epsilon, origin) + _cross(carrier.omega, _cross(carrier.omega, origin)),
+        carrier.accel + cross(carrier.epsilon, origin) + cross(carrier.omega, cross(carrier.omega, origin)),
     )
     ones = np.ones_like(q)
     zero = np.zeros((3, len(q)))
     if joint.revolute:
-        epsilon = epsilon + axis * qdd + _cross(omega, axis * qd)
+        epsilon = epsilon + axis * qdd + cross(omega, axis * qd)
         omega = omega + axis * qd
         own = (zero, axis * ones)
     else:
-        accel = accel + axis * qdd + 2 * _cross(omega, axis * qd)
+        accel = accel + axis * qdd + 2 * cross(omega, axis * qd)
         own = (axis * ones, zero)
     twists = {
-        row: (_to_child(rotation, linear + _cross(angular, origin)), _to_child(rotation, angular))
+        row: (_to_child(rotation, linear + cross(angular, origin)), _to_child(rotation, angular))
         for row, (linear, angular) in carrier.twists.items()
     }
     return _LinkMotion(omega, epsilon, accel, {**twists, index: own})
@@ -177,9 +177,14 @@ def _to_child(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     return np.asarray(rotation[0] * vector[0] + rotation[1] * vector[1] + rotation[2] * vector[2])
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product of (3, N) or (3, 1) vectors; several times faster than `numpy.cross`."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross product along the first axis, the others broadcast; many times faster than `numpy.cross`."""
+    first = a[1] * b[2] - a[2] * b[1]
+    out = np.empty((3, *first.shape))
+    out[0] = first
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+    return out
 
 
 def _wrench(phi: FloatArray, motion: _LinkMotion) -> tuple[FloatArray, FloatArray]:
@@ -187,17 +192,17 @@ def _wrench(phi: FloatArray, motion: _LinkMotion) -> tuple[FloatArray, FloatArra
     omega, epsilon, accel = motion.omega, motion.epsilon, motion.accel
     first = phi[1:4, None]
     inertia = phi[[4, 5, 7, 5, 6, 8, 7, 8, 9]].reshape(3, 3)
-    force = phi[0] * accel + _cross(epsilon, first) + _cross(omega, _cross(omega, first))
-    return force, _cross(first, accel) + inertia @ epsilon + _cross(omega, inertia @ omega)
+    force = phi[0] * accel + cross(epsilon, first) + cross(omega, cross(omega, first))
+    return force, cross(first, accel) + inertia @ epsilon + cross(omega, inertia @ omega)
 
 
 def _block(linear: FloatArray, angular: FloatArray, motion: _LinkMotion) -> FloatArray:
     """(10, N) columns of one link in one joint's row; the formula of the module's head."""
     omega, epsilon, accel = motion.omega, motion.epsilon, motion.accel
-    twist_x_omega = _cross(angular, omega)
+    twist_x_omega = cross(angular, omega)
     block = np.empty((10, omega.shape[1]))
     block[0] = (linear * accel).sum(axis=0)
-    block[1:4] = _cross(linear, epsilon) + _cross(omega, _cross(omega, linear)) + _cross(accel, angular)
+    block[1:4] = cross(linear, epsilon) + cross(omega, cross(omega, linear)) + cross(accel, angular)
     for row, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), start=4):
         block[row] = angular[i] * epsilon[j] + twist_x_omega[i] * omega[j]
         if i != j:

@@ -8,7 +8,6 @@ posture: their geometry is coarser than the arm. Both are listed.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +17,8 @@ import numpy as np
 import pinocchio as pin
 
 from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.meshes import resolve_meshes
+from ..dynamics.regressor import cross
 
 NEEDED_M = 0.02
 """Least distance: what a coarse geometry and a servo's lag may take up."""
@@ -67,6 +68,12 @@ class Clearance:
         self._geometry_data = pin.GeometryData(self._geometry)
         self.unchecked = self._drop_overlapping(lower, upper)
         self.pairs = [self._names(pair) for pair in self._geometry.collisionPairs]
+        self._turns = np.array([joint.revolute for joint in arm.joints])
+        self._carries = np.zeros((len(arm.joints) + 1, len(arm.joints)))
+        for link in range(len(arm.joints)):
+            self._carries[link + 1, list(arm.supports(link))] = 1.0
+        ends = [(self._joint_of[pair.first], self._joint_of[pair.second]) for pair in self._geometry.collisionPairs]
+        self._ends = np.array(ends, dtype=np.intp).reshape(-1, 2)
 
     def _add_ground(self, height: float) -> None:
         shape = coal.Halfspace(np.array([0.0, 0.0, 1.0]), float(height))
@@ -120,7 +127,7 @@ class Clearance:
         row, pair = np.unravel_index(int(np.argmin(distances)), distances.shape)
         return Nearest(float(distances[row, pair]), int(row), self.pairs[pair])
 
-    def barrier(self, postures: FloatArray, reach_m: float) -> tuple[float, FloatArray]:
+    def barrier(self, postures: FloatArray, reach_m: float, slopes: bool = True) -> tuple[float, FloatArray]:
         """A barrier on all distances, and its derivative (T, n) by the postures.
 
         Sum over postures and pairs of s − 1 − log s, s = (distance − needed) / reach: zero with zero slope beyond
@@ -129,45 +136,48 @@ class Clearance:
         value, slope = 0.0, np.zeros_like(postures)
         for row, posture in enumerate(postures):
             self._place(posture)
-            for pair, result in zip(self._geometry.collisionPairs, self._geometry_data.distanceResults):
-                share = (result.min_distance - self.needed_m) / reach_m
-                if share <= 0.0:
-                    return float("inf"), slope
-                if share < 1.0:
-                    value += share - 1.0 - np.log(share)
-                    slope[row] += (1.0 - 1.0 / share) / reach_m * self._approach(pair, result)
+            distances = np.array([result.min_distance for result in self._geometry_data.distanceResults])
+            share = (distances - self.needed_m) / reach_m
+            if (share <= 0.0).any():
+                return float("inf"), slope
+            near = np.flatnonzero(share < 1.0)
+            if len(near):
+                value += float((share[near] - 1.0 - np.log(share[near])).sum())
+                if slopes:
+                    slope[row] = (1.0 - 1.0 / share[near]) / reach_m @ self._approach(near)
         return value, slope
 
-    def _approach(self, pair: Any, result: Any) -> FloatArray:
-        """(n,) derivative of a pair's distance by the posture: how the nearest points move along their line."""
-        one, other = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
-        line = (other - one) / max(float(np.linalg.norm(other - one)), 1e-12)
-        theirs, ours = (
-            self._jacobian(self._joint_of[pair.second], other),
-            self._jacobian(self._joint_of[pair.first], one),
-        )
-        return np.asarray(line @ (theirs - ours))
+    def _approach(self, pairs: np.ndarray) -> FloatArray:
+        """(P, n) derivatives of pairs' distances by the posture placed: how the nearest points move along their line.
 
-    def _jacobian(self, joint: int, point: FloatArray) -> FloatArray:
-        """(3, n) velocity of a point of the link at a joint (numbered as Pinocchio does)."""
-        out = np.zeros((3, len(self._arm.joints)))
-        if joint > 0:
-            for index in self._arm.supports(joint - 1):
-                placement = self._data.oMi[index + 1]
-                axis = placement.rotation @ self._arm.joints[index].axis
-                turns = self._arm.joints[index].revolute
-                out[:, index] = np.cross(axis, point - placement.translation) if turns else axis
+        A point p of a link moves with joint k by axis × (p − origin) where k carries the link, by axis where it
+        slides; along the line l that is axis · ((p − origin) × l).
+        """
+        results = [self._geometry_data.distanceResults[int(k)] for k in pairs]
+        one = np.array([result.getNearestPoint1() for result in results]).T
+        other = np.array([result.getNearestPoint2() for result in results]).T
+        line = other - one
+        line = line / np.maximum(np.linalg.norm(line, axis=0), 1e-12)
+        placements = self._data.oMi[1:]
+        axes = np.array([placement.rotation @ joint.axis for placement, joint in zip(placements, self._arm.joints)])
+        origins = np.array([placement.translation for placement in placements]).T
+        lever = np.einsum("kj,jpk->pk", axes, cross(origins[:, None, :], line[:, :, None]))
+        out = np.zeros((len(results), len(axes)))
+        for sign, points, side in ((1.0, other, 1), (-1.0, one, 0)):
+            moved = np.where(self._turns, cross(points, line).T @ axes.T - lever, line.T @ axes.T)
+            out += sign * self._carries[self._ends[pairs, side]] * moved
         return out
 
 
 def _geometry(arm: Arm, model: pin.Model) -> tuple[pin.GeometryModel, str]:
-    folders = [folder for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]
-    folders += [os.path.join(folder, "share") for folder in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    meshes = resolve_meshes(arm.urdf, arm.package_path)
+    why = "the URDF has no geometry"
     for kind, words in ((pin.GeometryType.COLLISION, "collision"), (pin.GeometryType.VISUAL, "visual")):
         try:
-            geometry = pin.buildGeomFromUrdfString(model, arm.urdf, kind, None, folders)
+            geometry = pin.buildGeomFromUrdfString(model, meshes.urdf, kind, None, [])
         except (ValueError, RuntimeError):
-            return _capsules(model), "capsules from joint to joint (the URDF's meshes were not found)"
+            why = meshes.advice or "its meshes cannot be read"
+            continue
         covered = {g.parentJoint for g in geometry.geometryObjects}
         if len(covered - {0}) >= max(1, len(arm.joints) // 2):
             for entry in geometry.geometryObjects:
@@ -175,7 +185,7 @@ def _geometry(arm: Arm, model: pin.Model) -> tuple[pin.GeometryModel, str]:
                     entry.geometry.buildConvexHull(True, "Qt")
                     entry.geometry = entry.geometry.convex
             return geometry, f"the URDF's {words} geometry"
-    return _capsules(model), "capsules from joint to joint (the URDF has no geometry)"
+    return _capsules(model), f"capsules from joint to joint ({why})"
 
 
 def _capsules(model: pin.Model) -> pin.GeometryModel:

@@ -8,7 +8,7 @@ how an optimiser gets there is its own affair.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -168,7 +168,25 @@ def check(run: Trajectory, needs: Requirements) -> tuple[Margin, ...]:
     margins += frequency_margin(run, needs.structural_hz)
     if needs.clearance is not None:
         margins += _clearance_margin(run, needs.clearance)
-    return tuple(margins)
+    return tuple(_in_own_unit(margin, needs.identified.model.arm) for margin in margins)
+
+
+_QUANTITY = {
+    "position": "position",
+    "velocity": "velocity",
+    "acceleration": "acceleration",
+    "jerk": "jerk",
+    "torque": "effort",
+}
+"""Kind of margin -> the attribute of `Units` that it is in."""
+
+
+def _in_own_unit(margin: Margin, arm: Arm) -> Margin:
+    """The margin in metres and newtons where its joint slides."""
+    joint = next((joint for joint in arm.joints if joint.name == margin.where and not joint.revolute), None)
+    if joint is None or margin.kind not in _QUANTITY:
+        return margin
+    return replace(margin, unit=getattr(joint.units, _QUANTITY[margin.kind]).replace(" ", "·"))
 
 
 def require(margins: Sequence[Margin]) -> None:

@@ -10,7 +10,7 @@ between samples break a limit, the motion is drawn towards rest in the start pos
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,10 +30,15 @@ Progress = Callable[[float, str], None]
 DRAWN, DESCENDED = 32, 2
 STAGES = ((6.0, 0.10, 40, 1e-2), (16.0, 0.06, 60, 3e-3), (64.0, 0.04, 40, 1e-3))
 """Sharpness, softness of the direction of motion (share of the velocity limit), steps, tolerance."""
+DRAWN_TOGETHER = 0.1
+"""A criterion (logarithm) worse by more after the last check: the motion was made much smaller, another is tried."""
 SHRINK = (1.0, 0.7, 0.45, 0.25, 0.12, 0.05, 0.02)
 INFORMATION_HZ = 500.0
 RATE_HZ = 1000.0
 LARGEST_HARMONICS = 10
+GENTLE = 0.4
+"""Share of the velocity and acceleration limits that a first run uses, and of the way from its start posture."""
+GENTLE_PERIODS = 2
 WORTH_A_HARMONIC = 0.03
 """A further harmonic is taken if it lowers the criterion by this share (of standard errors, or of the condition)."""
 
@@ -100,7 +105,7 @@ def optimise(
     sharpness, softness, steps, tolerance = STAGES[0]
     function = problem.function(sharpness, softness)
     report(0.0, "drawing starts")
-    drawn = draw_feasible(problem, function, rng, DRAWN)
+    drawn = draw_feasible(problem, problem.function(sharpness, softness, slopes=False), rng, DRAWN)
     starts = [*known_point(problem, function, known), *drawn[:DESCENDED]]
     found = []
     for number, (_, point) in enumerate(starts):
@@ -118,7 +123,30 @@ def optimise(
     report(0.9, "checking all limits")
     # Sharper is not always better once judged exactly.
     points.sort(key=lambda point: exact_value(problem, problem.space.series(point, 1)))
-    return finish(problem, points[0])
+    return _best_finished(problem, [*points, *(point for _, point in known_point(problem, function, known))])
+
+
+def _best_finished(problem: Problem, points: Sequence[FloatArray]) -> Excitation:
+    """The first point that `finish` leaves nearly as good as it was; where it draws all of them together, the best.
+
+    Raises:
+        UserError: None can be joined within the limits.
+    """
+    refusal = UserError()
+    found: list[tuple[float, Excitation]] = []
+    for point in points:
+        try:
+            excitation = finish(problem, point)
+        except UserError as error:
+            refusal = error
+            continue
+        value = exact_value(problem, excitation.series)
+        found.append((value, excitation))
+        if value < exact_value(problem, problem.space.series(point, 1)) + DRAWN_TOGETHER:
+            break
+    if not found:
+        raise refusal
+    return min(found, key=lambda pair: pair[0])[1]
 
 
 def optimise_harmonics(
@@ -248,6 +276,23 @@ def finish(problem: Problem, point: FloatArray) -> Excitation:
     margins = check(run, problem.needs)
     require(margins)
     return Excitation(problem, series, run, information, margins)
+
+
+def gentle(excitation: Excitation) -> Excitation:
+    """The same motion drawn together about its start posture, slower to approach: for the first run on an arm.
+
+    What is wrong with a limit, a sign or a brake shows at a share `GENTLE` of everything.
+
+    Raises:
+        UserError: It cannot be joined within the limits.
+    """
+    full = excitation.problem
+    motion = full.needs.motion
+    slower = replace(motion, velocity=GENTLE * motion.velocity, acceleration=GENTLE * motion.acceleration)
+    problem = replace(full, needs=replace(full.needs, motion=slower), periods=GENTLE_PERIODS)
+    series = excitation.series
+    drawn = replace(series, q0=full.start + GENTLE * (series.q0 - full.start), a=GENTLE * series.a, b=GENTLE * series.b)
+    return finish(problem, problem.space.point(drawn))
 
 
 def join(problem: Problem, series: FourierTrajectory) -> tuple[FourierTrajectory, Trajectory]:

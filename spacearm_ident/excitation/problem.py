@@ -95,7 +95,7 @@ class Problem:
             barrier += led_back
             if not np.isfinite(barrier):
                 return barrier, np.zeros_like(z)
-            nearness, by_posture = self._clearance(z, sparse)
+            nearness, by_posture = self._clearance(z, sparse, slopes)
             if not np.isfinite(nearness):
                 return nearness, np.zeros_like(z)
             value, slope = criterion(at.information(self.weights))
@@ -132,11 +132,11 @@ class Problem:
 
         return barrier, back
 
-    def _clearance(self, z: FloatArray, basis: Basis) -> tuple[float, FloatArray]:
+    def _clearance(self, z: FloatArray, basis: Basis, slopes: bool) -> tuple[float, FloatArray]:
         postures = self.space.motion(z, basis).q
         if self.needs.clearance is None:
             return 0.0, np.zeros_like(postures)
-        value, slope = self.needs.clearance.barrier(postures, CLEARANCE_REACH_M)
+        value, slope = self.needs.clearance.barrier(postures, CLEARANCE_REACH_M, slopes)
         weight = CLEARANCE_BARRIER / len(postures)
         return weight * value, weight * slope
 

@@ -14,7 +14,7 @@ from ..identification.identified import Fit, JointValidation
 from ..identification.verdict import FAIR, GOOD
 from . import figures
 from .details import obtained, since_the_prior, structure
-from .markup import NOTHING, Markup, breakable, element, join, number, percent
+from .markup import NOTHING, Markup, breakable, element, join, number, percent, unit_text
 from .opening import Opening, opening
 from .parameter_tables import base_table, determination_key, matrix, whole_list
 from .store import Result
@@ -90,7 +90,8 @@ def _validation(result: Result) -> Markup:
     if not joints:
         return join(element("h2", "Validation"), element("p", "No joint was validated."))
     tested = any(joint.lack_of_fit for joint in joints.values())
-    names = ["rows", "RMSE, N·m", "MAE, N·m", "max, N·m", "R", "residual / torque"]
+    names = ["rows", "RMSE", "MAE", "max", "R", "residual / torque"]
+    unit = unit_text(result.identified.model.model.arm.effort_unit)
     heads = [element("th", name) for name in (*names, *(["lack of fit F"] if tested else []))]
     shares = [fit.relative_rms for joint in joints.values() for fit in (joint.everything, joint.moving)]
     widest = max((share for share in shares if np.isfinite(share)), default=1.0) or 1.0
@@ -100,7 +101,8 @@ def _validation(result: Result) -> Markup:
         element(
             "p",
             f"Torque and prediction are compared up to {number(result.identified.bandwidth.cutoff_hz)} Hz, the "
-            "bandwidth of the fit; the full-bandwidth line compares the torque as recorded. At standstill friction "
+            "bandwidth of the fit; the full-bandwidth line compares the torque as recorded. RMSE, MAE and maximum in "
+            f"{unit}. At standstill friction "
             "holds whatever the rest of the torque is, so a low figure cannot be expected there.",
             class_="quiet",
         ),

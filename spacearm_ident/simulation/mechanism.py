@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from spacearm_ident.dynamics.urdf_chain import bounded
 from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.parameters import PlantParameters
 
@@ -26,7 +27,7 @@ def rigid_body_model(parameters: PlantParameters) -> pin.Model:
         UserError: The description cannot be parsed, or its moving joints are not those of the parameters.
     """
     try:
-        model = pin.buildModelFromXML(parameters.urdf)
+        model = pin.buildModelFromXML(bounded(parameters.urdf))
     except (ValueError, RuntimeError) as error:
         raise UserError(f"the robot description cannot be parsed ({error}); correct the URDF") from error
     names = tuple(model.names)[1:]
@@ -36,7 +37,7 @@ def rigid_body_model(parameters: PlantParameters) -> pin.Model:
             f"the model's {', '.join(parameters.joints)}; name the same joints in the same order, base to tip"
         )
     if model.nq != model.nv:
-        raise UserError("the simulated arm takes revolute and prismatic joints; make continuous ones revolute")
+        raise UserError("the simulated arm takes revolute, continuous and prismatic joints; make the others fixed")
     for index, values in enumerate(parameters.rigid_body, start=1):
         model.inertias[index] = pin.Inertia.FromDynamicParameters(values)
     model.armature = parameters.rotor_inertia.copy()

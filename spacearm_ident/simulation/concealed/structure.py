@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 
+from spacearm_ident.dynamics.urdf_chain import bounded
 from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.concealed.compliant import Base, Force, Hinge, Spring, Structure, joint_axes
 from spacearm_ident.simulation.concealed.effect import Effect, FloatArray, Parameter
@@ -127,7 +128,7 @@ class LinkFlexibility(Effect):
         joint = int(self.joints[0])
         if joint + 1 >= len(parameters.joints):
             raise UserError(f"link_flexibility: no link follows {parameters.joints[joint]}; choose a joint before it")
-        model = pin.buildModelFromXML(parameters.urdf)
+        model = pin.buildModelFromXML(bounded(parameters.urdf))
         along = model.jointPlacements[joint + 2].translation
         own = joint_axes(model)[joint]
         along = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else np.array([0.0, 0.0, 1.0])
