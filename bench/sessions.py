@@ -2,11 +2,11 @@
 
     .venv/bin/python bench/sessions.py [--recordings DIR] [--only ARM...] [--json FILE] [--each]
 
-Every recording of an arm, and every half of one, is identified by itself with the defaults. For every pair that shares
-no sample, of every parameter that both call determined by the data, the difference d is compared with its standard
-error s = sqrt(s1^2 + s2^2): the share with |d| < 1.96 s, which is 95 % where the standard errors are right, and the RMS
-of z = d / s, which is 1. The same for base parameters before physical consistency, which are free of the choice of what
-stands alone. See docs/method.md.
+Every recording of an arm, every half of one, and all recordings but one together are identified with the defaults. For
+every pair of recordings, of halves of one, and of one and all the others ("pooled"), of every parameter that both call
+determined by the data, the difference d is compared with its standard error s = sqrt(s1^2 + s2^2): the share with
+|d| < 1.96 s, which is 95 % where the standard errors are right, and the RMS of z = d / s, which is 1. The same for base
+parameters before physical consistency is imposed. See docs/method.md.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ NORMAL = 1.959964
 SAME_ROW = 1e-6
 """Two base parameters are the same where their regroupings differ by less than this share."""
 HALVES = ("0-0.5", "0.5-1")
+KINDS = ("sessions", "halves", "pooled")
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Pair:
     """Two identifications of one arm, and z of what both determine, by name.
 
     Attributes:
-        arm, kind, first, second: Which; `kind` is `sessions` or `halves`.
+        arm, kind, first, second: Which; `kind` is one of `KINDS`.
         parameters: z of parameters that both call determined.
         base: z of base parameters.
     """
@@ -57,7 +58,7 @@ class Pair:
 
 
 def parameters(first: Identified, second: Identified) -> dict[str, float]:
-    """z of every parameter and constant that both call determined by the data."""
+    """The z of every parameter and constant that both call determined by the data."""
     others = {item.name: item for item in second.estimates if item.identifiable}
     return {
         item.name: (item.value - others[item.name].value)
@@ -68,7 +69,7 @@ def parameters(first: Identified, second: Identified) -> dict[str, float]:
 
 
 def base(first: Identified, second: Identified) -> dict[str, float]:
-    """z of the base parameters that both have, made of the same parameters in the same shares."""
+    """The z of the base parameters that both have, made of the same parameters in the same shares."""
     found = {}
     for name, value, error, row in zip(first.base.names, first.base_values, first.base_errors, first.base.regrouping):
         if name not in second.base.names:
@@ -82,21 +83,23 @@ def base(first: Identified, second: Identified) -> dict[str, float]:
 
 
 def pairs(root: Path, arm: str) -> Iterator[Pair]:
-    """Every pair of recordings of an arm, and of the halves of each."""
+    """Every pair of recordings of an arm, of the halves of each, and of one recording and all others."""
     urdf, known = load_arm(root / arm / "arm.urdf"), {}
 
-    def identified(word: str) -> Identified | None:
-        if word not in known:
+    def identified(words: str) -> Identified | None:
+        if words not in known:
             try:
-                known[word] = identify([part(root, arm, word)], urdf)
+                known[words] = identify([part(root, arm, word) for word in words.split()], urdf)
             except UnfitDataError as error:
-                print(f"{arm} {word}: unfit: {error}", file=sys.stderr)
-                known[word] = None
-        return known[word]
+                print(f"{arm} {words}: unfit: {error}", file=sys.stderr)
+                known[words] = None
+        return known[words]
 
     sessions = [("sessions", *pair) for pair in combinations(NAMES[arm], 2)]
     halves = [("halves", *(f"{word}:{half}" for half in HALVES)) for word in NAMES[arm]]
-    for kind, *words in (*sessions, *halves):
+    others = [(word, " ".join(other for other in NAMES[arm] if other != word)) for word in NAMES[arm]]
+    pooled = [("pooled", *pair) for pair in others if " " in pair[1]]
+    for kind, *words in (*sessions, *halves, *pooled):
         first, second = (identified(word) for word in words)
         if first is not None and second is not None:
             yield Pair(arm, kind, *words, parameters(first, second), base(first, second))
@@ -112,7 +115,7 @@ def line(name: str, zs: Sequence[float]) -> str:
 
 
 def gathered(found: Sequence[Pair], keep: Callable[[Pair], bool], what: str) -> list[float]:
-    """z of all pairs that are kept."""
+    """The z of all pairs that are kept."""
     return [z for pair in found if keep(pair) for z in getattr(pair, what).values()]
 
 
@@ -133,12 +136,12 @@ def main() -> int:
                 out = sorted(((z, name) for name, z in pair.parameters.items() if abs(z) > NORMAL), key=lambda x: x[0])
                 print("    " + "  ".join(f"{name} {z:+.1f}" for z, name in out))
     print()
-    for kind in ("sessions", "halves"):
+    for kind in KINDS:
         for arm in options.only:
             chosen = gathered(found, lambda one, a=arm, k=kind: (one.arm, one.kind) == (a, k), "parameters")
-            print(line(f"{arm}, {kind}", chosen))
+            print(line(f"{arm}, {kind}", chosen)) if chosen else None
     for what in ("parameters", "base"):
-        for kind in ("sessions", "halves"):
+        for kind in KINDS:
             print(line(f"all {kind}, {what}", gathered(found, lambda one, k=kind: one.kind == k, what)))
         print(line(f"all, {what}", gathered(found, lambda _: True, what)))
     if options.json:
