@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any
 
 from ..bag_session import Options, identify_bags
 from ..dynamics.model import FRICTION_LAWS
 from ..identification.gravity import GRAVITY_CHOICES, VECTOR
-from ..identification.identified import Identified, Validation
+from ..identification.identified import GAIN_DEVIATION, Identified, Validation
 from ..identification.joint_terms import OFFSET
 from ..identification.solvers import SEPARABLE, SOLVERS
 from ..identification.verdict import judge_result
@@ -189,5 +190,10 @@ def summary(identified: Identified, validation: Validation, page: Path) -> str:
         f"{known} of {len(identified.estimates)} parameters determined by themselves, "
         f"{len(identified.base_values)} base parameters"
     )
+    if any(math.isfinite(estimate.gain_error) for estimate in identified.estimates):
+        lines.append(
+            f"intervals are for the torque as recorded; what torque gains off by {GAIN_DEVIATION:.0%} add is in "
+            "parameters.csv, ci95_with_gain_low and _high"
+        )
     lines.append(f"report: {page}")
     return "\n".join(lines)

@@ -24,6 +24,9 @@ from ..errors import UserError
 MARGIN = 1e-6
 """Smallest eigenvalue asked for, in units in which a link's own mass and size are one."""
 
+ACTIVE = 10.0
+"""Multiples of `MARGIN` under which an eigenvalue is on its bound; the programme asks for two."""
+
 
 def pseudo_inertia(inertial: FloatArray) -> FloatArray:
     """(4, 4) pseudo-inertia of m, mcx, mcy, mcz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""
@@ -56,6 +59,33 @@ def is_consistent(model: TorqueModel, parameters: FloatArray, scale: FloatArray)
         if np.linalg.eigvalsh(pseudo_inertia(parameters[numbers]) / np.outer(units, units))[0] < MARGIN:
             return False
     return all(parameter.lower <= value <= parameter.upper for parameter, value in zip(model.parameters, parameters))
+
+
+def active_bounds(model: TorqueModel, parameters: FloatArray, scale: FloatArray) -> FloatArray:
+    """Combinations of parameters that physical consistency holds where they are, to first order.
+
+    A body on the edge of what is possible, a rod or a plate, has a pseudo-inertia J that is singular: with V a basis of
+    its null space, no change dJ is possible but one with V'dJ V >= 0, and least squares presses against that.
+
+    Args:
+        model: Which parameter is what.
+        parameters: (p,) physically consistent.
+        scale: (p,) prior scales, for the units of J.
+
+    Returns:
+        (a, p), a row an entry of V'J V that is held at zero.
+    """
+    held = []
+    for numbers in link_parameters(model):
+        units = _link_units(scale[numbers])
+        value, vector = np.linalg.eigh(pseudo_inertia(parameters[numbers]) / np.outer(units, units))
+        edge = vector[:, value < ACTIVE * MARGIN] / units[:, None]
+        each = [edge.T @ pseudo_inertia(unit) @ edge for unit in np.eye(10)]
+        for i, j in zip(*np.triu_indices(edge.shape[1])):
+            row = np.zeros(len(parameters))
+            row[numbers] = [entry[i, j] for entry in each]
+            held.append(row)
+    return np.array(held).reshape(-1, len(parameters))
 
 
 def make_consistent(model: TorqueModel, matrix: FloatArray, parameters: FloatArray, scale: FloatArray) -> FloatArray:

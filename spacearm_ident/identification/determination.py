@@ -10,6 +10,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model import TorqueModel
 from ..dynamics.term import Constant, Parameter
+from .consistency import active_bounds
 from .identified import Determination, Estimate
 from .prior import Prior
 from .regression import Regression
@@ -20,6 +21,8 @@ KNOWN_SHARE = 0.25
 KNOWN_LOGARITHM = 0.5
 """A constant whose logarithm is less certain than this is not seen by the data."""
 BOUND_SHARE = 1e-6
+BOUND_DECIDES = 0.25
+"""Share of its variance under which bounds that leave a parameter no more have decided it: half the standard error."""
 NOT_IN_THE_MODEL = "not in the model: no better prediction of held-out data"
 ABSENT = {"k_v2": NOT_IN_THE_MODEL, "k_v3": NOT_IN_THE_MODEL, "f_b": f"equal to f_c, {NOT_IN_THE_MODEL}"}
 """Why a friction parameter is held, by its symbol."""
@@ -59,11 +62,14 @@ def judge(
         estimate.joint for estimate in constant_estimates if estimate.symbol == "v_b" and not estimate.identifiable
     }
     estimates = []
+    left = _left_by_bounds(active_bounds(model, parameters, prior.scale), covariance[:count, :count])
     for k, parameter in enumerate(model.parameters):
         determination, note = _parameter(parameter, k, base, float(errors[k]), float(prior.scale[k]))
         value = float(parameters[k])
         if determination is not Determination.FIXED and _at_bound(parameter, value, float(prior.scale[k])):
             determination, note = Determination.BOUND, "pushed against its physical bound"
+        if determination is Determination.DATA and left[k] < BOUND_DECIDES:
+            determination, note = Determination.BOUND, "held by what a body's inertia can be, more than by the data"
         if parameter.symbol == "f_b" and parameter.joint in unseen_constants and determination is Determination.DATA:
             determination, note = Determination.PRIOR, "its Stribeck velocity is not seen by the data"
         error = float("nan") if determination in (Determination.FIXED, Determination.PRIOR) else float(errors[k])
@@ -88,6 +94,17 @@ def _parameter(
     if error > KNOWN_SHARE * scale:
         return Determination.PRIOR, "this motion does not reveal it"
     return Determination.DATA, ""
+
+
+def _left_by_bounds(held: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(p,) share of each parameter's variance that is left where combinations (a, p) of them cannot move."""
+    variance = np.maximum(np.diag(covariance), 1e-300)
+    if not len(held):
+        return np.ones(len(variance))
+    size = np.sqrt(variance)
+    across = held * size @ (covariance / np.outer(size, size))
+    taken = np.linalg.pinv(across @ (held * size).T, rcond=1e-10, hermitian=True)
+    return np.asarray(1.0 - np.einsum("ak,ab,bk->k", across, taken, across))
 
 
 def _at_bound(parameter: Parameter, value: float, scale: float) -> bool:

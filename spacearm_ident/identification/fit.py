@@ -16,6 +16,7 @@ from ..dynamics.model import TorqueModel
 from ..recording.motion import Motion
 from ..recording.signals import require_torque
 from . import pso_lm
+from .between import friction_shifts
 from .environment import GRAVITY_SCALE
 from .prior import Prior, make_prior
 from .regression import Regression
@@ -136,6 +137,8 @@ def freedom(fit: Fit) -> dict[str, float]:
 def covariance_of(fit: Fit, further: Sequence[FloatArray] = ()) -> FloatArray:
     """Covariance of parameters and constants (the latter in their own units), and of what else is unknown.
 
+    Of the residual, and of what differs between recordings (`between.py`).
+
     `further`: per joint, columns (M, d) of unknowns numbered last, gravity's, believed within `GRAVITY_SCALE`.
     """
     regression, solution = fit.regression, fit.solution
@@ -159,6 +162,8 @@ def covariance_of(fit: Fit, further: Sequence[FloatArray] = ()) -> FloatArray:
         beliefs[len(prior.rows) :, known:] = np.eye(more) / GRAVITY_SCALE
         prior = replace(prior, rows=beliefs)
     by_logarithm = covariance(regression, prior, columns, numbers, fit.residuals, correlation, known + more)
+    between = friction_shifts(regression, solution.parameters, columns, numbers, fit.residuals, known + more)
+    by_logarithm += between.T @ between
     unit = np.concatenate([np.ones(count), solution.constants, np.ones(more)])
     return np.asarray(by_logarithm * np.outer(unit, unit))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -12,6 +13,11 @@ from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model import IdentifiedModel
 from ..recording.bandwidth import Bandwidth
 from .environment import Environment
+
+GAIN_DEVIATION = 0.07
+"""Relative standard deviation of a joint's torque gain (torque constant times ratio, or a sensor's) before anything is
+known of it. Stated, not measured on the arm at hand: published torque constants of a UR10e are 8 to 10 % off, and data
+sheets of motors give tolerances of 5 to 10 %."""
 
 
 class Determination(Enum):
@@ -35,6 +41,8 @@ class Estimate:
         determination: What the value rests on.
         note: Base parameter it is part of, which bound it is at, ... ; may be empty.
         factor: Half width of the 95 % interval in standard errors: Student's where few data decided.
+        gain_error: What the torque gains' own uncertainty adds, one standard deviation (`torque_gain.py`); same unit,
+            NaN where it was not asked for. It is not in `standard_error`, which is for the torque as recorded.
     """
 
     symbol: str
@@ -45,6 +53,7 @@ class Estimate:
     determination: Determination
     note: str = ""
     factor: float = 1.959964
+    gain_error: float = float("nan")
 
     @property
     def name(self) -> str:
@@ -55,6 +64,12 @@ class Estimate:
     def interval(self) -> tuple[float, float]:
         """95 % confidence interval; NaN, NaN where there is no standard error."""
         half = self.factor * self.standard_error
+        return (self.value - half, self.value + half)
+
+    @property
+    def interval_with_gain(self) -> tuple[float, float]:
+        """95 % interval that includes the torque gains' uncertainty; NaN, NaN where that or the standard error is."""
+        half = self.factor * math.hypot(self.standard_error, self.gain_error)
         return (self.value - half, self.value + half)
 
     @property

@@ -39,6 +39,7 @@ from .momentum import base_body
 from .separable import Solution, system
 from .solvers import CLOE, IDIM_IV, LEAST_SQUARES, PSO_LM, SEEDED, SEPARABLE, require_solver, search_of
 from .structure import choose_structure
+from .torque_gain import gain_shifts, with_gain
 from .unbounded import blend_notes, unbounded
 from .updated import identify_from_prior
 from .weighing import Weighing
@@ -220,6 +221,7 @@ def _conclude(
     )
     unseen = open_ended(regression, prior, solution)
     estimates = judge(model, prior, base, consistent, solution.constants, spread, regression.grids, at_rest, unseen)
+    estimates = with_gain(estimates, gain_shifts(fit, matrix))
     environment = Environment(
         judge_vacuum(model.parameters, solution.parameters, spread, prior.scale, freedom(fit)),
         gravity,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..identification.identified import Determination, Estimate, Identified
+from ..identification.identified import GAIN_DEVIATION, Determination, Estimate, Identified
 from .markup import Markup, breakable, element, join, measured, number, unit_text
 from .tables import base, by_joint
 
@@ -68,14 +68,15 @@ def _cell(item: Estimate | None) -> Markup:
 
 def whole_list(identified: Identified) -> Markup:
     """A row a parameter, grouped by joint, with its interval drawn about zero."""
-    heads = ("", "value", "standard error", "95 % interval", "", "unit", "rests on")
+    gain = f"with torque gain ± {GAIN_DEVIATION:.0%}"
+    heads = ("", "value", "standard error", "95 % interval", "", gain, "unit", "rests on")
     header = element(
-        "tr", *(element("th", head, class_="text" if k > 4 or not k else None) for k, head in enumerate(heads))
+        "tr", *(element("th", head, class_="text" if k > 5 or not k else None) for k, head in enumerate(heads))
     )
     groups = [
         element(
             "tbody",
-            element("tr", element("th", joint, class_="text wrap", colspan=7)),
+            element("tr", element("th", joint, class_="text wrap", colspan=8)),
             *(_list_row(item) for item in items),
         )
         for joint, items in by_joint(identified).items()
@@ -84,11 +85,13 @@ def whole_list(identified: Identified) -> Markup:
 
 
 def _list_row(item: Estimate) -> Markup:
+    low, high = item.interval_with_gain
     because = f"{item.determination.value}: {item.note}" if item.note else item.determination.value
     return element(
         "tr",
         element("td", item.symbol, class_="text"),
         *_numbers(item),
+        element("td", f"{number(low, 4)} … {number(high, 4)}" if math.isfinite(low) else ""),
         element("td", unit_text(item.unit), class_="text"),
         element("td", _mark(item.determination), because, class_="text wrap note"),
     )

@@ -216,7 +216,7 @@ def _base_body(data: dict[str, Any] | None) -> BaseBody | None:
 
 
 def _estimate(item: dict[str, Any]) -> Estimate:
-    numbers = {key: float(item[key]) for key in ("value", "standard_error")}
+    numbers = {key: float(item.get(key, "nan")) for key in ("value", "standard_error", "gain_error")}
     return Estimate(**{**item, **numbers, "determination": Determination(item["determination"])})
 
 

@@ -51,6 +51,7 @@ def parameters_csv(identified: Identified) -> str:
         (
             *("name", "joint", "value", "unit", "standard_error", "ci95_low", "ci95_high"),
             *("identifiable", "determined_by", "note"),
+            *("torque_gain_error", "ci95_with_gain_low", "ci95_with_gain_high"),
         ),
         (
             (
@@ -59,6 +60,7 @@ def parameters_csv(identified: Identified) -> str:
                 "yes" if item.identifiable else "no",
                 item.determination.value,
                 item.note,
+                *map(_cell, (item.gain_error, *item.interval_with_gain)),
             )
             for estimates in by_joint(identified).values()
             for item in estimates

@@ -1,0 +1,64 @@
+"""What a torque gain that is off does to each parameter: the part of its error that no residual shows.
+
+Recorded torque is motor current times a torque constant and a gear ratio, or a sensor's reading. If joint j's is off by
+a share g_j, motions are explained as well as ever, by parameters that are wrong by
+
+    dx = sum over j of g_j s_j,    s_j = H^-1 A_j' W_j tau_j,
+
+with A_j, W_j, tau_j the columns, weights and torque of the joint's rows, and H the information of all of them and the
+prior. Gains that are all off alike scale every parameter: the s_j add up to x. A link's inertials weigh on all joints
+below it, so their error is less than g where gains are independent. It is a component of its own beside the standard
+error, which is for the torque as recorded: parameters of one arm compare by that alone, while masses to be put on a
+scale, or into the controller of another arm, need both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from ..dynamics.arm import FloatArray
+from .fit import Fit
+from .identified import GAIN_DEVIATION, Determination, Estimate
+from .solution_columns import all_columns
+
+
+def gain_shifts(fit: Fit, matrix: FloatArray) -> FloatArray:
+    """How each parameter follows the gain of each joint's recorded torque.
+
+    Args:
+        fit: A solution under its weights.
+        matrix: (r, p) compressed rows, data and prior, at its constants.
+
+    Returns:
+        (n, p) change of the parameters per relative gain of each joint; zero for those that are held.
+    """
+    regression, free = fit.regression, fit.prior.free
+    scale = 1.0 / np.linalg.norm(matrix[:, free], axis=0)
+    scaled = matrix[:, free] * scale
+    factor = cho_factor(scaled.T @ scaled)
+    shifts = np.zeros((len(regression.rows), matrix.shape[1]))
+    for joint, (rows, columns, numbers) in enumerate(zip(regression.rows, *all_columns(regression, fit.solution))):
+        side = np.zeros(matrix.shape[1])
+        np.add.at(side, numbers, columns.T @ (rows.weight**2 * rows.torque))
+        shifts[joint, free] = cho_solve(factor, side[free] * scale) * scale
+    return shifts
+
+
+def with_gain(estimates: Sequence[Estimate], shifts: FloatArray) -> tuple[Estimate, ...]:
+    """Estimates with what gains off by `GAIN_DEVIATION`, each joint's by itself, add to their error.
+
+    Args:
+        estimates: Parameters, then constants, in the model's order. Constants do not scale with torque.
+        shifts: (n, p), as `gain_shifts` returns.
+    """
+    errors = np.zeros(len(estimates))
+    errors[: shifts.shape[1]] = GAIN_DEVIATION * np.sqrt(np.sum(shifts**2, axis=0))
+    silent = (Determination.FIXED, Determination.PRIOR)
+    return tuple(
+        item if item.determination in silent else replace(item, gain_error=float(error))
+        for item, error in zip(estimates, errors)
+    )
