@@ -62,7 +62,7 @@ def friction_shifts(
     Returns:
         (s, u) independent shifts of one standard deviation, to be added to a covariance as S'S.
     """
-    blocks, recording = time_blocks(regression)
+    blocks, recording = time_blocks(regression.motions)
     sources = [np.full(len(block), motion.source) for block, motion in zip(blocks, regression.motions)]
     recordings = len(np.unique(recording))
     kinds = _kinds(regression)
