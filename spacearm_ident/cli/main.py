@@ -28,6 +28,7 @@ COMMANDS = (
     "simulate",
     "report",
     "export",
+    "payload",
     "mismatch",
     "calibrate-temperature",
     "watch",

@@ -1,0 +1,97 @@
+"""`spacearm payload`: what the arm holds, with errors, in the calls of those who make arms."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..export.payload import Held, find_payload
+from ..export.payload_calls import CALLS, GAIN_CAVEAT
+from ..export.write import read_result
+from ..identification.effort import in_newton_metres
+from ..session import corrected
+from . import common
+
+DESCRIPTION = """
+Identify what the arm holds from recordings with it and a model of the arm without it (a result folder of identify, or
+its model.yaml): mass, centre of mass and inertia with standard errors, in the frame of the flange, and as
+set_target_payload of URScript, load data of KUKA and setLoad of Franka. Ten seconds in which the last joints turn
+against gravity are enough for mass and centre; an inertia that the motion does not show is left out. Friction may have
+changed since the model; gains may not. Exit code 1: nothing that stands out of the noise is held.
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser."""
+    command = commands.add_parser("payload", help="identify what the arm holds", description=DESCRIPTION)
+    command.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="recordings with the payload")
+    command.add_argument(
+        "--model", required=True, type=Path, metavar="DIR", help="result of the arm without it, or a model.yaml"
+    )
+    command.add_argument(
+        "--frame", metavar="LINK", help="tell it in this link's frame; default: the flange (tool0, flange, ...)"
+    )
+    command.add_argument("--arm", type=Path, metavar="FILE", help="for logs: URDF or arm YAML")
+    common.add_namespace_option(command)
+    common.add_mapping_option(command)
+    common.add_output_options(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, fit, tell."""
+    model, _ = read_result(options.model)
+    arm = model.model.arm
+    with common.progress(options) as report:
+        runs = common.read_bags(options.bags, report, False, options.namespace, options.arm, options.mapping)
+        held = find_payload(model, corrected(in_newton_metres(runs, arm), arm), options.frame)
+    common.note_findings(options, runs)
+    if options.json:
+        common.print_json(document(held))
+    else:
+        print("\n".join(lines(held, arm.joint_names)))
+    return 0
+
+
+def document(held: Held) -> dict[str, Any]:
+    """The result for programs."""
+    inertia = None
+    if held.inertia is not None and held.inertia_error is not None:
+        inertia = {"value": held.inertia.tolist(), "standard_error": held.inertia_error.tolist(), "unit": "kg m^2"}
+    return {
+        "frame": held.frame,
+        "mass": {"value": held.mass, "standard_error": held.mass_error, "unit": "kg"},
+        "centre": {"value": held.centre.tolist(), "standard_error": held.centre_error.tolist(), "unit": "m"},
+        "inertia_about_centre": inertia,
+        "residual_before_Nm": held.before_Nm.tolist(),
+        "residual_after_Nm": held.after_Nm.tolist(),
+        "calls": {name: call(held) for name, call in CALLS.items()},
+        "caveat": GAIN_CAVEAT,
+    }
+
+
+def lines(held: Held, joints: tuple[str, ...]) -> list[str]:
+    """The result on a terminal."""
+    centre = ", ".join(f"{value:.4f} ± {error:.4f}" for value, error in zip(held.centre, held.centre_error))
+    told = [f"mass {held.mass:.3f} ± {held.mass_error:.3f} kg", f"centre {centre} m, in {held.frame}"]
+    if held.inertia is None or held.inertia_error is None:
+        told.append("inertia: not determined by this motion; the calls below leave it out or say 0")
+    else:
+        for name, row, column in (
+            ("Ixx", 0, 0),
+            ("Iyy", 1, 1),
+            ("Izz", 2, 2),
+            ("Ixy", 0, 1),
+            ("Ixz", 0, 2),
+            ("Iyz", 1, 2),
+        ):
+            value, error = held.inertia[row, column], held.inertia_error[row, column]
+            told.append(f"{name} {value:.5f} ± {error:.5f} kg m^2 about the centre")
+    drop = ", ".join(
+        f"{j} {b:.2f} to {a:.2f}" for j, b, a in zip(joints, held.before_Nm, held.after_Nm) if np.isfinite(a)
+    )
+    told += [f"residual RMS, N m: {drop}", *(f"{name}: {call(held)}" for name, call in CALLS.items())]
+    return [*told, f"note: {GAIN_CAVEAT}", "errors are standard errors (68 %)"]

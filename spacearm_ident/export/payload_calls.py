@@ -1,0 +1,54 @@
+"""What is held, as the controllers of arms want it told: URScript, KUKA's load data, Franka's `setLoad`."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..dynamics.arm import FloatArray
+from .payload import Held
+
+GAIN_CAVEAT = (
+    "mass and inertia are as right as the gains (N m for each unit of effort): a gain that is 5 % too high makes both "
+    "5 % too large; the centre stays. Hold a known weight once, or calibrate the gains, where the mass must be right"
+)
+"""What is said with every payload: torque from currents knows no absolute scale."""
+
+
+def urscript(held: Held) -> str:
+    """`set_target_payload(m, cog, inertia)`: kg, m, kg m^2 about the centre along the flange's axes."""
+    centre = ", ".join(f"{value:.4f}" for value in held.centre)
+    if held.inertia is None:
+        return f"set_target_payload({held.mass:.3f}, [{centre}])"
+    elements = held.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return f"set_target_payload({held.mass:.3f}, [{centre}], [{', '.join(f'{value:.6f}' for value in elements)}])"
+
+
+def kuka(held: Held) -> str:
+    """`$LOAD`: kg, centre in mm, principal moments in kg m^2 along axes that A, B, C (deg, about z, y, x) turn to."""
+    x, y, z = 1e3 * held.centre
+    moments, angles = principal(held.inertia) if held.inertia is not None else (np.zeros(3), np.zeros(3))
+    a, b, c = angles
+    return (
+        f"$LOAD = {{M {held.mass:.3f}, CM {{X {x:.1f}, Y {y:.1f}, Z {z:.1f}, A {a:.2f}, B {b:.2f}, C {c:.2f}}}, "
+        f"J {{X {moments[0]:.6f}, Y {moments[1]:.6f}, Z {moments[2]:.6f}}}}}"
+    )
+
+
+def franka(held: Held) -> str:
+    """Franka's `setLoad(mass, F_x_Cload, load_inertia)` of libfranka: inertia about the centre, column by column."""
+    inertia = np.zeros((3, 3)) if held.inertia is None else held.inertia
+    numbers = ", ".join(f"{value:.6f}" for value in inertia.ravel(order="F"))
+    centre = ", ".join(f"{value:.4f}" for value in held.centre)
+    return f"robot.setLoad({held.mass:.3f}, {{{{{centre}}}}}, {{{{{numbers}}}}});"
+
+
+def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Principal moments (3,), and A, B, C (3,) in degrees: turns about z, y', x'' onto their axes."""
+    moments, axes = np.linalg.eigh(inertia)
+    axes = axes * np.sign(np.linalg.det(axes))
+    return moments, np.asarray(Rotation.from_matrix(axes).as_euler("ZYX", degrees=True))
+
+
+CALLS = {"URScript": urscript, "KUKA": kuka, "Franka": franka}
+"""Whose call -> its text."""
