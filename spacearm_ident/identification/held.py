@@ -4,20 +4,18 @@ A spring k_1 held at zero is no part of a fit, and what little of it there is le
 look like its own: on the simulated arm a spring of 0.02 N·m/rad, 0.1 % of the joint's torque, shifted k_v2 by three
 of the standard errors that hold only if there is none. Freeing it is no cure: where the data hardly tell it from
 the rest, predictions of other motions become worse. So the estimate stays, and its mean square error is its variance
-plus the square of the estimated shift (Claeskens and Hjort 2003, "The focused information criterion").
+plus the square of the estimated shift (Claeskens and Hjort 2003, "The focused information criterion"); that of noise
+alone is not taken out of it, so that standard errors are rather too long than too short.
 
-With H the information of all that is estimated, r the weighted residual, p the held parameter's weighted column and c
-= A'p, partial regression (Frisch and Waugh 1933) gives what it would be, k = p'r / (p'p - c'H^-1 c), and the shift of
-the others, -H^-1 c k. A single k is mostly noise on a short run: its square is taken as expected under a prior that
-the joints share (`_second_moments`). Where p nearly lies among the columns, as a spring's among gravity's, the
-difference in the denominator keeps four digits of the sixteen; it is computed as what the columns leave of p, a sum
-of squares, from an H^-1 c refined by that remainder (Björck 1996, "Numerical methods for least squares problems",
-section 6.6.5: corrected seminormal equations).
+With H the information of all that is estimated, r the weighted residual, p the held parameter's weighted column and
+c = A'p, partial regression (Frisch and Waugh 1933) gives what it would be, k = p'r / (p'p - c'H^-1 c), and the shift
+of the others, -H^-1 c k. Where p nearly lies among the columns, as a spring's among gravity's, the difference in the
+denominator keeps four digits of the sixteen; it is computed as what the columns leave of p, a sum of squares, from an
+H^-1 c refined by that remainder (Björck 1996, "Numerical methods for least squares problems", section 6.6.5: corrected
+seminormal equations).
 """
 
 from __future__ import annotations
-
-from collections import defaultdict
 
 import numpy as np
 
@@ -28,12 +26,10 @@ from .regression import Regression
 REFINEMENTS = 3
 """Steps of iterative refinement; each divides the error by the inverse of H's condition number times the rounding
 error, a thousand or more, so that the third is beyond what double precision shows."""
-ITERATIONS = 60
-"""Of EM, which is slow where a variance tends to zero: as 1 / iterations."""
 
 
-def held_columns(regression: Regression) -> list[tuple[str, int, FloatArray]]:
-    """(symbol, joint row, (M,) unweighted column) of every parameter held fixed that no constant shapes."""
+def held_columns(regression: Regression) -> list[tuple[int, FloatArray]]:
+    """(joint row, (M,) unweighted column) of every parameter held fixed that no constant shapes."""
     held = []
     for term in regression.model.terms:
         if term.constants or all(parameter.scale != 0.0 for parameter in term.parameters):
@@ -46,7 +42,7 @@ def held_columns(regression: Regression) -> list[tuple[str, int, FloatArray]]:
                         motion.reduce(columns[joint][1][:, k])[motion.moving[:, joint]]
                         for motion, columns in zip(regression.motions, per_motion)
                     ]
-                    held.append((term.parameters[index].symbol, joint, np.concatenate(parts)))
+                    held.append((joint, np.concatenate(parts)))
     return held
 
 
@@ -71,38 +67,18 @@ def hidden_shifts(
     Returns:
         (h, u), a row a held parameter.
     """
-    found: dict[str, list[tuple[FloatArray, float, float]]] = defaultdict(list)
-    for symbol, joint, column in held_columns(regression):
+    shifts = []
+    for joint, column in held_columns(regression):
         rows = regression.rows[joint]
         size = float(np.sum(column**2))
         if size == 0.0:
             continue
-        unit = np.sqrt(np.sum(rows.torque**2) / size)
-        own = column * rows.weight * unit
+        belief = size / (WIDENING**2 * float(np.sum(rows.torque**2)))
+        own = column * rows.weight
         follow, left = _explained(own, joint, inverse, beliefs, weighted, numbers)
-        score = float(own @ (residuals[joint] * rows.weight))
-        found[symbol].append((follow, score, left + WIDENING**-2))
-    shifts = []
-    for candidates in found.values():
-        score, information = np.array([one[1:] for one in candidates]).T
-        sizes = np.copysign(np.sqrt(_second_moments(score, information)), -score)
-        shifts += [follow * size for (follow, *_), size in zip(candidates, sizes)]
+        value = own @ (residuals[joint] * rows.weight) / (left + belief)
+        shifts.append(-follow * value)
     return np.array(shifts).reshape(-1, len(inverse))
-
-
-def _second_moments(score: FloatArray, information: FloatArray) -> FloatArray:
-    """(h,) expected squares of the held parameters of one kind, each estimated as score / information.
-
-    In units of the torque they are believed N(0, t) at all joints; t is what makes the estimates likeliest, by EM. So
-    the noise of an estimate counts as far as the other joints have such a thing, too. One joint may have it alone: the
-    unbiased estimate of its own square is the least that is returned.
-    """
-    spread = float(np.mean((score / information) ** 2))
-    for _ in range(ITERATIONS):
-        share = spread / (spread * information + 1.0)
-        square = (share * score) ** 2 + share
-        spread = float(square.mean())
-    return np.maximum(square, (score / information) ** 2 - 1.0 / information)
 
 
 def _explained(
