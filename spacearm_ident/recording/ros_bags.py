@@ -38,11 +38,12 @@ def is_ros_bag(path: Path) -> bool:
     """Whether a path is a bag in sqlite3 or of ROS 1: a file by its first bytes or suffix, a folder by its files."""
     if path.is_dir():
         return bool(_db3_files(path)) and not any(path.glob("*.mcap"))
-    if path.name.endswith((_DB3, _DB3 + _ZSTD, _ROS1)):
-        return path.is_file()
     try:
+        # A pipe would be waited for.
+        if not path.is_file() or path.name.endswith((_DB3, _DB3 + _ZSTD, _ROS1)):
+            return path.is_file()
         with path.open("rb") as file:
-            return path.is_file() and file.read(16).startswith((_SQLITE, _ROS1_MAGIC))
+            return file.read(16).startswith((_SQLITE, _ROS1_MAGIC))
     except (OSError, ValueError):
         return False
 
