@@ -137,9 +137,10 @@ def identify_bags(
         UserError: As `identify_session`, or a file cannot be read.
     """
     report = progress or (lambda share, what: None)
-    runs = read_bags(fitted, within(report, 0.0, 0.2), options.fixed_base, options.namespace)
+    which = (options.fixed_base, options.namespace, options.arm)
+    runs = read_bags(fitted, within(report, 0.0, 0.2), *which)
     again = tuple(validated) == tuple(fitted)
-    judges = runs if again else read_bags(validated, within(report, 0.2, 0.3), options.fixed_base, options.namespace)
+    judges = runs if again else read_bags(validated, within(report, 0.2, 0.3), *which)
     recordings: list[Recording] = [*runs, *(() if again else judges)]
     prior = load_prior(options.prior) if options.prior else None
     arm = find_arm(options.arm, options.gravity, recordings, prior)

@@ -90,8 +90,8 @@ def explain_session(
     reading = within(report, 0.0, 0.1)
     for path in reference:
         refuse_to_replace(path, directory)
-    known = _reference(reference, reading, fixed_base, namespace)
-    bags, judges = (read_bags(paths, reading, fixed_base, namespace) for paths in (field, judged))
+    known = _reference(reference, reading, fixed_base, namespace, arm)
+    bags, judges = (read_bags(paths, reading, fixed_base, namespace, arm) for paths in (field, judged))
     healthy = [] if isinstance(known, IdentifiedModel) else known
     its_arm = _arm(arm, gravity, known, (*bags, *healthy, *judges))
     bags, healthy, judges = (corrected(in_newton_metres(runs, its_arm), its_arm) for runs in (bags, healthy, judges))
@@ -141,12 +141,12 @@ def _wrong(report: ConventionReport, least: float) -> list[Mistake]:
 
 
 def _reference(
-    paths: Sequence[Path], progress: Progress, fixed_base: bool, namespace: str | None
+    paths: Sequence[Path], progress: Progress, fixed_base: bool, namespace: str | None, arm: Path | None
 ) -> list[Recording] | IdentifiedModel:
     """Bags, or the one model file."""
     models = [path for path in paths if path.suffix in MODEL_SUFFIXES]
     if not models:
-        return read_bags(paths, progress, fixed_base, namespace)
+        return read_bags(paths, progress, fixed_base, namespace, arm)
     if len(paths) > 1:
         raise UserError("give bags of the healthy arm or one model file as reference, not both")
     return load_model(models[0])

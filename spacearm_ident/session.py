@@ -129,7 +129,11 @@ def _what(fitted: Sequence[Recording], validated: Sequence[Recording]) -> str:
 
 
 def read_bags(
-    paths: Sequence[Path], progress: Progress, fixed_base: bool = False, namespace: str | None = None
+    paths: Sequence[Path],
+    progress: Progress,
+    fixed_base: bool = False,
+    namespace: str | None = None,
+    arm: Path | None = None,
 ) -> list[Recording]:
     """Read bags one after the other, all of a folder of bags.
 
@@ -138,6 +142,7 @@ def read_bags(
         progress: Called with a share done in 0..1 and what is being done.
         fixed_base: Read as if no base motion had been recorded.
         namespace: Of the arm, as `read_recording`.
+        arm: URDF or arm YAML whose joints are meant where several arms publish on one topic.
 
     Returns:
         A recording each.
@@ -147,10 +152,11 @@ def read_bags(
         UnfitDataError: One is sampled slower than `LEAST_RATE_HZ`.
     """
     recordings = []
+    preferred = () if arm is None else load_arm(arm).joint_names
     paths = [bag for path in paths for bag in recordings_in(Path(path))]
     for number, path in enumerate(paths):
         progress(number / len(paths), f"reading {path.name}")
-        recording = read_recording(path, namespace=namespace)
+        recording = read_recording(path, preferred=preferred, namespace=namespace)
         if recording.rate_hz < LEAST_RATE_HZ:
             raise UnfitDataError(
                 f"{path}: {recording.rate_hz:.3g} Hz is too slow: friction reverses, inertia acts between the samples; "

@@ -117,8 +117,8 @@ def gap_threshold_s(time: FloatArray) -> float:
     return float(max(GAP_MEDIANS * np.median(steps), 2.0 * np.percentile(steps, 95)))
 
 
-def _main_joints(blocks: Sequence[cdr.JointStateBlock]) -> tuple[str, ...]:
-    """The joints of the messages that carry most of the data, in the order of the first such message."""
+def _main_joints(blocks: Sequence[cdr.JointStateBlock], preferred: Sequence[str] = ()) -> tuple[str, ...]:
+    """The joints of the messages with most of `preferred`, then most data, in the order of the first such message."""
     weight: Counter[frozenset[str]] = Counter()
     order: dict[frozenset[str], tuple[int, tuple[str, ...]]] = {}
     for block in blocks:
@@ -126,7 +126,8 @@ def _main_joints(blocks: Sequence[cdr.JointStateBlock]) -> tuple[str, ...]:
         weight[names] += len(block.rows) * len(names)
         first = (int(block.rows[0]), tuple(dict.fromkeys(block.names)))
         order[names] = min(order.get(names, first), first)
-    return order[max(weight, key=lambda names: (weight[names], len(names)))][1] if weight else ()
+    wanted = set(preferred)
+    return order[max(weight, key=lambda names: (len(names & wanted), weight[names], len(names)))][1] if weight else ()
 
 
 def _carries_no_time(stamps: IntArray) -> bool:
@@ -172,7 +173,14 @@ class Intake:
         clock_shift_ns: Median of stamp minus log time: from the recorder's clock to that of the stamps.
     """
 
-    def __init__(self, topic: str, stream: Stream, joints: Sequence[str] | None, use_log_time: bool) -> None:
+    def __init__(
+        self,
+        topic: str,
+        stream: Stream,
+        joints: Sequence[str] | None,
+        use_log_time: bool,
+        preferred: Sequence[str] = (),
+    ) -> None:
         self.findings: list[Finding] = []
         self.seams: IntArray = np.zeros(0, dtype=np.int64)
         self._label = "" if topic == messages.STATES_TOPIC else f"{topic}: "
@@ -200,7 +208,7 @@ class Intake:
             stamps = stamps[before]
         self.clock_shift_ns = int(np.median((stamps - log_times)[decoded])) if decoded.any() else 0
         if joints is None:
-            joints = _main_joints(blocks)
+            joints = _main_joints(blocks, preferred)
         self.known = sorted({name for block in blocks for name in block.names})
         self.samples, named = _gather(stamps, blocks, tuple(joints))
         self._left_out(stamps[~decoded], "undecodable_message", "messages left out that cannot be decoded")
