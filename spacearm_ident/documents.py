@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -182,3 +183,19 @@ def check_xml(text: str, what: str, on_element: Callable[[int, str, dict[str, st
         parser.Parse(text.strip().encode(), True)
     except (ExpatError, UnicodeEncodeError) as error:
         raise UserError(f"{what} is not well-formed XML ({error}): mend it, or export it again") from error
+
+
+def parse_xml(text: str, what: str) -> ET.Element:
+    """The root of an XML document that `check_xml` passes; names with a prefix stay as they are written.
+
+    Raises:
+        UserError: As `check_xml`.
+    """
+    check_xml(text, what)
+    builder = ET.TreeBuilder()
+    parser = ParserCreate("utf-8")
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.Parse(text.strip().encode(), True)
+    return builder.close()

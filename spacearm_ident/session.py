@@ -145,7 +145,8 @@ def read_bags(
         progress: Called with a share done in 0..1 and what is being done.
         fixed_base: Read as if no base motion had been recorded.
         namespace: Of the arm, as `read_recording`.
-        arm: URDF or arm YAML: a log says nothing of its arm.
+        arm: URDF or arm YAML: a log says nothing of its arm, and where several arms publish on one topic its joints are
+            meant.
         mapping: What the columns of a log are, as `read_log`.
 
     Returns:
@@ -156,11 +157,14 @@ def read_bags(
         UnfitDataError: One is sampled slower than `LEAST_RATE_HZ`.
     """
     recordings = []
+    preferred = () if arm is None else load_arm(arm).joint_names
     paths = [bag for path in paths for bag in recordings_in(Path(path))]
     for number, path in enumerate(paths):
         progress(number / len(paths), f"reading {path.name}")
         recording = (
-            read_log(path, arm, mapping).recording if is_log(path) else read_recording(path, namespace=namespace)
+            read_log(path, arm, mapping).recording
+            if is_log(path)
+            else read_recording(path, preferred=preferred, namespace=namespace)
         )
         if recording.rate_hz < LEAST_RATE_HZ:
             raise UnfitDataError(

@@ -138,6 +138,44 @@ def test_the_other_commands_ask_for_the_arm_too(command, two_arms, tmp_path, cap
     assert "no /none/joint_states" in capsys.readouterr().err
 
 
+def test_an_arm_may_be_named_by_its_topic(two_arms, tmp_path, capsys):
+    words = ["check", str(two_arms), "--quiet", "--topic"]
+    assert main([*words, "/moving/joint_states"]) in (0, 1)
+    assert "does not move" not in (told := capsys.readouterr().out) and "no joint moves" not in told
+    main([*words, "/still/joint_states"])
+    assert "no joint moves" in capsys.readouterr().out
+
+
+def test_joint_states_of_any_name_are_read(tmp_path):
+    path = tmp_path / "odd.mcap"
+    write_recording(path, small_arm.recording(2.0))
+    rows = [
+        (replace(m.channel, topic=m.channel.topic.replace("joint_states", "measured")), m) for m in bag_messages(path)
+    ]
+    with RecordingWriter(tmp_path / "odd") as writer:
+        channels = {}
+        for channel, message in rows:
+            if channel.topic not in channels:
+                channels[channel.topic] = writer.add_channel(channel)
+            writer.write(channels[channel.topic], message.log_time_ns, message.payload)
+    with pytest.raises(UserError, match="no /joint_states"):
+        read_recording(tmp_path / "odd")
+    recording = read_recording(tmp_path / "odd", namespace="/measured")
+    np.testing.assert_array_equal(recording.position, read_recording(path).position)
+    assert recording.urdf == read_recording(path).urdf
+
+
+def test_of_two_arms_on_one_topic_the_messages_of_the_arm_meant_are_read(tmp_path):
+    """The other one publishes twice as often."""
+    left = states(40, joints=("left_a", "left_b", "left_c"))
+    right = states(20, step_ns=2_000_000, joints=("right_a", "right_b", "right_c"))
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(bag_bytes(sorted([*left, *((log + 500_000, payload) for log, payload in right)])))
+    assert read_recording(path).joints == ("left_a", "left_b", "left_c")
+    recording = read_recording(path, preferred=("right_c", "right_a", "right_b", "gripper"))
+    assert recording.joints == ("right_a", "right_b", "right_c") and len(recording.time) == 20
+
+
 def test_batch_passes_the_namespace_on(two_arms, tmp_path, capsys):
     words = ["batch", str(two_arms), "--out", str(tmp_path / "out"), "--quiet", "--jobs", "1"]
     assert main(words) == 1

@@ -156,6 +156,21 @@ def test_locked_joints_leave_kinematics_and_dynamics_of_the_robot_as_they_were()
         np.testing.assert_allclose(ours, pin.rnea(theirs, theirs.createData(), q, v, a), atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "more, said",
+    [
+        ('<mimic joint="finger" multiplier="much"/>', "mimic multiplier='much'"),
+        ('<mimic joint="mirror"/>', None),
+        ("<xacro:note text='a prefix that nobody declared'/>", None),
+    ],
+)
+def test_what_others_write_into_a_urdf_is_read_or_refused_in_a_line(more, said, tmp_path, capsys):
+    text = road_arms.SERVICE_ROBOT.replace('<mimic joint="finger" multiplier="1" offset="0"/>', more)
+    urdf = written(tmp_path, f"\n<?xml version='1.0'?>{text}")
+    out, err = spacearm(capsys, "new-arm", urdf, "--out", tmp_path / "arm", expect=2 if said else 0)
+    assert said in err if said else "the arm: 3 joints, shoulder, elbow, wrist" in out
+
+
 def test_a_continuous_joint_made_revolute_is_the_same_arm():
     model, angle = pin.buildModelFromXML(bounded(road_arms.SCARA)), 0.7
     whole = pin.buildModelFromXML(road_arms.SCARA)

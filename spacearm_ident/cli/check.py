@@ -47,6 +47,7 @@ def add(commands: Any) -> None:
     common.add_arm_options(command)
     common.add_base_option(command)
     common.add_mapping_option(command)
+    common.add_namespace_option(command)
     command.add_argument("--can", type=Path, metavar="FILE", help="CAN YAML")
     command.add_argument("--params", type=Path, metavar="FILE", help="ROS parameters of the nodes")
     common.add_output_options(command)
@@ -85,7 +86,7 @@ def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:
     """Test recordings against their conventions; returns 1 where they are unfit."""
     with common.progress(options) as report:
         recordings = common.read_bags(
-            bags, within(report, 0.0, 0.2), options.fixed_base, None, options.arm, options.mapping
+            bags, within(report, 0.0, 0.2), options.fixed_base, options.namespace, options.arm, options.mapping
         )
         arm = common.arm_of(options, recordings)
         found = check_conventions(corrected(recordings, arm), arm, progress=within(report, 0.2, 1.0))

@@ -18,6 +18,7 @@ from ..documents import file_sha256
 from ..dynamics.arm import Arm
 from ..errors import one_line
 from ..recording import Recording, describe
+from ..recording.messages import STATES_TOPIC
 from ..report.provenance import versions
 from ..session import find_arm
 from ..session import read_bags as read_bags
@@ -48,12 +49,25 @@ def add_base_option(command: argparse.ArgumentParser) -> None:
 
 
 def add_namespace_option(command: argparse.ArgumentParser) -> None:
-    """`--namespace`."""
+    """`--namespace`, and `--topic` for the same by the name of a topic."""
     command.add_argument(
         "--namespace",
         metavar="NAME",
         help="where bags hold several arms: the one in this namespace (arm_1: /arm_1/joint_states); /: the one in none",
     )
+    command.add_argument(
+        "--topic",
+        dest="namespace",
+        type=_of_topic,
+        metavar="NAME",
+        help="its joint states by the topic's full name, whatever that is (/left/measured_joints)",
+    )
+
+
+def _of_topic(topic: str) -> str:
+    """A topic of joint states as `--namespace` has it: its namespace, or the topic itself where its name is another."""
+    place, _, name = topic.rpartition("/")
+    return (place or "/") if f"/{name}" == STATES_TOPIC else topic
 
 
 def add_mapping_option(command: argparse.ArgumentParser) -> None:

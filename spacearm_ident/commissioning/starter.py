@@ -9,7 +9,6 @@ asked where the arm's own driver publishes torque: then there is no CAN file, an
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Final
 import yaml
 
 from ..canbus.bus_load import BusLoad, Traffic, bus_load
+from ..documents import parse_xml
 from ..driver.arm_can import CAN_SCHEMA
 from ..dynamics.arm import ARM_SCHEMA, Arm, Joint
 from ..dynamics.demand import torque_asked
@@ -161,7 +161,7 @@ def _has_travel(joint: Joint) -> bool:
 def gear_ratios(urdf: str) -> dict[str, float]:
     """Joint -> reduction, where the URDF has `<transmission>` elements that say one other than the placeholder."""
     found = {}
-    for transmission in ET.fromstring(urdf).iter("transmission"):
+    for transmission in parse_xml(urdf, "the URDF").iter("transmission"):
         texts = [item.text for item in transmission.iter("mechanicalReduction") if item.text]
         joints = [item.get("name") for item in transmission.iter("joint")]
         try:

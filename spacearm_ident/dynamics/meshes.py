@@ -12,6 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..documents import parse_xml
+
 _PACKAGE, _FILE = "package://", "file://"
 AROUND = 6
 """How many folders upwards from a given one a package is looked for: package/urdf/robots/ur5/arm.urdf and some."""
@@ -49,7 +51,7 @@ def resolve_meshes(urdf: str, folders: Sequence[str]) -> Meshes:
         urdf: Text of a URDF that `check_urdf` has passed.
         folders: Where to look first; a relative path is taken from each.
     """
-    robot = ET.fromstring(urdf)
+    robot = parse_xml(urdf, "the URDF")
     places: dict[str, Path | None] = {}
     for mesh in robot.iter("mesh"):
         name = mesh.get("filename", "")
@@ -65,7 +67,7 @@ def resolve_meshes(urdf: str, folders: Sequence[str]) -> Meshes:
 def package_folders(urdf: str, folders: Sequence[str]) -> list[str]:
     """Folders, absolute and few, with which `resolve_meshes` finds what it finds with `folders` from anywhere."""
     needed: list[str] = []
-    for mesh in ET.fromstring(urdf).iter("mesh"):
+    for mesh in parse_xml(urdf, "the URDF").iter("mesh"):
         name = mesh.get("filename", "")
         if any(path.is_file() for path in _exact(name, needed)):
             continue

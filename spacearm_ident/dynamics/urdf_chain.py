@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
+from ..documents import parse_xml
 from ..errors import UserError
 from .urdf_check import check_urdf
 
@@ -71,7 +72,8 @@ class JointTree:
         if "<robot" not in urdf:
             raise UserError("this is not a URDF: it has no <robot> element")
         check_urdf(urdf)
-        self.robot = ET.fromstring(urdf)
+        self.robot = parse_xml(urdf, "the URDF")
+        self.elements = {element.get("name", ""): element for element in self.robot.findall("joint")}
         self.joints = tuple(_joint(element) for element in self.robot.findall("joint"))
         self.by_name = {joint.name: joint for joint in self.joints}
         self._above = {joint.child: joint for joint in self.joints}
@@ -176,7 +178,7 @@ def bounded(urdf: str) -> str:
     """
     if "continuous" not in urdf:
         return urdf
-    robot = ET.fromstring(urdf)
+    robot = parse_xml(urdf, "the URDF")
     for element in robot.findall("joint"):
         if element.get("type") == "continuous":
             element.set("type", "revolute")
@@ -267,7 +269,7 @@ def _position(tree: JointTree, element: ET.Element, given: Mapping[str, float]) 
     """Where a joint is locked, rad or m."""
     mimic = element.find("mimic")
     if mimic is not None:
-        leader = tree.robot.find(f"joint[@name={_xpath_text(mimic.get('joint', ''))}]")
+        leader = tree.elements.get(mimic.get("joint", ""))
         own = 0.0 if leader is None or leader.find("mimic") is not None else _position(tree, leader, given)
         return own * float(mimic.get("multiplier", 1.0)) + float(mimic.get("offset", 0.0))
     name = element.get("name", "")
@@ -280,17 +282,19 @@ def _position(tree: JointTree, element: ET.Element, given: Mapping[str, float]) 
     return min(max(0.0, low), high) if low <= high else 0.0
 
 
-def _xpath_text(text: str) -> str:
-    return f"'{text}'" if "'" not in text else f'"{text}"'
-
-
 def _fix(element: ET.Element, position: float) -> None:
-    """Make a joint fixed, its motion from zero to `position` in its origin."""
+    """Make a joint fixed, its motion from zero to `position` in its origin.
+
+    Raises:
+        UserError: It has no axis.
+    """
     origin, axis = element.find("origin"), element.find("axis")
     if origin is None:
         origin = ET.SubElement(element, "origin")
     if element.get("type") in DRIVEN and position:
         direction = np.array(_numbers("1 0 0" if axis is None else axis.get("xyz", "1 0 0")))
+        if not direction.any():
+            raise UserError(f"joint {element.get('name')!r} has the axis 0 0 0: give it a direction")
         direction = direction / np.linalg.norm(direction)
         placement = pin.SE3(
             pin.rpy.rpyToMatrix(np.array(_numbers(origin.get("rpy", "0 0 0")))),

@@ -19,6 +19,7 @@ _NUMBERS = {
     "mass": ("value",),
     "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
     "limit": ("lower", "upper", "effort", "velocity"),
+    "mimic": ("multiplier", "offset"),
 }
 _COUNT = {"xyz": 3, "rpy": 3}
 

@@ -118,8 +118,8 @@ def gap_threshold_s(time: FloatArray) -> float:
     return float(max(GAP_MEDIANS * np.median(steps), 2.0 * np.percentile(steps, 95)))
 
 
-def _main_joints(blocks: Sequence[cdr.JointStateBlock]) -> tuple[str, ...]:
-    """The joints of the messages that carry most of the data, in the order of the first such message."""
+def _main_joints(blocks: Sequence[cdr.JointStateBlock], preferred: Sequence[str] = ()) -> tuple[str, ...]:
+    """The joints of the messages with most of `preferred`, then most data, in the order of the first such message."""
     weight: Counter[frozenset[str]] = Counter()
     order: dict[frozenset[str], tuple[int, tuple[str, ...]]] = {}
     for block in blocks:
@@ -127,7 +127,8 @@ def _main_joints(blocks: Sequence[cdr.JointStateBlock]) -> tuple[str, ...]:
         weight[names] += len(block.rows) * len(names)
         first = (int(block.rows[0]), tuple(dict.fromkeys(block.names)))
         order[names] = min(order.get(names, first), first)
-    return order[max(weight, key=lambda names: (weight[names], len(names)))][1] if weight else ()
+    wanted = set(preferred)
+    return order[max(weight, key=lambda names: (len(names & wanted), weight[names], len(names)))][1] if weight else ()
 
 
 def _carries_no_time(stamps: IntArray) -> bool:
@@ -183,7 +184,14 @@ class Intake:
         self.clock_shift_ns = clock_shift_ns
 
     @classmethod
-    def of_stream(cls, topic: str, stream: Stream, joints: Sequence[str] | None, use_log_time: bool) -> Self:
+    def of_stream(
+        cls,
+        topic: str,
+        stream: Stream,
+        joints: Sequence[str] | None,
+        use_log_time: bool,
+        preferred: Sequence[str] = (),
+    ) -> Self:
         """The messages of a topic.
 
         Args:
@@ -191,6 +199,7 @@ class Intake:
             stream: What a bag holds of it.
             joints: The joints wanted; None: those of the messages that carry most data.
             use_log_time: Whether the header stamps are not to be used.
+            preferred: Joints that are meant where messages of several arms are mixed.
         """
         notes: list[tuple[str, str, int]] = []
         blocks, bad = cdr.decode_joint_states(stream.payloads)
@@ -217,7 +226,7 @@ class Intake:
             before = np.maximum.accumulate(np.where(decoded, np.arange(len(decoded)), np.argmax(decoded)))
             stamps = stamps[before]
         shift_ns = int(np.median((stamps - log_times)[decoded])) if decoded.any() else 0
-        samples, named = _gather(stamps, blocks, tuple(_main_joints(blocks) if joints is None else joints))
+        samples, named = _gather(stamps, blocks, tuple(_main_joints(blocks, preferred) if joints is None else joints))
         label = "" if topic == messages.STATES_TOPIC else f"{topic}: "
         intake = cls(label, samples, on_log_time=on_log_time, clock_shift_ns=shift_ns)
         for note in notes:

@@ -13,7 +13,7 @@ from functools import partial
 
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import messages
-from spacearm_ident.recording.bag import Bag, read_bag
+from spacearm_ident.recording.bag import Bag, Stream, read_bag
 from spacearm_ident.recording.intake import Finding, listing
 from spacearm_ident.recording.mcap_reader import Progress
 
@@ -25,8 +25,8 @@ def read_arm(path: str, namespace: str | None, progress: Progress | None) -> tup
 
     Args:
         path: MCAP file or rosbag2 folder.
-        namespace: The arm's, such as `arm_1` or `/cell/arm_1`; `/` is none. None: the arm without a namespace, or the
-            only one there is.
+        namespace: The arm's, such as `arm_1` or `/cell/arm_1`; `/` is none. Or the full name of a topic of joint
+            states that is called otherwise. None: the arm without a namespace, or the only one there is.
         progress: Told the fraction done.
 
     Returns:
@@ -38,6 +38,8 @@ def read_arm(path: str, namespace: str | None, progress: Progress | None) -> tup
     asked = None if namespace is None else _prefix(namespace)
     bag = read_bag(path, partial(_type_wanted, asked), progress)
     arms = _arms(bag.streams)
+    if asked in bag.streams:
+        return replace(bag, streams=_streams(bag, str(asked).rpartition("/")[0], str(asked))), []
     if asked is not None and asked not in arms:
         there = [topic for topic, kind in bag.topics.items() if kind == messages.JOINT_STATE.name]
         raise UserError(f"{path}: no {asked}{messages.STATES_TOPIC}; it holds {_named(_arms(there)) or 'no arm'}")
@@ -48,11 +50,16 @@ def read_arm(path: str, namespace: str | None, progress: Progress | None) -> tup
         count = sum(len(bag.streams[place + messages.STATES_TOPIC].payloads) for place in others)
         text = f"{_named(others)} left out: choose another arm by its namespace (--namespace)"
         findings.append(Finding("other_arm", text, count))
+    return replace(bag, streams=_streams(bag, chosen)), findings
+
+
+def _streams(bag: Bag, namespace: str, states: str | None = None) -> dict[str, Stream]:
+    """The streams of a namespace by their local names; joint states from the topic `states` where there is one."""
     streams = {}
     for local in messages.TOPIC_TYPES:
-        if stream := next((bag.streams[name] for name in _names(local, chosen) if name in bag.streams), None):
+        if stream := next((bag.streams[name] for name in _names(local, namespace) if name in bag.streams), None):
             streams[local] = stream
-    return replace(bag, streams=streams), findings
+    return streams if states is None else streams | {messages.STATES_TOPIC: bag.streams[states]}
 
 
 def _arms(topics: Iterable[str]) -> list[str]:
@@ -78,6 +85,8 @@ def _named(arms: Sequence[str]) -> str:
 
 def _type_wanted(asked: str | None, topic: str) -> str | None:
     """The message type of a topic that may be the arm's, None of any other."""
+    if asked is not None and topic == asked:
+        return messages.JOINT_STATE.name
     local = _local(topic)
     kind = messages.TOPIC_TYPES.get(local)
     if kind is None or (asked is not None and topic not in _names(local, asked)):

@@ -41,7 +41,7 @@ from spacearm_ident.recording.namespace import read_arm
 from spacearm_ident.recording.recording import FloatArray, Issue, Recording, Series, Source
 
 
-def _read_states(bag: Bag, path: str, joints: Sequence[str] | None) -> tuple[Intake, bool]:
+def _read_states(bag: Bag, path: str, joints: Sequence[str] | None, preferred: Sequence[str]) -> tuple[Intake, bool]:
     """The joint states, sound and in order of time, and whether their velocities can be used."""
     stream = bag.streams.get(messages.STATES_TOPIC)
     if stream is None:
@@ -51,7 +51,7 @@ def _read_states(bag: Bag, path: str, joints: Sequence[str] | None) -> tuple[Int
             f"{path}: no {messages.STATES_TOPIC} of type {messages.JOINT_STATE.name}; "
             f"record that topic (found: {there or 'nothing'}{damage})"
         )
-    intake = Intake.of_stream(messages.STATES_TOPIC, stream, joints, use_log_time=False)
+    intake = Intake.of_stream(messages.STATES_TOPIC, stream, joints, use_log_time=False, preferred=preferred)
     unknown = [name for name in joints or () if name not in intake.known]
     if unknown:
         raise UserError(f"{path}: no joint {listing(unknown)}; the recording has {listing(intake.known)}")
@@ -78,6 +78,14 @@ def _settle(intake: Intake, path: str, chosen: bool, damage: Sequence[str]) -> b
         reasons = "; ".join([*damage, *(finding.message for finding in intake.findings)])
         raise UserError(f"{path}: fewer than two usable joint states ({reasons or 'too short'}); record again")
     return has_velocity
+
+
+def _read_command(bag: Bag, states: Intake) -> tuple[Series | None, list[Finding]]:
+    """Set-points of a bag, on the clock of the states."""
+    stream = bag.streams.get(messages.COMMAND_TOPIC)
+    if stream is None:
+        return None, []
+    return _command(Intake.of_stream(messages.COMMAND_TOPIC, stream, states.samples.joints, states.on_log_time), states)
 
 
 def _command(intake: Intake, states: Intake) -> tuple[Series | None, list[Finding]]:
@@ -177,6 +185,7 @@ def read_recording(
     path: str | Path,
     *,
     joints: Sequence[str] | None = None,
+    preferred: Sequence[str] = (),
     namespace: str | None = None,
     progress: Progress | None = None,
 ) -> Recording:
@@ -186,8 +195,10 @@ def read_recording(
         path: MCAP file or rosbag2 folder.
         joints: The joints wanted, in that order; None takes those of the messages that carry most data, less
             any that never have an effort.
-        namespace: Of the arm to read, such as `arm_1`; `/` is none. None: the arm without a namespace, or the only
-            one there is.
+        preferred: With `joints` None, joints of the arm meant: where several arms publish on one topic, the messages
+            with most of these are taken.
+        namespace: Of the arm to read, such as `arm_1`; `/` is none; or the full name of its topic of joint states.
+            None: the arm without a namespace, or the only one there is.
         progress: Called with the fraction done, 0 to 1.
 
     Returns:
@@ -198,15 +209,8 @@ def read_recording(
             arms in namespaces, and none was asked for.
     """
     bag, others = read_arm(str(path), namespace, progress)
-    states, has_velocity = _read_states(bag, str(path), joints)
-    stream = bag.streams.get(messages.COMMAND_TOPIC)
-    command, command_findings = (
-        (None, [])
-        if stream is None
-        else _command(
-            Intake.of_stream(messages.COMMAND_TOPIC, stream, states.samples.joints, states.on_log_time), states
-        )
-    )
+    states, has_velocity = _read_states(bag, str(path), joints, preferred)
+    command, command_findings = _read_command(bag, states)
     temperatures, temperature_findings = _read_temperatures(bag, states)
     base, base_findings = read_base(bag, states)
     urdf, description_findings = _read_description(bag)
