@@ -62,7 +62,8 @@ def children_of(arm: Arm, parent: int) -> list[int]:
 
 def quaternion(rotation: FloatArray) -> FloatArray:
     """(4,) w x y z of a rotation matrix."""
-    return np.asarray(Rotation.from_matrix(rotation).as_quat(scalar_first=True))
+    # Ubuntu 24.04's scipy has no `scalar_first`.
+    return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
 
 
 def rpy(rotation: FloatArray) -> FloatArray:
