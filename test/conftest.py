@@ -16,8 +16,9 @@ try:
 except ModuleNotFoundError:
     pass
 else:
-    settings.register_profile("same", derandomize=True)
-    settings.register_profile("search", max_examples=300)
+    # A busy machine is not a failure: no deadlines.
+    settings.register_profile("same", derandomize=True, deadline=None)
+    settings.register_profile("search", max_examples=300, deadline=None)
     settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 OPTIONAL = {
