@@ -20,6 +20,7 @@ from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import rigid_body_blocks
 from ..errors import UnfitDataError, UserError
+from ..identification.consistency import pseudo_inertia
 from ..identification.weights import residual_noise
 from ..recording.motion import Motion
 from ..recording.recording import Recording
@@ -192,9 +193,4 @@ def _tensor(elements: FloatArray) -> FloatArray:
 
 def _is_body(phi: FloatArray) -> bool:
     """Whether a body can have these parameters: its pseudo-inertia is positive definite (Wensing et al. 2018)."""
-    tensor = _tensor(phi[4:10])
-    pseudo = np.zeros((4, 4))
-    pseudo[:3, :3] = 0.5 * np.trace(tensor) * np.eye(3) - tensor
-    pseudo[3, :3] = pseudo[:3, 3] = phi[1:4]
-    pseudo[3, 3] = phi[0]
-    return bool(np.linalg.eigvalsh(pseudo)[0] > 0.0)
+    return bool(np.linalg.eigvalsh(pseudo_inertia(phi))[0] > 0.0)

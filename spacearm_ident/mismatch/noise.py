@@ -68,8 +68,7 @@ def weighted(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     whiteners, floor = [], []
     for j, weights in enumerate(plain):
         squares, rows, correlated = 0.0, 0, 0.0
-        for m, motion in enumerate(motions):
-            series, kept = (part[m] for part in _series(scene, residual, j))
+        for motion, series, kept in zip(motions, *_series(scene, residual, j)):
             place = np.flatnonzero(kept)
             noise = residual_noise(series[place], place, motion.white_correlation)
             squares += float(np.sum(series[place] ** 2))

@@ -8,7 +8,7 @@ variance with few degrees of freedom; the finding's must be larger, by the F dis
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 from scipy.stats import f as fisher
@@ -39,25 +39,24 @@ def exceeds_null(candidate: Candidate, values: FloatArray, evidence: Evidence, l
     healthy = evidence.healthy
     if not left_out.known or evidence.reference is None:
         return False
-    own = stacked_effect(healthy.field, candidate.effect, candidate.constants)
-    parts = [*_parts(candidate, candidate.constants, own, healthy, left_out)]
+    parts = _parts(candidate, candidate.constants, healthy, left_out)
     size = sum(float(values @ part.gram @ values) for part in parts)
     if size < EXCITED * float(values @ candidate.gram @ values) * len(healthy.field) / evidence.rows:
         return False
-    gains = [sum(healthy.refit([part]).gain for part in parts)]
-    for constants in grid_points(candidate.effect, healthy.field.motions) if candidate.constants else ():
-        stacked = stacked_effect(healthy.field, candidate.effect, constants)
-        gains.append(sum(healthy.refit([p]).gain for p in _parts(candidate, constants, stacked, healthy, left_out)))
+    grid = grid_points(candidate.effect, healthy.field.motions) if candidate.constants else ()
+    tried = chain([parts], (_parts(candidate, constants, healthy, left_out) for constants in grid))
+    gains = [sum(healthy.refit([part]).gain for part in one) for one in tried]
     free = freedom(candidate.effect)
     # Noise alone gains one a free number and part.
     return size > float(fisher.ppf(1.0 - LEVEL, free, free * len(parts))) * max(*gains, free * len(parts))
 
 
-def _parts(
-    candidate: Candidate, constants: tuple[float, ...], stacked: Stacked, healthy: Evidence, left_out: LeftOut
-) -> Iterator[Candidate]:
-    """The effect in one part of the reference, and in no other."""
+def _parts(candidate: Candidate, constants: tuple[float, ...], healthy: Evidence, left_out: LeftOut) -> list[Candidate]:
+    """The effect in one part of the reference after the other, and in no other."""
+    stacked = stacked_effect(healthy.field, candidate.effect, constants)
     part = left_out.fold_of_row[stacked.rows]
-    for fold in range(len(left_out.fits)):
-        inside = Stacked(stacked.rows, np.where((part == fold)[:, None], stacked.columns, 0.0))
-        yield healthy.candidate(candidate.effect, constants, inside)
+
+    def inside(fold: int) -> Stacked:
+        return Stacked(stacked.rows, np.where((part == fold)[:, None], stacked.columns, 0.0))
+
+    return [healthy.candidate(candidate.effect, constants, inside(fold)) for fold in range(len(left_out.fits))]

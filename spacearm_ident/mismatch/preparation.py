@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -133,12 +134,18 @@ class _Start:
 
 @dataclass(frozen=True)
 class _WithNoise:
-    """A base with a model of its noise, and how well both predict what they leave out of the reference."""
+    """A base with a model of its noise, fitted to motions."""
 
     start: _Start
     noise: Noise
-    left_out: LeftOut
+    motions: Sequence[Motion]
     weighted: bool = False
+
+    @cached_property
+    def left_out(self) -> LeftOut:
+        """How well both predict parts of the motions that a fit left out."""
+        alone = Evidence(self.start.base, Scene(self.start.base, self.motions, self.noise.whiteners), None)
+        return LeftOut(alone, Residuals(alone, alone.field, self.noise.plain))
 
 
 def _identified(
@@ -157,16 +164,14 @@ def _possible(model: IdentifiedModel, cutoff_hz: float) -> IdentifiedModel:
 
 
 def _with_noise(start: _Start, motions: Sequence[Motion], model: NoiseModel) -> _WithNoise:
-    noise = model(start.base, motions)
-    alone = Evidence(start.base, Scene(start.base, motions, noise.whiteners), None)
-    return _WithNoise(start, noise, LeftOut(alone, Residuals(alone, alone.field, noise.plain)))
+    return _WithNoise(start, model(start.base, motions), motions)
 
 
 def _best_predicting(found: _WithNoise, by_prediction: _Start, motions: Sequence[Motion]) -> _WithNoise:
     """Which base and noise predict held-out parts of the reference best: the first, unless another clearly."""
-    others = [_with_noise(start, motions, weighted) for start in (found.start, by_prediction)]
     if not found.left_out.known:
         return found
+    others = [_with_noise(start, motions, weighted) for start in (found.start, by_prediction)]
     before, blocks = found.left_out.squares, len(found.left_out.squares)
     t = [t_of_all(before, other.left_out.squares) for other in others]
     best = others[int(np.argmax(t))]

@@ -17,6 +17,7 @@ What counts as sound (contracts.md §1):
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -214,10 +215,6 @@ def read_recording(
     temperatures, temperature_findings = _read_temperatures(bag, states)
     base, base_findings = read_base(bag, states)
     urdf, description_findings = _read_description(bag)
-    samples = states.samples
-    start_ns = int(samples.stamp_ns[0])
-    time = _seconds(samples.stamp_ns, start_ns)
-    segments, gaps = _split(time, states.seams)
     findings = [
         *_bag_findings(bag, states.clock_shift_ns),
         *others,
@@ -227,6 +224,23 @@ def read_recording(
         *base_findings,
         *description_findings,
     ]
+    recording = _assembled(states, has_velocity, command, findings, tuple(bag.sources), urdf)
+    return replace(recording, temperatures=temperatures, base=base)
+
+
+def _assembled(
+    states: Intake,
+    has_velocity: bool,
+    command: Series | None,
+    findings: Sequence[Finding],
+    sources: tuple[Source, ...],
+    urdf: str | None,
+) -> Recording:
+    """A recording of sound joint states, cut where they have gaps."""
+    samples = states.samples
+    start_ns = int(samples.stamp_ns[0])
+    time = _seconds(samples.stamp_ns, start_ns)
+    segments, gaps = _split(time, states.seams)
     return Recording(
         joints=samples.joints,
         time=time,
@@ -236,11 +250,9 @@ def read_recording(
         segments=segments,
         start_ns=start_ns,
         command=command,
-        temperatures=temperatures,
-        base=base,
         urdf=urdf,
         issues=(*(finding.as_issue(start_ns) for finding in findings), *gaps),
-        sources=tuple(bag.sources),
+        sources=sources,
     )
 
 
@@ -270,23 +282,8 @@ def recording_of(
     if command is not None:
         kept = command.columns(np.isin(command.joints, states.samples.joints))
         set_points, findings = _command(Intake("set-points: ", kept), states)
-    samples = states.samples
-    start_ns = int(samples.stamp_ns[0])
-    time = _seconds(samples.stamp_ns, start_ns)
-    segments, gaps = _split(time, states.seams)
-    return Recording(
-        joints=samples.joints,
-        time=time,
-        position=samples.position,
-        velocity=samples.velocity if has_velocity else None,
-        effort=samples.effort,
-        segments=segments,
-        start_ns=start_ns,
-        command=set_points,
-        urdf=urdf,
-        issues=(*issues, *(finding.as_issue(start_ns) for finding in (*states.findings, *findings)), *gaps),
-        sources=sources,
-    )
+    recording = _assembled(states, has_velocity, set_points, (*states.findings, *findings), sources, urdf)
+    return replace(recording, issues=(*issues, *recording.issues))
 
 
 def describe(recording: Recording) -> list[str]:
