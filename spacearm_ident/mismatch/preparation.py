@@ -41,8 +41,8 @@ WIDER = 4.0
 """Positions are filtered this many times as wide."""
 COST = 0.25
 """Mean logarithm of the ratio of held-out variances from which whitening is given up, if the difference is clear by t
-as well. Of six simulated arms it was 0.06 and 0.13 at the two where t is clear, and -0.02 to 0.33 at the others; 0.37 to
-1.3 on the four real arms where whitening predicts worse."""
+as well. Of six simulated arms it was 0.06 and 0.13 at the two where t is clear, and -0.02 to 0.33 at the others;
+0.37 to 1.3 on the four real arms where whitening predicts worse."""
 
 
 @dataclass(frozen=True)
