@@ -1,0 +1,227 @@
+"""Layer 0: gains, zeros and a delay that the data demand, with the simulation's parameters as uncertain as they may be.
+
+Each is a hypothesis: its column is free, with a prior of its own, or absent. Hypotheses are compared by marginal
+likelihood, summed over how far the simulation's inertials may be off (`CAD_SCALES`), so that a gain is not found where
+a heavier link says the same. The best joins, everything is linearised anew, and so on until nothing gains; what gains
+nothing beside the others leaves again. Signs, units, order and gravity are for `conventions.search`, before this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from scipy.special import expit, logsumexp
+
+from ..conventions.evidence import CAD_SCALES, inertial_belief
+from ..conventions.search import CHANCE, SURE
+from ..dynamics.arm import FloatArray
+from ..dynamics.model import IdentifiedModel
+from ..mismatch.noise import weighted
+from ..mismatch.scene import Whitener
+from ..recording.motion import Motion
+from .linear import DELAY, GAIN, ZERO, Linear, Prior, weak_prior
+from .wiring import Wiring
+
+GAIN_SD, ZERO_SD, DELAY_SD = 0.5, 0.1, 0.02
+"""Standard deviations of what is off where something is: of a gain's logarithm (a torque constant of a neighbouring
+size of motor), of a zero, rad (six degrees), of a delay, s (a few cycles of a slow bus)."""
+ODDS = {GAIN: 0.1, ZERO: 0.02, DELAY: 0.05}
+"""Prior probability of each at one joint (the delay: at all). Of the five real arms in hand torque from current is 8 to
+43 % off at single joints of two; a zero that is off shows as soon as an arm is used; a late torque channel is common."""
+MOST = 8
+"""Gains, zeros and delays looked for at once."""
+SETTLING = 2
+"""Times that everything is linearised anew once nothing is added."""
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """What the data make probable and do not prove.
+
+    Attributes:
+        names: Columns that would be off together.
+        values: Of each: a gain, a zero (rad) or a delay (s).
+        probability: Against nothing more being off.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    probability: float
+
+
+@dataclass(frozen=True)
+class Wired:
+    """What was found.
+
+    Attributes:
+        wiring: What the recordings are off by.
+        found: Names of the columns that the data demand, such as `gain[joint_2]`.
+        log_odds: For each, log-likelihood ratio against its absence, with priors.
+        suspected: What else is more probable than not, the most probable first.
+        model: The simulation's terms with values that fit beside it.
+        whiteners: What rows count for.
+    """
+
+    wiring: Wiring
+    found: tuple[str, ...]
+    log_odds: tuple[float, ...]
+    suspected: tuple[Suspicion, ...]
+    model: IdentifiedModel
+    whiteners: Sequence[Whitener]
+
+
+def find_wiring(model: IdentifiedModel, motions: Sequence[Motion]) -> Wired:
+    """Find what gains, zeros and delay the data demand.
+
+    Args:
+        model: The simulation's torque model, with its values.
+        motions: As recorded, in the bandwidth to look at.
+    """
+    state = _State(model, motions)
+    while len(state.found) < MOST and (best := state.best_addition()) is not None:
+        state.found = [*state.found, *best]
+        state.settle()
+    for _ in range(SETTLING if state.found else 0):
+        state.settle()
+    odds = {name: state.log_odds(name) for name in state.found}
+    while odds and min(odds.values()) < state.sure:
+        state.found.remove(min(odds, key=lambda name: odds[name]))
+        state.settle()
+        odds = {name: state.log_odds(name) for name in state.found}
+    return Wired(
+        state.wiring,
+        tuple(state.found),
+        tuple(odds[name] for name in state.found),
+        state.suspected(),
+        state.fitted,
+        state.whiteners,
+    )
+
+
+class _State:
+    """A set of hypotheses, and the linear problem around their most probable values."""
+
+    def __init__(self, model: IdentifiedModel, motions: Sequence[Motion]) -> None:
+        self.motions = motions
+        self.arm = model.model.arm
+        self.found: list[str] = []
+        self.wiring = Wiring.right(len(self.arm.joints))
+        self.fitted = model
+        self._relinearise()
+        self.fitted = self._fit(())
+        self._relinearise()
+
+    @property
+    def sure(self) -> float:
+        """Log odds from which a hypothesis is taken, as `conventions.search.Court.sure`."""
+        return SURE - 0.5 * float(np.log1p(-CHANCE)) * self.counts
+
+    def settle(self) -> None:
+        """Move to the most probable values of what was found."""
+        solution = self._solved(self.found)
+        values = dict(zip(self.linear.names, solution.values))
+        joints = self.arm.joint_names
+        self.wiring = Wiring(
+            self.wiring.gain * np.exp([values[f"{GAIN}[{joint}]"] for joint in joints]),
+            self.wiring.zero_rad + np.array([values[f"{ZERO}[{joint}]"] for joint in joints]),
+            self.wiring.delay_s + values[DELAY],
+        )
+        # What is not among the hypotheses any more is right.
+        keep = lambda kind: np.array([f"{kind}[{joint}]" in self.found for joint in joints])  # noqa: E731
+        self.wiring = Wiring(
+            np.where(keep(GAIN), self.wiring.gain, 1.0),
+            np.where(keep(ZERO), self.wiring.zero_rad, 0.0),
+            self.wiring.delay_s if DELAY in self.found else 0.0,
+        )
+        self.fitted = self._with(solution.values)
+        self._relinearise()
+
+    def best_addition(self) -> tuple[str, ...] | None:
+        """The hypotheses that gain most beside those found, if they gain enough."""
+        best = max(self._additions(), default=None)
+        return best[1] if best is not None and best[0] > self.sure * len(best[1]) else None
+
+    def suspected(self) -> tuple[Suspicion, ...]:
+        """The best addition, if it is more probable than none."""
+        best = max(self._additions(), default=None)
+        if best is None or best[0] <= 0.0:
+            return ()
+        solution = self._solved([*self.found, *best[1]])
+        values = [float(solution.values[self.linear.names.index(name)]) for name in best[1]]
+        shown = [float(np.exp(v)) if name.startswith(GAIN) else v for name, v in zip(best[1], values)]
+        return (Suspicion(best[1], tuple(shown), float(expit(best[0]))),)
+
+    def _additions(self) -> list[tuple[float, tuple[str, ...]]]:
+        """What may be off beside what was found: log odds, and the columns; two gains may need each other."""
+        here = self._evidence(self.found)
+        others = [name for name in self._candidates() if name not in self.found]
+        pairs = combinations([name for name in others if name.startswith(GAIN)], 2)
+        sets = [*((name,) for name in others), *pairs]
+        return [(self._evidence([*self.found, *names]) - here, names) for names in sets]
+
+    def log_odds(self, name: str) -> float:
+        """Of a hypothesis among those found."""
+        return self._evidence(self.found) - self._evidence([one for one in self.found if one != name])
+
+    def _candidates(self) -> list[str]:
+        revolute = [joint.name for joint in self.arm.joints if joint.revolute]
+        return [*(f"{GAIN}[{joint}]" for joint in self.arm.joint_names), *(f"{ZERO}[{j}]" for j in revolute), DELAY]
+
+    def _relinearise(self) -> None:
+        undone = self.wiring.undone(self.motions)
+        self.noise = weighted(self.fitted, undone)
+        self.whiteners = self.noise.whiteners
+        self.linear = Linear(self.fitted, self.motions, self.whiteners, self.wiring)
+        size = np.sqrt(np.mean(np.concatenate([motion.torque_rows for motion in undone]) ** 2, axis=0))
+        self.centre, self.spread, self.payload = inertial_belief(self.arm, size)
+        everything = [name for name in self._candidates()]
+        left = self.linear.squares(self._solved(everything, np.ones(len(size))).values).sum(axis=1)
+        rows = self.linear.rows.sum(axis=1)
+        share = np.array([(f / w.sigma_Nm) ** 2 for f, w in zip(self.noise.floor_Nm, self.whiteners)])
+        counts = np.where(np.isfinite(share), rows * share, 0.0)
+        self.counts = float(counts.sum())
+        self.variance = np.where(counts > 0, left / np.maximum(counts, 1e-9), 1.0).clip(1e-4, 10.0)
+
+    def _prior(self, names: Sequence[str], scale: float) -> Prior:
+        """With inertials off the simulation's by `scale` of themselves, and these hypotheses free."""
+        prior = weak_prior(self.linear)
+        mean, precision, free = prior.mean.copy(), prior.precision.copy(), prior.free.copy()
+        count = 10 * len(self.arm.joints)
+        mean[:count] = self.centre
+        precision[:count, :] = 0.0
+        precision[:, :count] = 0.0
+        precision[:count, :count] = np.diag(1.0 / ((scale * self.spread) ** 2 + self.payload**2))
+        now = {
+            **{f"{GAIN}[{j}]": float(np.log(g)) for j, g in zip(self.arm.joint_names, self.wiring.gain)},
+            **{f"{ZERO}[{j}]": float(z) for j, z in zip(self.arm.joint_names, self.wiring.zero_rad)},
+            DELAY: self.wiring.delay_s,
+        }
+        spread = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD}
+        for number, name in enumerate(self.linear.names):
+            if name not in now:
+                continue
+            # The prior is of the whole; the column is of what is not undone yet.
+            mean[number] = -now[name]
+            if name in names:
+                free[number] = True
+                precision[number, number] = 1.0 / spread[name.split("[")[0]] ** 2
+        return Prior(mean, precision, free)
+
+    def _evidence(self, names: Sequence[str]) -> float:
+        logs = [self.linear.log_evidence(self._prior(names, scale), self.variance) for scale in CAD_SCALES]
+        odds = sum(float(np.log(ODDS[name.split("[")[0]])) for name in names)
+        return float(logsumexp(logs)) + odds
+
+    def _solved(self, names: Sequence[str], variance: FloatArray | None = None):  # type: ignore[no-untyped-def]
+        noise = self.variance if variance is None else variance
+        logs = [self.linear.log_evidence(self._prior(names, scale), noise) for scale in CAD_SCALES]
+        return self.linear.solve(self._prior(names, CAD_SCALES[int(np.argmax(logs))]), noise)
+
+    def _fit(self, names: Sequence[str]) -> IdentifiedModel:
+        return self._with(self._solved(names).values)
+
+    def _with(self, values: FloatArray) -> IdentifiedModel:
+        return replace(self.fitted, parameters=values[: len(self.fitted.parameters)])

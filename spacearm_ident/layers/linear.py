@@ -1,0 +1,270 @@
+"""`Linear`: torque of motions, linear in everything that may be wrong, as Gram matrices by joint and block of time.
+
+Around a model with values, and a wiring, the torque of a recording is linear in
+
+    the model's parameters     tau = Y x
+    what reversals do          nuisance of the base model (`mismatch.stacked.sharpness`)
+    a gain's logarithm         the model's own torque at that joint
+    a zero                     d tau_rigid / dq at all joints
+    a delay                    -d tau / dt
+
+Any subset of them, fitted to any blocks of time and judged on others, is then a small linear problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..dynamics.regressor import rigid_body_torque
+from ..dynamics.term import Columns
+from ..identification.held_out import time_blocks
+from ..identification.prior import make_prior
+from ..mismatch.scene import Scene, Whitener
+from ..mismatch.stacked import NUISANCE, nuisance_scale, sharpness
+from ..recording.motion import Motion
+from .wiring import Wiring
+
+GAIN, ZERO, DELAY, REVERSAL = "gain", "zero", "delay", "reversal"
+ZERO_STEP = 1e-4
+"""rad: step of the difference quotient of the torque by a zero."""
+RIDGE = 1e-10
+"""Relative, on the diagonal of normal equations: keeps a column that is zero from making them singular."""
+
+
+def wiring_names(joints: Sequence[str]) -> tuple[str, ...]:
+    """Names of the wiring's columns: gains, zeros, one delay."""
+    return (*(f"{GAIN}[{j}]" for j in joints), *(f"{ZERO}[{j}]" for j in joints), DELAY)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Gaussian prior of every unknown.
+
+    Attributes:
+        mean: (P,).
+        precision: (P, P).
+        free: (P,) which are estimated; the others stay at their mean.
+    """
+
+    mean: FloatArray
+    precision: FloatArray
+    free: np.ndarray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Estimates.
+
+    Attributes:
+        values: (P,).
+        covariance: (P, P); zero where not estimated.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+
+
+class Linear:
+    """Motions under a model and a wiring.
+
+    Attributes:
+        model: The model with values that the columns are built around.
+        wiring: What was undone in the motions.
+        names: (P,) of the unknowns.
+        blocks: Number of blocks of time.
+        recording: (B,) which recording a block is of.
+        gram: (n, B, P + 1, P + 1) of weighted columns and, last, torque.
+        rows: (n, B) number of rows.
+    """
+
+    def __init__(
+        self, model: IdentifiedModel, motions: Sequence[Motion], whiteners: Sequence[Whitener], wiring: Wiring
+    ) -> None:
+        """Build the columns.
+
+        Args:
+            model: With values.
+            motions: As recorded.
+            whiteners: What a row of each joint counts for.
+            wiring: What is undone first; columns of gains, zeros and delay are of what is left.
+        """
+        self.model, self.wiring = model, wiring
+        undone = wiring.undone(motions)
+        self.motions = undone
+        scene = Scene(model, undone, whiteners)
+        joints = model.model.arm.joint_names
+        stacked = np.column_stack(
+            [
+                _model_columns(model, scene),
+                scene.stack([sharpness(motion) for motion in undone], NUISANCE * len(joints)),
+                scene.stack([_wiring_columns(model, motion) for motion in undone], 2 * len(joints) + 1),
+                scene.torque(),
+            ]
+        )
+        self.names = (
+            *(parameter.name for parameter in model.model.parameters),
+            *(f"{REVERSAL}_{k}[{joint}]" for joint in joints for k in range(NUISANCE)),
+            *wiring_names(joints),
+        )
+        block_of, self.recording = time_blocks(undone)
+        self.blocks = len(self.recording)
+        block = np.concatenate([block_of[m][scene.place[scene.slot(j, m)]] for j in range(len(joints))
+                                for m in range(len(undone))])
+        width = stacked.shape[1]
+        self.gram = np.zeros((len(joints), self.blocks, width, width))
+        self.rows = np.zeros((len(joints), self.blocks))
+        for joint in range(len(joints)):
+            for number in range(self.blocks):
+                rows = stacked[(scene.joint == joint) & (block == number)]
+                self.gram[joint, number] = rows.T @ rows
+                self.rows[joint, number] = len(rows)
+
+    @property
+    def count(self) -> int:
+        """P."""
+        return len(self.names)
+
+    def of(self, kind: str) -> np.ndarray:
+        """(P,) which unknowns are of a kind: `gain`, `zero`, `delay`, `reversal`, or a symbol of the model."""
+        return np.array([name.split("[")[0].split("_")[0] == kind if kind == REVERSAL else name.split("[")[0] == kind
+                         for name in self.names])
+
+    @property
+    def is_wiring(self) -> np.ndarray:
+        """(P,) which unknowns are gains, zeros and the delay."""
+        return np.arange(self.count) >= self.count - len(wiring_names(self.model.model.arm.joint_names))
+
+    def start(self) -> FloatArray:
+        """(P,) values of the model; nothing left to correct."""
+        values = np.zeros(self.count)
+        values[: len(self.model.parameters)] = self.model.parameters
+        return values
+
+    def solve(self, prior: Prior, noise: FloatArray, blocks: np.ndarray | None = None) -> Solution:
+        """Least squares with a prior.
+
+        Args:
+            prior: Of every unknown.
+            noise: (n,) factor on each joint's variance.
+            blocks: Numbers of the blocks to fit to; None: all.
+        """
+        gram = self._weighted(noise, blocks)
+        free = np.flatnonzero(prior.free)
+        held = np.flatnonzero(~prior.free)
+        matrix = gram[np.ix_(free, free)] + prior.precision[np.ix_(free, free)]
+        vector = gram[free, -1] + prior.precision[np.ix_(free, free)] @ prior.mean[free]
+        vector = vector - gram[np.ix_(free, held)] @ prior.mean[held]
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        scaled = matrix * np.outer(unit, unit) + RIDGE * np.eye(len(free))
+        inverse = np.linalg.inv(scaled) * np.outer(unit, unit)
+        values, covariance = prior.mean.copy(), np.zeros((self.count, self.count))
+        values[free] = inverse @ vector
+        covariance[np.ix_(free, free)] = inverse
+        return Solution(values, covariance)
+
+    def squares(self, values: FloatArray) -> FloatArray:
+        """(n, B) squares left by values (P,), in the rows' weights."""
+        vector = np.append(values, -1.0)
+        return np.maximum(np.einsum("i,jbik,k->jb", vector, self.gram, vector, optimize=True), 0.0)
+
+    def rms(self, values: FloatArray) -> FloatArray:
+        """(n,) root mean square of what values leave; NaN where a joint has no rows."""
+        rows = self.rows.sum(axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.sqrt(self.squares(values).sum(axis=1) / np.where(rows > 0, rows, np.nan)))
+
+    def log_evidence(self, prior: Prior, noise: FloatArray) -> float:
+        """Logarithm of the marginal likelihood of all rows, up to what does not depend on the prior."""
+        gram = self._weighted(noise, None)
+        free = np.flatnonzero(prior.free)
+        held = np.flatnonzero(~prior.free)
+        held_mean = prior.mean[held]
+        cross = gram[free, -1] - gram[np.ix_(free, held)] @ held_mean
+        rest = gram[-1, -1] - 2 * gram[held, -1] @ held_mean + held_mean @ gram[np.ix_(held, held)] @ held_mean
+        precision = prior.precision[np.ix_(free, free)]
+        # In units of the prior both determinants are of matrices that are one or more.
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(precision), 1e-300))
+        precision = precision * np.outer(unit, unit)
+        matrix = gram[np.ix_(free, free)] * np.outer(unit, unit) + precision
+        mean = prior.mean[free] / unit
+        vector = cross * unit + precision @ mean
+        lower = np.linalg.cholesky(matrix + RIDGE * np.diag(np.diag(matrix)))
+        solved = np.linalg.solve(lower, vector)
+        value = -0.5 * (rest + mean @ precision @ mean - solved @ solved)
+        value += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(lower)).sum())
+        return float(value)
+
+    def _weighted(self, noise: FloatArray, blocks: np.ndarray | None) -> FloatArray:
+        chosen = self.gram if blocks is None else self.gram[:, blocks]
+        return np.asarray(np.tensordot(1.0 / noise, chosen.sum(axis=1), axes=1))
+
+
+def weak_prior(linear: Linear, inertials: bool = True, friction: bool = True) -> Prior:
+    """The prior of an identification: CAD's inertials, as uncertain as they are large; the wiring is not estimated.
+
+    Args:
+        linear: The problem.
+        inertials: Whether the model's parameters that are of bodies and rotors are estimated.
+        friction: Whether its others are.
+    """
+    model = linear.model.model
+    known = make_prior(model, linear.motions)
+    mean, free = linear.start(), np.zeros(linear.count, dtype=bool)
+    precision = np.zeros((linear.count, linear.count))
+    count = len(model.parameters)
+    precision[:count, :count] = known.rows.T @ known.rows
+    # Rows of the prior are relative to an anchor; values are pulled to the CAD's, not to the model's.
+    pulled = np.linalg.lstsq(known.rows, known.target, rcond=None)[0]
+    mean[:count] = np.where(known.scale > 0, pulled, mean[:count])
+    rigid = np.array([parameter.symbol in RIGID for parameter in model.parameters])
+    free[:count] = (known.scale > 0) & ((rigid & inertials) | (~rigid & friction))
+    mean[:count] = np.where(free[:count], mean[:count], linear.start()[:count])
+    reversal = linear.of(REVERSAL)
+    scale = nuisance_scale(linear.model)
+    precision[np.ix_(reversal, reversal)] = np.diag(1.0 / scale**2)
+    free |= reversal & friction
+    return Prior(mean, precision, free)
+
+
+RIGID = frozenset({"m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz", "J_m"})
+"""Symbols of bodies and rotors."""
+
+
+def _model_columns(model: IdentifiedModel, scene: Scene) -> FloatArray:
+    """(R, p) weighted columns of a model's terms."""
+    blocks = []
+    for term, _, first in model.model.numbered():
+        constants = model.constants[first : first + len(term.constants)]
+        columns = [term.columns(motion, constants, b) for motion, b in zip(scene.motions, scene.backgrounds)]
+        blocks.append(scene.stack(columns, len(term.parameters)))
+    return np.concatenate(blocks, axis=1)
+
+
+def _wiring_columns(model: IdentifiedModel, motion: Motion) -> Columns:
+    """Full-rate columns of gains, zeros and the delay."""
+    n = len(motion.joints)
+    torque = model.torque(motion)
+    late = -np.gradient(torque, 1.0 / motion.rate_hz, axis=0)
+    slopes = np.stack([_slope(model.model, model.parameters, motion, k) for k in range(n)], axis=2)
+    columns: Columns = {}
+    for row in range(n):
+        own = np.concatenate([torque[:, [row]], slopes[:, row], late[:, [row]]], axis=1)
+        columns[row] = [row, *range(n, 2 * n), 2 * n], own
+    return columns
+
+
+def _slope(model: TorqueModel, parameters: FloatArray, motion: Motion, joint: int) -> FloatArray:
+    """(N, n) derivative of the rigid bodies' torque by one joint's position."""
+    count = 10 * len(model.arm.joints)
+    inertials = parameters[:count].reshape(-1, 10)
+    moved = motion.position.copy()
+    moved[:, joint] += ZERO_STEP
+    state = motion.velocity, motion.acceleration
+    there = rigid_body_torque(model.arm, inertials, moved, *state, motion.base)
+    here = rigid_body_torque(model.arm, inertials, motion.position, *state, motion.base)
+    return np.asarray((there - here) / ZERO_STEP)

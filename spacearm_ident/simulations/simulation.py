@@ -1,0 +1,128 @@
+"""`Simulation`: what a simulation says of an arm, as a torque model with values and the simulation's own words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..dynamics.arm import Arm
+from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
+from ..dynamics.regressor import INERTIAL_SYMBOLS
+
+ARMATURE, DAMPING, FRICTION, STIFFNESS = "J_m", "k_v1", "f_c", "k_1"
+"""Symbols of the torque model for what a simulator's joint holds beside its body."""
+WORDS: Mapping[str, Mapping[str, str]] = {
+    "mjcf": {ARMATURE: "armature", DAMPING: "damping", FRICTION: "frictionloss", STIFFNESS: "stiffness"},
+    "urdf": {ARMATURE: "rotor inertia", DAMPING: "damping", FRICTION: "friction", STIFFNESS: "stiffness"},
+    "sdf": {ARMATURE: "rotor inertia", DAMPING: "damping", FRICTION: "friction", STIFFNESS: "spring_stiffness"},
+    "model": {ARMATURE: "J_m", DAMPING: "k_v1", FRICTION: "f_c", STIFFNESS: "k_1"},
+    "bag": {ARMATURE: "rotor inertia", DAMPING: "damping", FRICTION: "friction", STIFFNESS: "stiffness"},
+}
+"""Format -> what it calls each of them; for formats without a rotor inertia, the usual term."""
+
+
+@dataclass(frozen=True)
+class JointDynamics:
+    """What a simulator's joint holds beside its body, SI units of the output side.
+
+    Attributes:
+        armature: Inertia added to the joint, kg m^2 (kg where it slides).
+        damping: N m s/rad (N s/m).
+        friction: Coulomb friction, N m (N).
+        stiffness: N m/rad (N/m) about `rest`.
+        rest: Position at which the spring is free, rad (m).
+    """
+
+    armature: float = 0.0
+    damping: float = 0.0
+    friction: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A simulation of an arm.
+
+    Attributes:
+        model: Its torque model with its values.
+        format: Key of `WORDS`.
+        source: The file, as a person would name it.
+        bodies: Joint -> name of the body it moves, in the simulation's words.
+        notes: What of the file is not in the model, a sentence each.
+    """
+
+    model: IdentifiedModel
+    format: str
+    source: str
+    bodies: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def arm(self) -> Arm:
+        """The arm that is simulated."""
+        return self.model.model.arm
+
+    @property
+    def has_inertials(self) -> bool:
+        """Whether the simulation has any mass."""
+        return bool(any(joint.inertial[0] > 0.0 for joint in self.arm.joints))
+
+    def word(self, symbol: str) -> str:
+        """What the simulation's format calls a parameter of a joint; other symbols stay."""
+        return WORDS[self.format].get(symbol, symbol)
+
+    def body(self, joint: str) -> str:
+        """Name of the body that a joint moves."""
+        return self.bodies.get(joint, joint)
+
+
+def simulation_of(
+    arm: Arm,
+    joints: Mapping[str, JointDynamics],
+    format_: str,
+    source: str,
+    bodies: Mapping[str, str] | None = None,
+    notes: Sequence[str] = (),
+) -> Simulation:
+    """A simulation from an arm and what its joints hold; joints that are not named hold nothing.
+
+    Springs are those about zero; one about another position adds a constant torque, which goes to the offset.
+    """
+    values = {name: joints.get(name, JointDynamics()) for name in arm.joint_names}
+    structure = simulated_structure([name for name, one in values.items() if one.stiffness])
+    shifted = [name for name, one in values.items() if one.stiffness * one.rest]
+    if shifted:
+        structure["torque_offset"] = {"joints": shifted}
+    model = TorqueModel(arm, structure)
+    parameters = np.array([_value(arm, values, parameter.symbol, parameter.joint) for parameter in model.parameters])
+    constants = np.zeros(len(model.constants))
+    return Simulation(IdentifiedModel(model, parameters, constants), format_, source, dict(bodies or {}), tuple(notes))
+
+
+def simulated_structure(sprung: Sequence[str] = ()) -> Structure:
+    """Terms that a rigid-body simulator has: bodies, armature, Coulomb friction, damping; springs where there are."""
+    return {
+        "rigid_body": {},
+        "rotor_inertia": {},
+        "joint_spring": {"free": list(sprung)} if sprung else {},
+        "stribeck_friction": {"stribeck": False, "presliding": False},
+        "viscous_friction": {"vacuum": True},
+    }
+
+
+def _value(arm: Arm, values: Mapping[str, JointDynamics], symbol: str, joint: str) -> float:
+    one = values[joint]
+    if symbol in INERTIAL_SYMBOLS:
+        return float(arm.joints[arm.joint_names.index(joint)].inertial[INERTIAL_SYMBOLS.index(symbol)])
+    own = {
+        ARMATURE: one.armature,
+        DAMPING: one.damping,
+        FRICTION: one.friction,
+        "f_b": one.friction,
+        STIFFNESS: one.stiffness,
+        "offset": -one.stiffness * one.rest,
+    }
+    return own[symbol]
