@@ -3,7 +3,6 @@
 Around a model with values, and a wiring, the torque of a recording is linear in
 
     the model's parameters     tau = Y x
-    what reversals do          nuisance of the base model (`mismatch.stacked.sharpness`)
     a gain's logarithm         the model's own torque at that joint
     a zero                     d tau_rigid / dq at all joints
     a delay                    -d tau / dt
@@ -25,11 +24,10 @@ from ..dynamics.term import Columns
 from ..identification.held_out import time_blocks
 from ..identification.prior import make_prior
 from ..mismatch.scene import Scene, Whitener
-from ..mismatch.stacked import NUISANCE, nuisance_scale, sharpness
 from ..recording.motion import Motion
 from .wiring import Wiring
 
-GAIN, ZERO, DELAY, REVERSAL = "gain", "zero", "delay", "reversal"
+GAIN, ZERO, DELAY = "gain", "zero", "delay"
 ZERO_STEP = 1e-4
 """rad: step of the difference quotient of the torque by a zero."""
 RIDGE = 1e-10
@@ -101,20 +99,18 @@ class Linear:
         stacked = np.column_stack(
             [
                 _model_columns(model, scene),
-                scene.stack([sharpness(motion) for motion in undone], NUISANCE * len(joints)),
                 scene.stack([_wiring_columns(model, motion) for motion in undone], 2 * len(joints) + 1),
                 scene.torque(),
             ]
         )
         self.names = (
             *(parameter.name for parameter in model.model.parameters),
-            *(f"{REVERSAL}_{k}[{joint}]" for joint in joints for k in range(NUISANCE)),
             *wiring_names(joints),
         )
         block_of, self.recording = time_blocks(undone)
         self.blocks = len(self.recording)
-        block = np.concatenate([block_of[m][scene.place[scene.slot(j, m)]] for j in range(len(joints))
-                                for m in range(len(undone))])
+        slots = [(j, m) for j in range(len(joints)) for m in range(len(undone))]
+        block = np.concatenate([block_of[m][scene.place[scene.slot(j, m)]] for j, m in slots])
         width = stacked.shape[1]
         self.gram = np.zeros((len(joints), self.blocks, width, width))
         self.rows = np.zeros((len(joints), self.blocks))
@@ -128,11 +124,6 @@ class Linear:
     def count(self) -> int:
         """P."""
         return len(self.names)
-
-    def of(self, kind: str) -> np.ndarray:
-        """(P,) which unknowns are of a kind: `gain`, `zero`, `delay`, `reversal`, or a symbol of the model."""
-        return np.array([name.split("[")[0].split("_")[0] == kind if kind == REVERSAL else name.split("[")[0] == kind
-                         for name in self.names])
 
     @property
     def is_wiring(self) -> np.ndarray:
@@ -224,10 +215,6 @@ def weak_prior(linear: Linear, inertials: bool = True, friction: bool = True) ->
     rigid = np.array([parameter.symbol in RIGID for parameter in model.parameters])
     free[:count] = (known.scale > 0) & ((rigid & inertials) | (~rigid & friction))
     mean[:count] = np.where(free[:count], mean[:count], linear.start()[:count])
-    reversal = linear.of(REVERSAL)
-    scale = nuisance_scale(linear.model)
-    precision[np.ix_(reversal, reversal)] = np.diag(1.0 / scale**2)
-    free |= reversal & friction
     return Prior(mean, precision, free)
 
 

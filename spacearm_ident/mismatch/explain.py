@@ -16,6 +16,7 @@ from ..dynamics.effects import EFFECTS
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
+from .base_structure import choose_base
 from .cards import Cards
 from .competition import GATE, Competition, Outcome
 from .constants import is_event
@@ -26,7 +27,7 @@ from .healthy import Healthy, healthy_level
 from .integrity import faults
 from .judgement import beyond_healthy, contradicted, doubted, harms, shows
 from .null import exceeds_null
-from .preparation import Prepared, prepare_evidence
+from .preparation import ChooseStructure, Prepared, prepare_evidence
 from .residuals import Residuals
 from .rivals import UNKNOWN
 from .scored import Scored
@@ -49,6 +50,7 @@ def explain(
     excluded: Sequence[str] = (),
     gate: float = GATE,
     progress: Progress | None = None,
+    choose: ChooseStructure = choose_base,
 ) -> Explanation:
     """Say what physics a recording shows that the reference does not.
 
@@ -60,6 +62,7 @@ def explain(
         excluded: Effects that are not to be considered (for blind trials of what is not in the catalogue).
         gate: Score below which nothing is found.
         progress: Called with a share done in 0..1 and what is being done.
+        choose: Chooses the structure of the base from a fit of the paper's.
 
     Raises:
         UserError: A recording lacks a joint of the arm.
@@ -76,7 +79,7 @@ def explain(
         judged_on = "the last third of the field recordings, held out of the fit"
     report(0.0, "fitting the base model")
     try:
-        prepared = prepare_evidence(arm, reference, fitted, judged)
+        prepared = prepare_evidence(arm, reference, fitted, judged, choose)
     except UnfitDataError as error:
         return unfit(names, (str(error),))
     except np.linalg.LinAlgError:

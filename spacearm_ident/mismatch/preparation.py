@@ -44,6 +44,9 @@ COST = 0.25
 as well. Of six simulated arms it was 0.06 and 0.13 at the two where t is clear, and -0.02 to 0.33 at the others;
 0.37 to 1.3 on the four real arms where whitening predicts worse."""
 
+ChooseStructure = Callable[[Fit], tuple[Structure, tuple[Choice, ...]]]
+"""Chooses a structure from a fit of the paper's, as `Settings.choose`."""
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -75,6 +78,7 @@ def prepare_evidence(
     reference: Sequence[Recording] | IdentifiedModel,
     field: Sequence[Recording],
     validation: Sequence[Recording],
+    choose: ChooseStructure = choose_base,
 ) -> Prepared:
     """Base model, noise and whitened rows.
 
@@ -83,6 +87,7 @@ def prepare_evidence(
         reference: Recordings of the healthy arm, or its identified model; empty where there is neither.
         field: Recordings to explain.
         validation: Recordings that no fit is to see.
+        choose: Chooses the structure of the base from a fit of the paper's.
 
     Raises:
         UnfitDataError: A recording cannot carry the question.
@@ -98,7 +103,7 @@ def prepare_evidence(
     wide = min(WIDER * cutoff, 0.35 * min(rates))
     referred, examined, judged = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field, validation))
     if known is None:
-        start = _identified(healthy or field, arm, cutoff, choose_base)
+        start = _identified(healthy or field, arm, cutoff, choose)
         found = _with_noise(start, referred or examined, coloured)
         if healthy:
             found = _best_predicting(found, _identified(healthy, arm, cutoff, choose_structure), referred)
@@ -153,7 +158,7 @@ def _identified(
     recordings: Sequence[Recording],
     arm: Arm,
     cutoff_hz: float,
-    choose: Callable[[Fit], tuple[Structure, tuple[Choice, ...]]],
+    choose: ChooseStructure,
 ) -> _Start:
     identified = identify(recordings, arm, Settings(cutoff_hz=cutoff_hz, choose=choose))
     return _Start(_possible(identified.model, cutoff_hz), identified.choices)

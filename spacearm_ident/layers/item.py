@@ -1,0 +1,59 @@
+"""`Item` and `Layer`: what a comparison of a simulation with an arm found. Plain results, no computation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ..dynamics.arm import FloatArray
+
+CONVENTIONS, PARAMETERS, PHYSICS, REST = "conventions", "parameters", "physics", "rest"
+"""The layers, in the order in which an engineer would look."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One thing that the simulation has wrong, or does not have.
+
+    Attributes:
+        name: Stable short name: a mistake of convention, a parameter in the simulation's words, an effect.
+        joints: Where.
+        where: The same in words.
+        was: In the simulation; NaN where it has nothing of the kind.
+        value: In the arm.
+        low, high: 95 % interval of `value`.
+        unit: Of all of them.
+        share: Of the simulation's residual variance above the noise, on held-out data, that is back without it.
+        replicated: Whether another recording, or another part, says the same; None: there is none to ask.
+        combination: Parameter of the simulation -> coefficient, where it is a combination of several.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    where: str
+    was: float
+    value: float
+    low: float
+    high: float
+    unit: str
+    share: float = float("nan")
+    replicated: bool | None = None
+    combination: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What a layer removes.
+
+    Attributes:
+        name: One of the four.
+        before_Nm, after_Nm: (n,) RMS of the residual on held-out recordings without and with it.
+        items: What it consists of, the largest share first.
+        notes: What a reader should know of it, a sentence each.
+    """
+
+    name: str
+    before_Nm: FloatArray
+    after_Nm: FloatArray
+    items: tuple[Item, ...] = ()
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,303 @@
+"""Layer 1: which of the simulation's parameters are wrong, as far as torque can tell.
+
+Torque determines combinations of inertials only (base parameters, Gautier 1991). What is reported is the simplest of
+
+- *causes*: a link's mass, its centre, a rotor's inertia, a body at the flange; a few of them, found by forward
+  selection, if together they account for the change of every combination within its error;
+- the *combinations* themselves, each with was -> is, otherwise.
+
+Friction loss, damping and stiffness of a joint are determined one by one. A change is named if it exceeds its error at
+`LEVEL` shared by all that are tested (Bonferroni), and if the data, not the prior, say so (`TOLD`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.base_parameters import BaseParameters, base_parameters
+from ..dynamics.model import TorqueModel
+from ..dynamics.regressor import INERTIAL_SYMBOLS
+from ..simulations import Simulation
+from .estimate import Estimate
+from .linear import Linear, Prior
+
+LEVEL = 0.05
+"""Probability that any unchanged parameter is named."""
+DETERMINED = 0.1
+"""Largest error of a combination, in standard deviations of its prior, at which the data say what it is: the prior
+then moves the estimate by less than one per cent of the distance."""
+ENOUGH = 0.01
+"""Probability below which causes do not account for the change of the combinations."""
+INERTIAL_WORDS = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+"""What a body's ten parameters are called in a combination; about the origin of its frame."""
+OWN_UNITS = {"k_v1": "N m s/rad", "f_c": "N m", "k_1": "N m/rad"}
+
+
+@dataclass(frozen=True)
+class Change:
+    """A parameter, or a combination, that is not what the simulation has.
+
+    Attributes:
+        name: In the simulation's words.
+        joints: Where.
+        where: In words.
+        unit: SI.
+        vector: (P,) its coefficients in the unknowns.
+        was: In the simulation.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    where: str
+    unit: str
+    vector: FloatArray
+    was: float
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A simple change of one thing: directions in the (11 n,) inertials and rotor inertias."""
+
+    name: str
+    joint: str
+    unit: str
+    directions: FloatArray
+
+
+def changes(linear: Linear, found: Estimate, prior: Prior, simulation: Simulation) -> tuple[Change, ...]:
+    """Parameters that differ from the simulation's beyond their errors.
+
+    Args:
+        linear: The problem that was solved.
+        found: Its solution.
+        prior: What it was solved with.
+        simulation: What to compare with.
+    """
+    candidates = [*_own(linear, simulation), *_combinations(linear, simulation)]
+    known = [one for one in candidates if _determined(one.vector, found, prior)]
+    bound = float(norm.ppf(1 - LEVEL / 2 / max(len(known), 1)))
+    return tuple(one for one in known if abs(found.of(one.vector) - one.was) > bound * found.error(one.vector))
+
+
+def _determined(vector: FloatArray, found: Estimate, prior: Prior) -> bool:
+    """Whether the data say what a combination is."""
+    free = prior.free & (vector != 0)
+    if not free.any():
+        return False
+    own = np.flatnonzero(prior.free)
+    spread = np.linalg.pinv(prior.precision[np.ix_(own, own)], hermitian=True)
+    before = float(np.sqrt(max(vector[own] @ spread @ vector[own], 0.0)))
+    return found.error(vector) < DETERMINED * before
+
+
+def _own(linear: Linear, simulation: Simulation) -> list[Change]:
+    """Damping, friction and stiffness, joint by joint."""
+    was = {p.name: float(v) for p, v in zip(simulation.model.model.parameters, simulation.model.parameters)}
+    found = []
+    for number, parameter in enumerate(linear.model.model.parameters):
+        if parameter.symbol in OWN_UNITS and parameter.name in was and parameter.scale != 0.0:
+            vector = np.zeros(linear.count)
+            vector[number] = 1.0
+            word = simulation.word(parameter.symbol)
+            found.append(
+                Change(word, (parameter.joint,), parameter.joint, parameter.unit, vector, was[parameter.name])
+            )
+    return found
+
+
+def inertial_base(arm: Arm) -> BaseParameters:
+    """Combinations of inertials and rotor inertias that torque determines."""
+    return base_parameters(TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}}))
+
+
+def _combinations(linear: Linear, simulation: Simulation) -> list[Change]:
+    """The combinations of inertials and rotor inertias that torque determines."""
+    model = TorqueModel(linear.model.model.arm, {"rigid_body": {}, "rotor_inertia": {}})
+    base, names = inertial_base(linear.model.model.arm), list(linear.names)
+    places = [names.index(parameter.name) for parameter in model.parameters]
+    was_all = {p.name: float(v) for p, v in zip(simulation.model.model.parameters, simulation.model.parameters)}
+    was = np.array([was_all.get(parameter.name, 0.0) for parameter in model.parameters])
+    found = []
+    for lead, row in zip(base.independent, base.regrouping):
+        parameter = model.parameters[lead]
+        vector = np.zeros(linear.count)
+        vector[places] = row
+        alone = int(np.count_nonzero(row)) == 1
+        found.append(
+            Change(
+                _leading_word(parameter.symbol, simulation),
+                (parameter.joint,),
+                where_words(parameter.symbol, parameter.joint, simulation, alone),
+                parameter.unit,
+                vector,
+                float(row @ was),
+            )
+        )
+    return found
+
+
+def _leading_word(symbol: str, simulation: Simulation) -> str:
+    if symbol in INERTIAL_SYMBOLS:
+        return {"m": "mass", "mc": "first_moment", "I": "inertia"}[symbol.rstrip("xyz")] + (
+            f"_{symbol[len(symbol.rstrip('xyz')):]}" if symbol != "m" else ""
+        )
+    return simulation.word(symbol)
+
+
+def where_words(symbol: str, joint: str, simulation: Simulation, alone: bool) -> str:
+    """What a combination is of, for a person."""
+    body = simulation.body(joint)
+    if symbol not in INERTIAL_SYMBOLS:
+        return joint
+    axis = symbol[len(symbol.rstrip("xyz")) :]
+    what = {
+        "m": f"mass of {body}",
+        "mc": f"first moment of {body} along its {axis} axis",
+        "I": f"inertia of {body} ({axis}, about {joint})",
+    }[symbol.rstrip("xyz")]
+    return what if alone else f"{what}, with what of the links beyond acts like it"
+
+
+def combination_of(change: Change, linear: Linear, simulation: Simulation) -> dict[str, float]:
+    """Coefficients by the simulation's own names, such as `link2.mass` and `joint2.armature`."""
+    named = {}
+    symbols = dict(zip(INERTIAL_SYMBOLS, INERTIAL_WORDS))
+    own = {"J_m": "armature", "k_v1": "damping", "f_c": "frictionloss", "k_1": "stiffness"}
+    for number in np.flatnonzero(change.vector[: len(linear.model.model.parameters)]):
+        parameter = linear.model.model.parameters[number]
+        if parameter.symbol in symbols:
+            key = f"{simulation.body(parameter.joint)}.{symbols[parameter.symbol]}"
+        else:
+            key = f"{parameter.joint}.{own.get(parameter.symbol, parameter.symbol)}"
+        named[key] = float(change.vector[number])
+    return named
+
+
+def causes(arm: Arm) -> list[Cause]:
+    """Simple changes: masses with their bodies' shape, centres of mass, rotor inertias."""
+    n = len(arm.joints)
+    found = []
+    for k, joint in enumerate(arm.joints):
+        inertial = joint.inertial
+        if inertial[0] > 0.0:
+            mass = np.zeros((11 * n, 1))
+            mass[10 * k : 10 * k + 10, 0] = inertial / inertial[0]
+            found.append(Cause("mass", joint.name, "kg", mass))
+            centre = np.zeros((11 * n, 3))
+            for axis in range(3):
+                centre[10 * k : 10 * k + 10, axis] = _moved(inertial, axis)
+            found.append(Cause("centre_of_mass", joint.name, "m", centre))
+        rotor = np.zeros((11 * n, 1))
+        rotor[10 * n + k, 0] = 1.0
+        found.append(Cause("armature", joint.name, "kg m^2", rotor))
+    return found
+
+
+def _moved(inertial: FloatArray, axis: int) -> FloatArray:
+    """(10,) derivative of a body's parameters by its centre of mass along an axis (parallel-axis theorem)."""
+    mass, centre = inertial[0], inertial[1:4] / inertial[0]
+    unit = np.eye(3)[axis]
+    tensor = mass * (2 * (centre @ unit) * np.eye(3) - np.outer(centre, unit) - np.outer(unit, centre))
+    return np.array(
+        [0.0, *(mass * unit), tensor[0, 0], tensor[0, 1], tensor[1, 1], tensor[0, 2], tensor[1, 2], tensor[2, 2]]
+    )
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A few causes that account for the change of all combinations.
+
+    Attributes:
+        causes: Which.
+        values: Of each, its change along its directions.
+        errors: Standard errors of the same.
+    """
+
+    causes: tuple[Cause, ...]
+    values: tuple[FloatArray, ...]
+    errors: tuple[FloatArray, ...]
+
+
+def few_causes(linear: Linear, found: Estimate, prior: Prior, simulation: Simulation) -> Explained | None:
+    """The causes by which alone the simulation's inertials differ; None where they are too many for a simple word.
+
+    Forward selection: each step takes the cause that lowers chi-square most for its number of directions, until what
+    is left is what chance leaves. It is given up when it needs as many directions as there are combinations changed.
+    """
+    arm = linear.model.model.arm
+    base = [one for one in _combinations(linear, simulation) if _determined(one.vector, found, prior)]
+    if not base:
+        return None
+    rows = np.stack([one.vector for one in base])
+    delta = rows @ found.values - np.array([one.was for one in base])
+    errors = np.array([found.error(one.vector) for one in base])
+    posterior = rows @ found.covariance @ rows.T
+    wider = errors / np.sqrt(np.maximum(np.diag(posterior), 1e-300))
+    covariance = posterior * np.outer(wider, wider)
+    whiten = np.linalg.pinv(np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance))))
+    names = list(linear.names)
+    model = TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}})
+    places = [names.index(parameter.name) for parameter in model.parameters]
+    target = whiten @ delta
+    offered = [(one, whiten @ rows[:, places] @ one.directions) for one in causes(arm)]
+    chosen: list[tuple[Cause, FloatArray]] = []
+    while True:
+        width = sum(columns.shape[1] for _, columns in chosen)
+        left = _left(target, [columns for _, columns in chosen])
+        dof = len(target) - width
+        if dof > 0 and chi2.sf(float(left @ left), dof) > ENOUGH:
+            break
+        tried = [
+            (_log_chance(target, left, [*(c for _, c in chosen), columns], columns.shape[1]), one, columns)
+            for one, columns in offered
+            if all(one is not other for other, _ in chosen)
+        ]
+        if not tried or 2 * width >= len(target):
+            return None
+        _, one, columns = min(tried, key=lambda item: item[0])
+        chosen.append((one, columns))
+    if not chosen:
+        return None
+    matrix = np.concatenate([columns for _, columns in chosen], axis=1)
+    inverse = np.linalg.pinv(matrix.T @ matrix, hermitian=True)
+    values, spread = inverse @ matrix.T @ target, np.sqrt(np.diag(inverse))
+    ends = np.cumsum([columns.shape[1] for _, columns in chosen])[:-1]
+    if not _possible(arm, [one for one, _ in chosen], np.split(values, ends)):
+        return None
+    return Explained(tuple(one for one, _ in chosen), tuple(np.split(values, ends)), tuple(np.split(spread, ends)))
+
+
+def _possible(arm: Arm, chosen: Sequence[Cause], values: Sequence[FloatArray]) -> bool:
+    """Whether bodies changed like this have mass, and centres of mass within reach of the arm's own size."""
+    reach = max(float(np.linalg.norm(joint.translation)) for joint in arm.joints)
+    for cause, change in zip(chosen, values):
+        mass = arm.joints[arm.joint_names.index(cause.joint)].inertial[0]
+        if (cause.name == "mass" and mass + change[0] <= 0.0) or (
+            cause.name == "centre_of_mass" and float(np.linalg.norm(change)) > reach
+        ):
+            return False
+    return True
+
+
+def _left(target: FloatArray, columns: Sequence[FloatArray]) -> FloatArray:
+    if not columns:
+        return target
+    matrix = np.concatenate(columns, axis=1)
+    return np.asarray(target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-9)[0])
+
+
+def _log_chance(target: FloatArray, before: FloatArray, columns: Sequence[FloatArray], width: int) -> float:
+    """Logarithm of the probability that a cause of so many directions lowers chi-square by as much by chance."""
+    after = _left(target, columns)
+    return float(chi2.logsf(float(before @ before - after @ after), width))
+
+
+def words_of(values: Mapping[str, float]) -> str:
+    """A combination for a person: `0.31 link3.mass + link2.mx`."""
+    parts = [f"{'' if abs(value - 1) < 1e-6 else f'{value:.3g} '}{name}" for name, value in values.items()]
+    return " + ".join(parts)

@@ -1,0 +1,191 @@
+"""Layer 2: what the simulation does not have.
+
+Two searches. The catalogue's (`mismatch.explain`), beside the simulation's own terms: every effect competes with its
+rivals, and has a card. Then the friction terms that `identify` adds where they predict held-out parts better, at joints
+at which the first search named nothing of the kind. What either finds becomes a term of one model, and takes part in
+the last joint fit like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import Arm
+from ..dynamics.effects import Effect
+from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
+from ..dynamics.term import Parameter
+from ..identification.fit import Fit
+from ..identification.identified import Choice
+from ..mismatch.explain import explain
+from ..mismatch.finding import Explanation, Finding
+from ..mismatch.rivals import UNKNOWN
+from ..recording.recording import Recording
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Optional:
+    """A friction term that a joint may have beside the textbook's: its parameter, and what the contract calls it."""
+
+    symbol: str
+    effect: str
+    words: str
+    option: str
+    rivals: frozenset[str]
+
+
+OPTIONAL = (
+    Optional("offset", "current_offset", "constant torque", "", frozenset({"asymmetric_friction", "base_tilt"})),
+    Optional("f_b", "stribeck", "Stribeck friction f_b - f_c", "stribeck", frozenset()),
+    Optional("mu", "load_friction", "friction per load", "load", frozenset({"gear_efficiency"})),
+    Optional("k_v2", "viscous_second_order", "quadratic friction", "", frozenset({"asymmetric_friction"})),
+    Optional("k_v3", "viscous_third_order", "cubic friction", "", frozenset({"motor_saturation"})),
+)
+"""Presliding is not among them: rows beside a reversal do not count in the joint fit."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """Physics as parameters of the extended model.
+
+    Attributes:
+        effect: Its name.
+        joints: Where.
+        where: In words.
+        columns: Numbers of its parameters in the model.
+        finding: The search's card; None for an optional friction term.
+    """
+
+    effect: str
+    joints: tuple[str, ...]
+    where: str
+    columns: np.ndarray
+    finding: Finding | None = None
+
+
+def missing_physics(
+    arm: Arm,
+    structure: Structure,
+    fitted: Sequence[Recording],
+    held: Sequence[Recording],
+    excluded: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> Explanation:
+    """Search for effects beside a simulation's terms.
+
+    Args:
+        arm: The arm.
+        structure: The simulation's terms.
+        fitted: Recordings to explain, their conventions corrected.
+        held: Recordings to judge on, likewise.
+        excluded: Effects that are not to be considered.
+        progress: Called with a share done in 0..1 and what is being done.
+    """
+
+    def simulated(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
+        return structure, ()
+
+    return explain(arm, [], fitted, held, excluded, progress=progress, choose=simulated)
+
+
+def added_terms(model: IdentifiedModel, base: TorqueModel, findings: Sequence[Finding]) -> list[Added]:
+    """The terms of an extended model that its base does not have, each with its finding.
+
+    A finding of several joints with one cause may be several terms.
+    """
+    known = {parameter.name for parameter in base.parameters}
+    terms: list[tuple[Effect, np.ndarray]] = []
+    for term, first, _ in model.model.numbered():
+        if isinstance(term, Effect) and not {parameter.name for parameter in term.parameters} <= known:
+            terms.append((term, first + np.arange(len(term.parameters))))
+    added = []
+    for finding in findings:
+        if finding.effect == UNKNOWN:
+            continue
+        mine = [
+            columns
+            for term, columns in terms
+            if term.kind == finding.effect and (not term.joints or set(term.joints) <= set(finding.joints))
+        ]
+        if mine:
+            where = finding.where
+            added.append(Added(finding.effect, finding.joints, where, np.concatenate(mine), finding))
+    return added
+
+
+def with_friction_terms(
+    extended: IdentifiedModel, base: Structure, identified: IdentifiedModel, findings: Sequence[Finding]
+) -> IdentifiedModel:
+    """The extended model with the friction terms that an identification chose, where no finding says the same.
+
+    Args:
+        extended: The simulation's terms and the effects that were found, with values.
+        base: The simulation's terms; where they have more than the textbook's friction, nothing is added.
+        identified: An identification of the same recordings, its structure chosen by prediction.
+        findings: What was found.
+    """
+    chosen = identified.model.structure
+    if base["viscous_friction"] != {"vacuum": True} or base["stribeck_friction"].get("stribeck") is not False:
+        return extended
+    taken = {(finding.effect, joint) for finding in findings for joint in finding.joints}
+
+    def free(term: Optional, joint: str) -> bool:
+        return not any((effect, joint) in taken for effect in (term.effect, *term.rivals))
+
+    by_symbol = {term.symbol: term for term in OPTIONAL}
+    stribeck, viscous = chosen["stribeck_friction"], dict(chosen["viscous_friction"])
+    joints = extended.model.arm.joint_names
+    held = {joint: list(symbols) for joint, symbols in viscous.get("held", {}).items()}
+    for joint in joints:
+        for symbol in ("k_v2", "k_v3"):
+            if not free(by_symbol[symbol], joint) and symbol not in held.setdefault(joint, []):
+                held[joint].append(symbol)
+    offsets = [joint for joint in chosen.get("torque_offset", {}).get("joints", ()) if free(by_symbol["offset"], joint)]
+    structure: Structure = {
+        **extended.model.structure,
+        "stribeck_friction": {
+            "presliding": False,
+            "stribeck": [j for j in stribeck.get("stribeck", ()) if free(by_symbol["f_b"], j)],
+            "load": [j for j in stribeck.get("load", ()) if free(by_symbol["mu"], j)],
+        },
+        "viscous_friction": {**viscous, "held": {joint: symbols for joint, symbols in held.items() if symbols}},
+    }
+    if offsets or "torque_offset" in base:
+        structure["torque_offset"] = {"joints": [*dict.fromkeys([*offsets, *base.get("torque_offset", {}).get("joints", ())])]}
+    model = TorqueModel(extended.model.arm, structure)
+    constants = {c.name: float(v) for one in (extended, identified) for c, v in zip(one.model.constants, one.constants)}
+    for constant in extended.model.constants:
+        if constant.symbol == "d_s":
+            constants[constant.name] = 0.0
+    values = {p.name: float(v) for one in (identified, extended) for p, v in zip(one.model.parameters, one.parameters)}
+    for joint in joints:
+        values[f"f_b[{joint}]"] = values[f"f_c[{joint}]"]
+    return IdentifiedModel(
+        model,
+        np.array([values.get(parameter.name, 0.0) for parameter in model.parameters]),
+        np.array([constants.get(constant.name, 0.0) for constant in model.constants]),
+        extended.cutoff_hz,
+    )
+
+
+def optional_terms(model: IdentifiedModel, base: TorqueModel) -> list[Added]:
+    """The friction terms of a model that its base does not have."""
+    known = {parameter.name for parameter, in_base in _free(base) if in_base}
+    by_symbol = {term.symbol: term for term in OPTIONAL}
+    found = []
+    for number, (parameter, is_free) in enumerate(_free(model.model)):
+        if is_free and parameter.symbol in by_symbol and parameter.name not in known:
+            term = by_symbol[parameter.symbol]
+            found.append(Added(term.effect, (parameter.joint,), f"{term.words} at {parameter.joint}", np.array([number])))
+    return found
+
+
+def _free(model: TorqueModel) -> list[tuple[Parameter, bool]]:
+    """Parameters, and whether each may have a value of its own; the static level only where there is a v_b."""
+    stribeck = model.structure.get("stribeck_friction", {}).get("stribeck", True)
+    joints = model.arm.joint_names if stribeck is True else stribeck or ()
+    return [(p, p.scale != 0.0 and (p.symbol != "f_b" or p.joint in joints)) for p in model.parameters]
