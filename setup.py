@@ -44,6 +44,8 @@ setup(
         "dask": ["distributed"],
         # Logs that are no MCAP bag: HDF5; Parquet, LeRobot and fast CSV; sqlite3 and ROS 1 bags.
         "logs": ["h5py", "pyarrow", "rosbags"],
+        # `spacearm mismatch --simulation` of an MJCF.
+        "mujoco": ["mujoco-core"],
         # `spacearm export --to usd`.
         "usd": ["usd-core"],
         "test": [

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 from ..dynamics.effects import EFFECTS
 from ..errors import UserError
+from ..export.mended import Mended
+from ..layers.compare import Comparison
+from ..layers.document import comparison_document, verdict
+from ..layers.item import REST, Item
 from ..mismatch.document import NEXT_RUN, to_document
 from ..mismatch.finding import DATA_UNFIT, Explanation, Finding
 from ..mismatch_session import explain_session
 from ..session import locked_words
+from ..simulation_session import compare_session
 from . import common
 
 DESCRIPTION = """
@@ -20,6 +26,10 @@ Compare recordings of an arm with what its reference says, and explain the diffe
 how large; with a model that has it, judged on recordings the fit has not seen. The reference is a recording of the
 healthy arm, or a model.yaml; without one, the arm's own fit is the base, and what its structure leaves over is
 explained.
+
+With --simulation the arm is compared with a simulation of it (MJCF, URDF, SDF, model.yaml, or a bag that a simulator
+wrote), layer by layer: conventions and wiring, parameters the simulation has wrong, physics it does not have, and the
+rest; with the simulation's file mended.
 """
 
 
@@ -35,6 +45,15 @@ def add(commands: Any) -> None:
         type=Path,
         metavar="BAG|MODEL",
         help="recordings of the healthy arm, or one model.yaml",
+    )
+    command.add_argument(
+        "--simulation",
+        nargs="+",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="SIM",
+        help="a simulation to compare with: MJCF, URDF, SDF, model.yaml, or bags that a simulator wrote",
     )
     command.add_argument(
         "--validate",
@@ -62,6 +81,8 @@ def run(options: argparse.Namespace) -> int:
     for name in options.without:
         if name not in EFFECTS:
             raise UserError(f"no effect {name!r}: there are {', '.join(EFFECTS)}")
+    if options.simulation:
+        return _simulation(options)
     bags, references, judges = sort_bags(options.bags, options.reference, options.validate)
     with common.progress(options) as report:
         session = explain_session(
@@ -86,6 +107,83 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(summary(session.explanation, session.page, session.arm.effort_unit))
     return 1 if session.explanation.verdict == DATA_UNFIT else 0
+
+
+def _simulation(options: argparse.Namespace) -> int:
+    """Compare with a simulation."""
+    if options.reference:
+        raise UserError("give --simulation or --reference (the healthy arm), not both")
+    bags, simulation, judges = sort_bags(options.bags, options.simulation, options.validate)
+    with common.progress(options) as report:
+        session = compare_session(
+            simulation,
+            bags,
+            judges,
+            options.out,
+            arm=options.arm,
+            gravity=options.gravity,
+            excluded=options.without,
+            fixed_base=options.fixed_base,
+            namespace=options.namespace,
+            mapping=options.mapping,
+            command=options.command_line,
+            progress=report,
+        )
+    common.note_findings(options, session.recordings)
+    comparison, mended = session.comparison, session.mended
+    if options.json:
+        name = None if mended is None else mended.name
+        document = comparison_document(comparison, session.simulation.source, name)
+        print(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        print(comparison_summary(comparison, session.page, mended))
+    return 0 if comparison.fit else 1
+
+
+MOST_LINES = 6
+"""Items of a layer on a terminal; the page has all of them."""
+
+
+def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None) -> str:
+    """The layers on a terminal."""
+    if not comparison.fit:
+        return "\n".join(["data unfit", *(f"  {reason}" for reason in comparison.reasons), f"report: {page}"])
+    lines = [verdict(comparison).replace("_", " ")]
+    for layer in comparison.layers:
+        lines.append(f"{layer.name}{'' if layer.items else ': nothing beyond its error'}")
+        lines += [f"  {_item_line(layer.name, item)}" for item in layer.items[:MOST_LINES]]
+        if len(layer.items) > MOST_LINES:
+            lines.append(f"  and {len(layer.items) - MOST_LINES} more, see the report")
+        lines += [f"  {note}" for note in layer.notes]
+    lines.append(f"residual RMS, N m, on {comparison.judged_on}")
+    names = [layer.name for layer in comparison.layers[:3]]
+    lines.append(f"{'joint':24}" + "".join(f"{head:>13}" for head in ("torque", "simulation", *names, "ceiling")))
+    columns = (
+        comparison.torque_Nm,
+        comparison.before_Nm,
+        *(layer.after_Nm for layer in comparison.layers[:3]),
+        comparison.ceiling_Nm,
+    )
+    lines += [
+        f"{joint:24}" + "".join(f"{value:13.3f}" for value in values)
+        for joint, *values in zip(comparison.joints, *columns)
+    ]
+    if mended is not None:
+        lines.append(f"mended simulation: {page.with_name(mended.name)}")
+    return "\n".join([*lines, f"report: {page}"])
+
+
+def _item_line(layer: str, item: Item) -> str:
+    if layer == REST:
+        return f"{', '.join(item.joints)}: {item.value:.3g} {item.unit}; {item.where}"
+    if not math.isfinite(item.value):
+        return f"{item.name}: {item.where}"
+    was = f"{item.was:.4g} -> " if math.isfinite(item.was) else ""
+    replicated = {True: ", replicated", False: ", NOT replicated", None: ""}[item.replicated]
+    return (
+        f"{item.name} at {', '.join(item.joints)}: {was}{item.value:.4g} [{item.low:.4g}, {item.high:.4g}] {item.unit}"
+        f" ({item.share:.1%}{replicated})"
+    )
 
 
 def sort_bags(

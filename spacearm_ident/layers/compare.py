@@ -29,7 +29,6 @@ from ..mismatch.noise import Noise, weighted
 from ..mismatch.preparation import CUTOFF_HZ, WIDER, banded
 from ..mismatch.rivals import UNKNOWN
 from ..mismatch.scene import Whitener, one_way
-from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..simulations import Simulation
 from .ceiling import black_box, inputs_of
@@ -66,6 +65,16 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class Detectable:
+    """The smallest change of something that would have been named."""
+
+    name: str
+    joints: tuple[str, ...]
+    size: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Comparison:
     """The whole answer.
 
@@ -81,6 +90,7 @@ class Comparison:
         suspected: What else may be off.
         explanation: The search for physics, with its cards.
         traces: For figures.
+        would_have_seen: Of what was looked at and not named, the smallest size that would have been.
         judged_on: In words, what the residuals are on.
         cutoff_hz: Bandwidth that was looked at.
         reasons: Why the data are unfit; empty where they are not.
@@ -98,6 +108,7 @@ class Comparison:
     suspected: tuple[Suspicion, ...]
     explanation: Explanation | None
     traces: tuple[Trace, ...] = ()
+    would_have_seen: tuple[Detectable, ...] = ()
     judged_on: str = ""
     cutoff_hz: float = float("nan")
     reasons: tuple[str, ...] = field(default=())
@@ -140,9 +151,7 @@ def compare(
         return _unfit(arm, ("the data do not determine the simulation's terms: record a motion of all joints",))
 
 
-def _split(
-    fitted: Sequence[Recording], held: Sequence[Recording]
-) -> tuple[list[Recording], list[Recording], str]:
+def _split(fitted: Sequence[Recording], held: Sequence[Recording]) -> tuple[list[Recording], list[Recording], str]:
     if held:
         return list(fitted), list(held), "held-out recordings"
     first, last = [], []
@@ -164,9 +173,7 @@ def _unfit(arm: Arm, reasons: tuple[str, ...]) -> Comparison:
 class _Pass:
     """One comparison: recordings, motions, and the problems built on them."""
 
-    def __init__(
-        self, simulation: Simulation, fitted: list[Recording], held: list[Recording], judged_on: str
-    ) -> None:
+    def __init__(self, simulation: Simulation, fitted: list[Recording], held: list[Recording], judged_on: str) -> None:
         self.simulation, self.fitted, self.held, self.judged_on = simulation, fitted, held, judged_on
         self.arm, self.joints = simulation.arm, simulation.arm.joint_names
         rate = min(recording.rate_hz for recording in [*fitted, *held])
@@ -226,17 +233,31 @@ class _Pass:
         above = np.maximum(simulated**2 - noise**2, 1e-12)
         ceiling = found.ceiling(stages[1]) * gain
         shares = _Shares(found, above, gain, after)
+        items, seen = self._parameter_items(found, shares)
         layers = (
-            Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares)),
-            Layer(PARAMETERS, rms[1], rms[2], self._parameter_items(found, shares)),
+            Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(suspected)),
+            Layer(PARAMETERS, rms[1], rms[2], items, self.simulation.notes),
             Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, above), _unnamed(rest)),
             Layer(REST, after, noise, _rest_items(explanation, after, noise, above)),
         )
         traces = found.traces(stages[-1])
         torque = gain * found.judge.rms(np.zeros(found.judge.count))
         return Comparison(
-            self.joints, layers, simulated, after, torque, noise, ceiling, found.mended(), found.wiring, suspected,
-            explanation, traces, self.judged_on, self.cutoff,
+            joints=self.joints,
+            layers=layers,
+            before_Nm=simulated,
+            after_Nm=after,
+            torque_Nm=torque,
+            noise_Nm=noise,
+            ceiling_Nm=ceiling,
+            model=found.mended(),
+            wiring=found.wiring,
+            suspected=suspected,
+            explanation=explanation,
+            traces=traces,
+            would_have_seen=seen,
+            judged_on=self.judged_on,
+            cutoff_hz=self.cutoff,
         )
 
     def _as_simulated(self) -> FloatArray:
@@ -253,33 +274,50 @@ class _Pass:
             vector[found.linear.names.index(name)] = 1.0
             low, high = found.estimate.interval(vector)
             now = found.wiring_value(name)
-            values = [now + off for off in (found.estimate.of(vector), low, high)]
+            value, low, high = (now + off for off in (found.estimate.of(vector), low, high))
             was = 0.0
             if kind == GAIN:
-                values, was = [float(np.exp(value)) for value in values], 1.0
+                value, low, high, was = float(np.exp(value)), float(np.exp(low)), float(np.exp(high)), 1.0
             items.append(
                 Item(
-                    WORDS[kind], (joint,) if joint else self.joints, joint or "all joints", was, *values, UNITS[kind],
-                    shares.without(vector, -now), found.replicates(vector, -now),
+                    WORDS[kind],
+                    (joint,) if joint else self.joints,
+                    joint or "all joints",
+                    was,
+                    value,
+                    low,
+                    high,
+                    UNITS[kind],
+                    shares.without(vector, -now),
+                    found.replicates(vector, -now),
                 )
             )
         return tuple(sorted(items, key=lambda one: -one.share))
 
-    def _parameter_items(self, found: _Joint, shares: _Shares) -> tuple[Item, ...]:
+    def _parameter_items(self, found: _Joint, shares: _Shares) -> tuple[tuple[Item, ...], tuple[Detectable, ...]]:
         simple = few_causes(found.linear, found.estimate, found.prior, self.simulation)
-        changed = changes(found.linear, found.estimate, found.prior, self.simulation)
+        changed, same = changes(found.linear, found.estimate, found.prior, self.simulation)
         items = [] if simple is None else _cause_items(simple, found, shares)
         for change in changed:
             if simple is not None and change.unit in ("kg", "kg m", "kg m^2"):
                 continue
             items.append(self._change_item(change, found, shares))
-        return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf)))
+        seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
+        return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf))), seen
 
     def _change_item(self, change: Change, found: _Joint, shares: _Shares) -> Item:
         low, high = found.estimate.interval(change.vector)
         return Item(
-            change.name, change.joints, change.where, change.was, found.estimate.of(change.vector), low, high,
-            change.unit, shares.without(change.vector, change.was), found.replicates(change.vector, change.was),
+            change.name,
+            change.joints,
+            change.where,
+            change.was,
+            found.estimate.of(change.vector),
+            low,
+            high,
+            change.unit,
+            shares.without(change.vector, change.was),
+            found.replicates(change.vector, change.was),
             combination_of(change, found.linear, self.simulation),
         )
 
@@ -300,7 +338,15 @@ class _Pass:
             where = one.where if not name else f"{one.where} ({name})"
             items.append(
                 Item(
-                    one.effect, one.joints, where, float("nan"), value, low, high, unit, drop,
+                    one.effect,
+                    one.joints,
+                    where,
+                    float("nan"),
+                    value,
+                    low,
+                    high,
+                    unit,
+                    drop,
                     found.replicates(vector, 0.0),
                 )
             )
@@ -455,7 +501,7 @@ class _Joint:
 
     def order(self, added: Sequence[Added]) -> list[Added]:
         """Physics in the order of what each removes beside those before."""
-        left, ordered = list(added), []
+        left, ordered = list(added), list[Added]()
         while left:
             squares = [
                 np.sum(np.log(np.maximum(self.linear.squares(self.fit([*ordered, one])).sum(axis=1), 1e-12)))
@@ -498,7 +544,8 @@ class _Joint:
             hidden = np.where(one_way(undone), 1.0, np.nan)
             made.append(
                 Trace(
-                    undone.start_s + undone.reduce(np.arange(len(undone.position))[:, None])[:, 0] / undone.rate_hz,
+                    undone.start_s
+                    + undone.reduce(np.arange(float(len(undone.position)))[:, None])[:, 0] / undone.rate_hz,
                     undone.torque_rows * gain * hidden,
                     recorded.reduce(self.run.simulation.model.torque(recorded)) * hidden,
                     undone.reduce(mended.torque(undone)) * gain * hidden,
@@ -533,19 +580,37 @@ def _has_values(model: TorqueModel) -> list[bool]:
 
 
 class _Shares:
-    """What an item is worth: the held-out variance that is back when it is as the simulation has it."""
+    """What an item is worth: the held-out variance that is back when it alone is as the simulation has it."""
 
     def __init__(self, found: _Joint, above: FloatArray, gain: FloatArray, after: FloatArray) -> None:
         self._found, self._above, self._gain, self._after = found, above, gain, after
 
     def without(self, vector: FloatArray, was: float) -> float:
-        """Share of the simulation's variance above the noise, mean over the joints."""
-        return self.of(self._found.estimate.with_value(vector, was))
+        """Share of the simulation's variance above the noise, mean over the joints; the leading unknown is moved."""
+        values = self._found.estimate.values.copy()
+        lead = int(np.argmax(vector == 1.0))
+        values[lead] += was - self._found.estimate.of(vector)
+        return self.of(values)
 
     def of(self, values: FloatArray) -> float:
         """The same of other values (P,)."""
         rms = self._gain * self._found.judge.rms(values)
         return float(np.nanmean((rms**2 - self._after**2) / self._above))
+
+
+def _suspicions(suspected: Sequence[Suspicion]) -> tuple[str, ...]:
+    """What may be off and was not undone, in words."""
+    return tuple(
+        f"suspected, {one.probability:.0%}: "
+        + ", ".join(f"{_wiring_words(name)} {value:.3g}" for name, value in zip(one.names, one.values))
+        + "; links of other mass say nearly the same, so nothing was corrected for it"
+        for one in suspected
+    )
+
+
+def _wiring_words(name: str) -> str:
+    kind, joint = name.split("[")[0], name[:-1].partition("[")[2]
+    return {GAIN: f"torque gain of {joint}", ZERO: f"encoder zero of {joint} (rad)", DELAY: "delay of torque (s)"}[kind]
 
 
 def _unnamed(terms: Sequence[Added]) -> tuple[str, ...]:
@@ -556,9 +621,7 @@ def _unnamed(terms: Sequence[Added]) -> tuple[str, ...]:
     return (f"in the model because held-out parts are predicted better with it, each within its error: {words}",)
 
 
-def _rest_items(
-    explanation: Explanation, after: FloatArray, noise: FloatArray, above: FloatArray
-) -> tuple[Item, ...]:
+def _rest_items(explanation: Explanation, after: FloatArray, noise: FloatArray, above: FloatArray) -> tuple[Item, ...]:
     """What is left, and what it depends on as far as the search can say."""
     items = []
     for finding in explanation.findings:

@@ -22,15 +22,15 @@ from ..dynamics.model import IdentifiedModel
 from ..mismatch.noise import weighted
 from ..mismatch.scene import Whitener
 from ..recording.motion import Motion
-from .linear import DELAY, GAIN, ZERO, Linear, Prior, weak_prior
+from .linear import DELAY, GAIN, ZERO, Linear, Prior, Solution, weak_prior
 from .wiring import Wiring
 
 GAIN_SD, ZERO_SD, DELAY_SD = 0.5, 0.1, 0.02
 """Standard deviations of what is off where something is: of a gain's logarithm (a torque constant of a neighbouring
 size of motor), of a zero, rad (six degrees), of a delay, s (a few cycles of a slow bus)."""
 ODDS = {GAIN: 0.1, ZERO: 0.02, DELAY: 0.05}
-"""Prior probability of each at one joint (the delay: at all). Of the five real arms in hand torque from current is 8 to
-43 % off at single joints of two; a zero that is off shows as soon as an arm is used; a late torque channel is common."""
+"""Prior probability of each at one joint (the delay: at all). Of the five real arms in hand torque from current is 8
+to 43 % off at single joints of two; a zero that is off shows as soon as an arm is used; late torque is common."""
 MOST = 8
 """Gains, zeros and delays looked for at once."""
 SETTLING = 2
@@ -130,10 +130,10 @@ class _State:
             self.wiring.delay_s + values[DELAY],
         )
         # What is not among the hypotheses any more is right.
-        keep = lambda kind: np.array([f"{kind}[{joint}]" in self.found for joint in joints])  # noqa: E731
+        gains, zeros = ([f"{kind}[{joint}]" in self.found for joint in joints] for kind in (GAIN, ZERO))
         self.wiring = Wiring(
-            np.where(keep(GAIN), self.wiring.gain, 1.0),
-            np.where(keep(ZERO), self.wiring.zero_rad, 0.0),
+            np.where(gains, self.wiring.gain, 1.0),
+            np.where(zeros, self.wiring.zero_rad, 0.0),
             self.wiring.delay_s if DELAY in self.found else 0.0,
         )
         self.fitted = self._with(solution.values)
@@ -215,7 +215,7 @@ class _State:
         odds = sum(float(np.log(ODDS[name.split("[")[0]])) for name in names)
         return float(logsumexp(logs)) + odds
 
-    def _solved(self, names: Sequence[str], variance: FloatArray | None = None):  # type: ignore[no-untyped-def]
+    def _solved(self, names: Sequence[str], variance: FloatArray | None = None) -> Solution:
         noise = self.variance if variance is None else variance
         logs = [self.linear.log_evidence(self._prior(names, scale), noise) for scale in CAD_SCALES]
         return self.linear.solve(self._prior(names, CAD_SCALES[int(np.argmax(logs))]), noise)

@@ -42,10 +42,10 @@ class Estimate:
 
     def error(self, combination: FloatArray) -> float:
         """Half the width of its 95 % interval over 1.96: a standard error with the jackknife's few blocks in it."""
-        posterior = float(np.sqrt(max(combination @ self.covariance @ combination, 0.0)))
+        posterior = float(np.sqrt(max(float(combination @ self.covariance @ combination), 0.0)))
         if self.blocks < 3:
             return posterior
-        moved = float(np.sqrt(max(combination @ self.jackknife @ combination, 0.0)))
+        moved = float(np.sqrt(max(float(combination @ self.jackknife @ combination), 0.0)))
         few = student.ppf(1 - LEVEL / 2, self.blocks - 1) / norm.ppf(1 - LEVEL / 2)
         return max(posterior, moved * float(few))
 
@@ -53,11 +53,6 @@ class Estimate:
         """95 % interval of a combination."""
         half = float(norm.ppf(1 - LEVEL / 2)) * self.error(combination)
         return self.of(combination) - half, self.of(combination) + half
-
-    def with_value(self, combination: FloatArray, value: float) -> FloatArray:
-        """(P,) most probable values if a combination had this one."""
-        along = self.covariance @ combination
-        return np.asarray(self.values + along * (value - self.of(combination)) / max(combination @ along, 1e-300))
 
 
 def estimate(linear: Linear, prior: Prior, variance: FloatArray, blocks: np.ndarray | None = None) -> Estimate:

@@ -161,7 +161,7 @@ class Linear:
     def squares(self, values: FloatArray) -> FloatArray:
         """(n, B) squares left by values (P,), in the rows' weights."""
         vector = np.append(values, -1.0)
-        return np.maximum(np.einsum("i,jbik,k->jb", vector, self.gram, vector, optimize=True), 0.0)
+        return np.asarray(np.maximum(np.einsum("i,jbik,k->jb", vector, self.gram, vector, optimize=True), 0.0))
 
     def rms(self, values: FloatArray) -> FloatArray:
         """(n,) root mean square of what values leave; NaN where a joint has no rows."""
@@ -186,9 +186,9 @@ class Linear:
         vector = cross * unit + precision @ mean
         lower = np.linalg.cholesky(matrix + RIDGE * np.diag(np.diag(matrix)))
         solved = np.linalg.solve(lower, vector)
-        value = -0.5 * (rest + mean @ precision @ mean - solved @ solved)
+        value = -0.5 * float(rest + mean @ precision @ mean - solved @ solved)
         value += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(lower)).sum())
-        return float(value)
+        return value
 
     def _weighted(self, noise: FloatArray, blocks: np.ndarray | None) -> FloatArray:
         chosen = self.gram if blocks is None else self.gram[:, blocks]

@@ -69,19 +69,29 @@ class Cause:
     directions: FloatArray
 
 
-def changes(linear: Linear, found: Estimate, prior: Prior, simulation: Simulation) -> tuple[Change, ...]:
-    """Parameters that differ from the simulation's beyond their errors.
+def changes(
+    linear: Linear, found: Estimate, prior: Prior, simulation: Simulation
+) -> tuple[tuple[Change, ...], tuple[tuple[Change, float], ...]]:
+    """Parameters that differ from the simulation's beyond their errors, and those that do not.
 
     Args:
         linear: The problem that was solved.
         found: Its solution.
         prior: What it was solved with.
         simulation: What to compare with.
+
+    Returns:
+        What differs; and what is determined and does not differ, with the size from which it would have been named.
     """
     candidates = [*_own(linear, simulation), *_combinations(linear, simulation)]
     known = [one for one in candidates if _determined(one.vector, found, prior)]
     bound = float(norm.ppf(1 - LEVEL / 2 / max(len(known), 1)))
-    return tuple(one for one in known if abs(found.of(one.vector) - one.was) > bound * found.error(one.vector))
+    sized = [(one, bound * found.error(one.vector)) for one in known]
+    off = [abs(found.of(one.vector) - one.was) for one in known]
+    return (
+        tuple(one for (one, size), change in zip(sized, off) if change > size),
+        tuple((one, size) for (one, size), change in zip(sized, off) if change <= size),
+    )
 
 
 def _determined(vector: FloatArray, found: Estimate, prior: Prior) -> bool:
@@ -91,7 +101,7 @@ def _determined(vector: FloatArray, found: Estimate, prior: Prior) -> bool:
         return False
     own = np.flatnonzero(prior.free)
     spread = np.linalg.pinv(prior.precision[np.ix_(own, own)], hermitian=True)
-    before = float(np.sqrt(max(vector[own] @ spread @ vector[own], 0.0)))
+    before = float(np.sqrt(max(float(vector[own] @ spread @ vector[own]), 0.0)))
     return found.error(vector) < DETERMINED * before
 
 
@@ -104,9 +114,7 @@ def _own(linear: Linear, simulation: Simulation) -> list[Change]:
             vector = np.zeros(linear.count)
             vector[number] = 1.0
             word = simulation.word(parameter.symbol)
-            found.append(
-                Change(word, (parameter.joint,), parameter.joint, parameter.unit, vector, was[parameter.name])
-            )
+            found.append(Change(word, (parameter.joint,), parameter.joint, parameter.unit, vector, was[parameter.name]))
     return found
 
 
@@ -144,7 +152,7 @@ def _combinations(linear: Linear, simulation: Simulation) -> list[Change]:
 def _leading_word(symbol: str, simulation: Simulation) -> str:
     if symbol in INERTIAL_SYMBOLS:
         return {"m": "mass", "mc": "first_moment", "I": "inertia"}[symbol.rstrip("xyz")] + (
-            f"_{symbol[len(symbol.rstrip('xyz')):]}" if symbol != "m" else ""
+            f"_{symbol[len(symbol.rstrip('xyz')) :]}" if symbol != "m" else ""
         )
     return simulation.word(symbol)
 

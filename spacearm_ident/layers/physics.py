@@ -155,7 +155,9 @@ def with_friction_terms(
         "viscous_friction": {**viscous, "held": {joint: symbols for joint, symbols in held.items() if symbols}},
     }
     if offsets or "torque_offset" in base:
-        structure["torque_offset"] = {"joints": [*dict.fromkeys([*offsets, *base.get("torque_offset", {}).get("joints", ())])]}
+        structure["torque_offset"] = {
+            "joints": [*dict.fromkeys([*offsets, *base.get("torque_offset", {}).get("joints", ())])]
+        }
     model = TorqueModel(extended.model.arm, structure)
     constants = {c.name: float(v) for one in (extended, identified) for c, v in zip(one.model.constants, one.constants)}
     for constant in extended.model.constants:
@@ -180,7 +182,9 @@ def optional_terms(model: IdentifiedModel, base: TorqueModel) -> list[Added]:
     for number, (parameter, is_free) in enumerate(_free(model.model)):
         if is_free and parameter.symbol in by_symbol and parameter.name not in known:
             term = by_symbol[parameter.symbol]
-            found.append(Added(term.effect, (parameter.joint,), f"{term.words} at {parameter.joint}", np.array([number])))
+            found.append(
+                Added(term.effect, (parameter.joint,), f"{term.words} at {parameter.joint}", np.array([number]))
+            )
     return found
 
 

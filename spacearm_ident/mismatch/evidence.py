@@ -28,6 +28,9 @@ from .turning import learnt
 INVISIBLE = 1e-12
 """Share of its energy below which what the base leaves of a column is rounding."""
 
+UNDERFLOW = 1e-200
+"""Energy of a column of which no inverse can be taken."""
+
 SINGULAR = 1e-13
 """Ratio of singular values below which normal equations are rounding."""
 
@@ -224,7 +227,7 @@ class Evidence:
         values = np.where(held, prior, 0.0)
         energy = np.concatenate([np.sum(c.stacked.columns**2, axis=0) for c in candidates])
         # What moves no torque, or none that the base could not, stays where it is.
-        free = ~held & (np.diag(gram) > INVISIBLE * energy)
+        free = ~held & (np.diag(gram) > np.maximum(INVISIBLE * energy, UNDERFLOW))
         covariance = inverse_among(gram, free)
         values += covariance @ (slope - gram @ values)
         gain = float(2 * slope @ values - values @ gram @ values)

@@ -30,6 +30,7 @@ RESULT_FILES = frozenset(
         *MARKERS,
         *(MODEL, ARRAYS, REPORT, "parameters.csv", "base_parameters.csv", "identified.urdf", "covariance.json"),
         *("validation.json", EXTENDED_MODEL, NEXT_RUN),
+        *("mended.xml", "mended.urdf", "mended.sdf"),
     }
 )
 """Every file of any result."""

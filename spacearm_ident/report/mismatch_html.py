@@ -38,7 +38,7 @@ def mismatch_html(explanation: Explanation, arm: Arm, sources: Mapping[str, Any]
         element("p", f"{len(explanation.joints)} joints{judged}", class_="quiet"),
         _verdict(explanation),
         None if explanation.verdict == DATA_UNFIT else _glance(explanation, arm),
-        *_findings(explanation, arm, drawn),
+        *finding_cards(explanation, arm, drawn),
         None if drawn is None else _over_time(explanation, drawn),
         _unexplained(explanation),
         _listing("In the reference as well", explanation.already_there),
@@ -155,7 +155,7 @@ def _glance(explanation: Explanation, arm: Arm) -> Markup:
     header = element("tr", element("th", "joint", class_="text"), *(element("th", head) for head in heads))
     return join(
         element("h2", "Residual at a glance"),
-        _key("before", "after"),
+        colour_key("before", "after"),
         captioned(
             figures.overview(explanation),
             "Bars grow out of the noise floor (1×); over them the RMS residual in N·m; below the joint what was found "
@@ -169,7 +169,8 @@ def _glance(explanation: Explanation, arm: Arm) -> Markup:
     )
 
 
-def _key(*roles: str) -> Markup:
+def colour_key(*roles: str) -> Markup:
+    """What the colours of a figure stand for."""
     marks = (
         element("span", element("span", class_="swatch", style=f"border-color: var(--{role})"), role) for role in roles
     )
@@ -179,7 +180,8 @@ def _key(*roles: str) -> Markup:
 # --- findings -------------------------------------------------------------------------------------------------
 
 
-def _findings(explanation: Explanation, arm: Arm, drawn: figures.Signals | None) -> Iterable[Markup]:
+def finding_cards(explanation: Explanation, arm: Arm, drawn: figures.Signals | None) -> Iterable[Markup]:
+    """A heading, and a card for each finding with its evidence."""
     if not explanation.findings:
         return
     yield element("h2", "Findings")
@@ -198,7 +200,13 @@ def _findings(explanation: Explanation, arm: Arm, drawn: figures.Signals | None)
             None if drawing is None else captioned(*drawing),
             _alternatives(finding.alternatives),
             class_="card",
+            id=card_id(finding.effect, finding.joints),
         )
+
+
+def card_id(effect: str, joints: Iterable[str]) -> str:
+    """Anchor of a finding's card."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join((effect, *joints)))
 
 
 def _facts(finding: Finding) -> Markup:
@@ -282,7 +290,7 @@ def typeset(equation: str) -> str:
 def _over_time(explanation: Explanation, drawn: figures.Signals) -> Markup:
     return join(
         element("h2", "Residual over time"),
-        _key("before", "after"),
+        colour_key("before", "after"),
         captioned(
             figures.over_time(explanation.joints, drawn, explanation.noise_floor_Nm),
             "Measured minus predicted, N·m, a joint a row; rare peaks run out of the picture. Gaps: standstill and "

@@ -28,7 +28,8 @@ def mujoco_or_error() -> ModuleType:
         import mujoco
     except ImportError as error:
         raise UserError("an MJCF is read by MuJoCo: pip install 'spacearm_ident[mujoco]'") from error
-    return mujoco
+    module: ModuleType = mujoco
+    return module
 
 
 def read_mjcf(path: Path) -> Simulation:
@@ -76,7 +77,9 @@ def _links(mujoco: ModuleType, model: Any, path: Path) -> list[TreeLink]:
             at, last = np.array(model.jnt_pos[joint]), number == count - 1
             own = _tree_joint(mujoco, model, joint, path)
             # At `ref` the body stands as it is written; the link's zero is the joint's.
-            start = Rotation.from_rotvec(-model.qpos0[joint] * own.axis).as_matrix() if own.kind != "prismatic" else None
+            start = (
+                Rotation.from_rotvec(-model.qpos0[joint] * own.axis).as_matrix() if own.kind != "prismatic" else None
+            )
             turned = rotation if start is None else rotation @ start
             moved = place + rotation @ (at - here)
             if start is None:

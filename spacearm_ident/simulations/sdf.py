@@ -102,9 +102,7 @@ class _Model:
         joint = carried.get(link)
         return (rotation, place) if joint is None else (rotation, self._pose(joint.get("name", ""))[1])
 
-    def _link(
-        self, link: ElementTree.Element, joint: ElementTree.Element | None, frames: dict[str, Pose]
-    ) -> TreeLink:
+    def _link(self, link: ElementTree.Element, joint: ElementTree.Element | None, frames: dict[str, Pose]) -> TreeLink:
         name = link.get("name", "")
         parent = self._parent(joint)
         rotation, place = _after(_inverse(frames.get(parent, self._known["world"])), frames[name])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..dynamics.arm import Arm
+from ..dynamics.arm import Arm, without_joints
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 
@@ -126,3 +126,26 @@ def _value(arm: Arm, values: Mapping[str, JointDynamics], symbol: str, joint: st
         "offset": -one.stiffness * one.rest,
     }
     return own[symbol]
+
+
+def without(simulation: Simulation, names: Sequence[str]) -> Simulation:
+    """The simulation with some joints fixed where the simulation has them at zero.
+
+    Raises:
+        UserError: They are all it has.
+    """
+    if not names:
+        return simulation
+    arm = without_joints(simulation.arm, names)
+    values = {p.name: float(v) for p, v in zip(simulation.model.model.parameters, simulation.model.parameters)}
+    joints = {
+        joint: JointDynamics(
+            armature=values.get(f"{ARMATURE}[{joint}]", 0.0),
+            damping=values.get(f"{DAMPING}[{joint}]", 0.0),
+            friction=values.get(f"{FRICTION}[{joint}]", 0.0),
+            stiffness=values.get(f"{STIFFNESS}[{joint}]", 0.0),
+        )
+        for joint in arm.joint_names
+    }
+    notes = (*simulation.notes, f"not in the recordings, and taken as fixed: {', '.join(names)}")
+    return simulation_of(arm, joints, simulation.format, simulation.source, simulation.bodies, notes)

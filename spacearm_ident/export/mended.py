@@ -1,0 +1,112 @@
+"""The simulation, mended: the same file with identified values, as far as its format can hold them.
+
+What a format has no place for is fitted by what it has (`export.law.nearest`), and what that costs is stated by joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from ..dynamics.model import IdentifiedModel
+from ..recording.motion import Motion
+from ..report.urdf import identified_urdf
+from ..simulations import Simulation
+from ..simulations.mjcf import mujoco_or_error
+from .frames import bodies_of
+from .law import ARMATURE, DAMPING, FRICTION, STIFFNESS, Nearest, nearest
+from .mjcf import MJCF
+from .sdf import SDF, sdf
+from .urdf import URDF
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A simulation's file with new values.
+
+    Attributes:
+        name: File name to write it under.
+        text: Its contents.
+        fit: What the format holds, and what the rest costs.
+    """
+
+    name: str
+    text: str
+    fit: Nearest
+
+
+def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Sequence[Motion]) -> Mended | None:
+    """The simulation's own file with a model's values; None for a format that holds the model as it is.
+
+    Args:
+        simulation: As it was read.
+        path: Its file.
+        model: The values; bodies such as can be.
+        motions: Where the format's parameters are to be near the model's.
+
+    Raises:
+        UserError: A body that cannot be.
+    """
+    form = {"mjcf": MJCF, "urdf": URDF, "sdf": SDF}.get(simulation.format)
+    if form is None:
+        return None
+    fit = nearest(model, form, motions)
+    if simulation.format == "mjcf":
+        return Mended("mended.xml", _mjcf(mujoco_or_error(), path, model, fit), fit)
+    if simulation.format == "sdf":
+        return Mended("mended.sdf", sdf(model, fit, [f"{simulation.source}, mended by spacearm_ident"]), fit)
+    dynamics = {joint: (own[DAMPING], own[FRICTION]) for joint, own in fit.values.items()}
+    return Mended("mended.urdf", identified_urdf(model, dynamics), fit)
+
+
+def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) -> str:
+    """The MJCF with new inertials, armature, damping and friction loss; everything else as it was."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    for body in bodies_of(model):
+        joint = spec.joint(body.joint.name)
+        carrier = joint.parent
+        carrier.explicitinertial = True
+        carrier.mass = body.mass
+        carrier.ipos = body.centre + joint.pos
+        inertia = body.inertia
+        carrier.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        carrier.iquat = [1.0, 0.0, 0.0, 0.0]
+        for fixed in _welded(carrier):
+            # Its mass is part of the body that carries it: kept here as well, it would count twice.
+            fixed.explicitinertial = True
+            fixed.mass = LEAST
+            fixed.inertia = [LEAST] * 3
+            fixed.fullinertia = [float("nan")] * 6
+        values = fit.values[body.joint.name]
+        joint.armature = values[ARMATURE]
+        joint.damping = _first(joint.damping, values[DAMPING])
+        joint.frictionloss = values[FRICTION]
+        if values.get(STIFFNESS):
+            joint.stiffness = _first(joint.stiffness, values[STIFFNESS])
+    spec.compile()
+    return str(spec.to_xml())
+
+
+LEAST = 1e-9
+"""kg and kg m^2: nothing to an arm, and enough for MuJoCo to accept a body."""
+
+
+def _first(old: Any, value: float) -> Any:
+    """A value in the shape that this MuJoCo keeps it: a number, or the first coefficient of a polynomial."""
+    try:
+        coefficients = list(old)
+    except TypeError:
+        return value
+    return [value, *([0.0] * (len(coefficients) - 1))]
+
+
+def _welded(body: Any) -> list[Any]:
+    """Bodies without a joint of their own that a body carries, directly or through one another."""
+    found = []
+    for child in body.bodies:
+        if not list(child.joints):
+            found += [child, *_welded(child)]
+    return found

@@ -1,0 +1,99 @@
+"""`mismatch.json` of a comparison with a simulation, as contracts.md §4 has it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..mismatch.document import EXTENDED_MODEL, to_document
+from ..mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH, unfit
+from .compare import Comparison
+from .item import Item, Layer
+
+
+def comparison_document(comparison: Comparison, simulation: str, mended: str | None) -> dict[str, Any]:
+    """Plain data; figures that are not known are null.
+
+    Args:
+        comparison: The answer.
+        simulation: Name of the simulation's file.
+        mended: Name of the mended file beside the document, if there is one.
+    """
+    joints = comparison.joints
+    explanation = comparison.explanation or unfit(joints, comparison.reasons)
+    document = to_document(explanation)
+    document |= {
+        "verdict": verdict(comparison),
+        "reasons": list(comparison.reasons),
+        "noise_floor_Nm": _by_joint(joints, comparison.noise_Nm),
+        "residual_before_Nm": _by_joint(joints, comparison.before_Nm),
+        "residual_after_Nm": _by_joint(joints, comparison.after_Nm),
+        "torque_Nm": _by_joint(joints, comparison.torque_Nm),
+        "residuals_on": comparison.judged_on,
+        "simulation": simulation,
+        "layers": [_layer(layer, joints) for layer in comparison.layers],
+        "ceiling_Nm": _by_joint(joints, comparison.ceiling_Nm),
+        "would_have_seen": [
+            {"name": one.name, "joints": list(one.joints), "size": _finite(one.size), "unit": one.unit}
+            for one in comparison.would_have_seen
+        ],
+        "suspected": [
+            {"names": list(one.names), "values": list(one.values), "probability": round(one.probability, 4)}
+            for one in comparison.suspected
+        ],
+        "replicated_share": _finite(replicated_share(comparison.layers)),
+        "model": EXTENDED_MODEL if comparison.model is not None else None,
+        "mended_simulation": mended,
+    }
+    return document
+
+
+def verdict(comparison: Comparison) -> str:
+    """One of the contract's three."""
+    if not comparison.fit:
+        return DATA_UNFIT
+    return MISMATCH if any(layer.items for layer in comparison.layers) else NO_MISMATCH
+
+
+def replicated_share(layers: Sequence[Layer]) -> float:
+    """Share of the items that other recordings say again, of those that they can say anything of; NaN where none."""
+    asked = [item.replicated for layer in layers for item in layer.items if item.replicated is not None]
+    return float(np.mean(asked)) if asked else float("nan")
+
+
+def _layer(layer: Layer, joints: Sequence[str]) -> dict[str, Any]:
+    return {
+        "layer": layer.name,
+        "joints": {
+            joint: {"rms_before_Nm": _finite(before), "rms_after_Nm": _finite(after)}
+            for joint, before, after in zip(joints, layer.before_Nm, layer.after_Nm)
+        },
+        "items": [_item(item) for item in layer.items],
+        "notes": list(layer.notes),
+    }
+
+
+def _item(item: Item) -> dict[str, Any]:
+    return {
+        "name": item.name,
+        "joints": list(item.joints),
+        "where": item.where,
+        "was": _finite(item.was),
+        "is": _finite(item.value),
+        "unit": item.unit,
+        "ci95": [_finite(item.low), _finite(item.high)],
+        "share": _finite(item.share),
+        "replicated": item.replicated,
+        "combination": dict(item.combination),
+    }
+
+
+def _by_joint(joints: Sequence[str], values: FloatArray) -> Mapping[str, float | None]:
+    return {joint: _finite(value) for joint, value in zip(joints, values)}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,52 @@
+"""Write the result folder of `spacearm mismatch --simulation`: mismatch.json, models, the mended file, report.html."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ..dynamics.model_file import save_model
+from ..errors import UserError
+from ..export.mended import Mended
+from ..layers.compare import Comparison
+from ..layers.document import comparison_document
+from ..mismatch.document import EXTENDED_MODEL
+from ..recording.recording import Recording
+from ..simulations import Simulation
+from .folder import REPORT, replacing
+from .layers_html import comparison_html
+from .mismatch_folder import DOCUMENT
+from .provenance import provenance
+
+
+def write_comparison(
+    comparison: Comparison,
+    simulation: Simulation,
+    mended: Mended | None,
+    fitted: Sequence[Recording],
+    held: Sequence[Recording],
+    directory: Path,
+    command: str | None = None,
+) -> Path:
+    """Write everything, or nothing; returns the page.
+
+    Raises:
+        UserError: The folder cannot be written.
+    """
+    sources = provenance(fitted, held, command)
+    document = comparison_document(comparison, simulation.source, None if mended is None else mended.name)
+    page = comparison_html(comparison, simulation, mended, sources)
+    try:
+        with replacing(directory, DOCUMENT) as part:
+            text = json.dumps({**document, "provenance": sources}, indent=2, allow_nan=False)
+            (part / DOCUMENT).write_text(text + "\n", encoding="utf-8")
+            if comparison.model is not None:
+                save_model(replace(comparison.model, provenance=sources), part / EXTENDED_MODEL)
+            if mended is not None:
+                (part / mended.name).write_text(mended.text, encoding="utf-8")
+            (part / REPORT).write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {directory}: {error}") from error
+    return directory / REPORT

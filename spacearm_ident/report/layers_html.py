@@ -1,0 +1,304 @@
+"""The page of a comparison with a simulation: the verdict, the waterfall, each layer's items, the rest, what to do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..export.mended import Mended
+from ..layers.compare import Comparison
+from ..layers.document import replicated_share
+from ..layers.item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
+from ..simulations import Simulation
+from . import layers_figures as figures
+from . import mismatch_figures
+from .details import fact, source_table
+from .html import captioned, page
+from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent, unit_text
+from .mismatch_html import card_id, finding_cards
+from .provenance import FITTED, VALIDATED
+
+TITLES = {
+    CONVENTIONS: "Conventions and wiring",
+    PARAMETERS: "Parameters the simulation has, and has wrong",
+    PHYSICS: "Physics the simulation does not have",
+    REST: "What is left",
+}
+KEY = {
+    CONVENTIONS: ("prior", "conventions"),
+    PARAMETERS: ("predicted", "parameters (hatched)"),
+    PHYSICS: ("before", "physics (dotted)"),
+    REST: ("residual", "left, above the noise"),
+}
+MOST_ITEMS = 12
+"""Items of a layer that are shown at once; the others open on request."""
+SOURCES = ((FITTED, "Recordings fitted"), (VALIDATED, "Held-out recordings"))
+
+
+def comparison_html(
+    comparison: Comparison, simulation: Simulation, mended: Mended | None, sources: Mapping[str, Any]
+) -> str:
+    """The whole page."""
+    title = f"From the simulation to the arm: {simulation.arm.name}"
+    judged = f" · judged on {comparison.judged_on}" if comparison.judged_on else ""
+    body = join(
+        element("h1", title),
+        element("p", f"{simulation.source} · {len(comparison.joints)} joints{judged}", class_="quiet"),
+        _verdict(comparison, mended),
+        *(_glance(comparison) if comparison.fit else ()),
+        *(_layer(layer) for layer in comparison.layers),
+        *_cards(comparison, simulation),
+        _next(comparison),
+        _mended(mended),
+        _seen(comparison),
+        _obtained(comparison, sources),
+    )
+    return page(title, body)
+
+
+def _verdict(comparison: Comparison, mended: Mended | None) -> Markup:
+    if not comparison.fit:
+        lines: Iterable[str] = comparison.reasons
+        return element(
+            "section",
+            element("h2", "The data cannot carry the question"),
+            *(element("p", line) for line in lines),
+            class_="verdict unknown",
+        )
+    before, after = (_relative(comparison, rms) for rms in (comparison.before_Nm, comparison.after_Nm))
+    headline = f"The simulation misses {before} of the torque; with all layers {after} is left"
+    sentences = [_layers_sentence(comparison)]
+    share = replicated_share(comparison.layers)
+    if math.isfinite(share):
+        sentences.append(f"{percent(share)} of what the held-out recordings can confirm, they confirm.")
+    if mended is not None:
+        sentences.append(f"The simulation with new values is {mended.name}, beside this page.")
+    items = sum(len(layer.items) for layer in comparison.layers[:3])
+    level = "found" if items else "good"
+    return element(
+        "section", element("h2", headline), *(element("p", line) for line in sentences), class_=f"verdict {level}"
+    )
+
+
+def _relative(comparison: Comparison, rms: np.ndarray) -> str:
+    """Median over the joints of RMS over the torque's RMS, in words."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shares = rms / comparison.torque_Nm
+    return f"{percent(float(np.nanmedian(shares)))} (median joint, RMS)"
+
+
+def _layers_sentence(comparison: Comparison) -> str:
+    parts = []
+    for layer in comparison.layers[:3]:
+        if layer.items:
+            largest = layer.items[0]
+            more = f" and {len(layer.items) - 1} more" if len(layer.items) > 1 else ""
+            parts.append(f"{TITLES[layer.name].lower()}: {_name(largest)} at {listed(largest.joints)}{more}")
+    return "; ".join(parts).capitalize() + "." if parts else "Nothing in it is wrong beyond its error."
+
+
+def _name(item: Item) -> str:
+    return item.name.replace("_", " ")
+
+
+def _glance(comparison: Comparison) -> list[Markup | None]:
+    """The waterfall, the torque, and the same in figures."""
+    marks = (
+        element("span", element("span", class_="swatch", style=f"border-color: var(--{role})"), words)
+        for role, words in KEY.values()
+    )
+    torques = figures.torques(comparison)
+    lines = (("measured", "measured"), ("before", "simulation (dashed)"), ("after", "mended simulation"))
+    drawn = (
+        element("span", element("span", class_="swatch", style=f"border-color: var(--{role})"), words)
+        for role, words in lines
+    )
+    return [
+        element("h2", "What each layer removes"),
+        element("div", *marks, class_="key"),
+        captioned(
+            figures.waterfall(comparison),
+            "Each bar is the simulation's residual variance at a joint on held-out recordings; grey is noise. The "
+            "black line is the ceiling: what a flexible function of positions, velocities and accelerations leaves "
+            "beside the simulation's own terms, refitted.",
+        ),
+        _table(comparison),
+        None if torques is None else element("h2", "Torque"),
+        None if torques is None else element("div", *drawn, class_="key"),
+        None
+        if torques is None
+        else captioned(torques, "N·m, the first held-out recording. Gaps: standstill and velocity reversals."),
+    ]
+
+
+def _table(comparison: Comparison) -> Markup:
+    heads = (
+        "torque",
+        "simulation",
+        *(TITLES[layer.name].split(",")[0] for layer in comparison.layers[:3]),
+        "noise",
+        "ceiling",
+    )
+    rows = []
+    for row, joint in enumerate(comparison.joints):
+        values = [
+            comparison.torque_Nm[row],
+            comparison.before_Nm[row],
+            *(layer.after_Nm[row] for layer in comparison.layers[:3]),
+            comparison.noise_Nm[row],
+            comparison.ceiling_Nm[row],
+        ]
+        cells = (element("td", number(float(value))) for value in values)
+        rows.append(element("tr", element("th", breakable(joint), class_="text", scope="row"), *cells))
+    header = element(
+        "tr", element("th", "joint", class_="text", scope="col"), *(element("th", head, scope="col") for head in heads)
+    )
+    table = element("table", element("thead", header), element("tbody", *rows))
+    caption = element("p", "RMS on held-out recordings, N·m, after each layer.", class_="quiet")
+    return element("details", element("summary", "The same in figures"), caption, element("div", table, class_="wide"))
+
+
+def _layer(layer: Layer) -> Markup:
+    shown, hidden = layer.items[:MOST_ITEMS], layer.items[MOST_ITEMS:]
+    body: list[Markup | None] = [element("h2", TITLES[layer.name])]
+    if not layer.items:
+        body.append(element("p", "Nothing beyond its error." if layer.name != REST else "Nothing above the noise."))
+    else:
+        body.append(_items(layer.name, shown))
+    if hidden:
+        words = f"{len(hidden)} more"
+        body.append(element("details", element("summary", words), _items(layer.name, hidden)))
+    body += [element("p", f"{note[:1].upper()}{note[1:]}.", class_="quiet") for note in layer.notes]
+    return join(*body)
+
+
+def _items(layer: str, items: Iterable[Item]) -> Markup:
+    if layer == REST:
+        header = element(
+            "tr",
+            *(element("th", head, class_="text", scope="col") for head in ("at", "RMS, N·m", "what it depends on")),
+        )
+        rows = [
+            element(
+                "tr",
+                element("td", listed(item.joints), class_="text"),
+                element("td", number(item.value), class_="text"),
+                element("td", item.where, class_="text wrap"),
+            )
+            for item in items
+        ]
+        return element("table", element("thead", header), element("tbody", *rows))
+    heads = (
+        ("what", "text"),
+        ("where", "text"),
+        ("was", None),
+        ("is", None),
+        ("95 %", None),
+        ("share", None),
+        ("replicated", None),
+    )
+    header = element("tr", *(element("th", head, class_=kind, scope="col") for head, kind in heads))
+    body = element("tbody", *(_row(layer, item) for item in items))
+    return element("div", element("table", element("thead", header), body), class_="wide")
+
+
+def _row(layer: str, item: Item) -> Markup:
+    unit = unit_text(item.unit)
+    interval = f"{number(item.low)} to {number(item.high)}" if math.isfinite(item.low) else NOTHING
+    name: object = _name(item)
+    if layer == PHYSICS:
+        name = element("a", _name(item), href=f"#{card_id(item.name, item.joints)}")
+    replicated = {True: "yes", False: "no", None: "not asked"}[item.replicated]
+    return element(
+        "tr",
+        element("th", name, class_="text wrap", scope="row"),
+        element("td", item.where, class_="text wrap"),
+        element("td", f"{number(item.was)} {unit}".rstrip() if math.isfinite(item.was) else "not there"),
+        element("td", f"{number(item.value)} {unit}".rstrip()),
+        element("td", interval),
+        element("td", percent(item.share)),
+        element("td", replicated),
+    )
+
+
+def _cards(comparison: Comparison, simulation: Simulation) -> Iterable[Markup]:
+    """The cards of the search for physics: equation, parameters, rivals and why not."""
+    explanation = comparison.explanation
+    if explanation is None or not explanation.findings:
+        return ()
+    drawn = mismatch_figures.signals(explanation.traces)
+    return finding_cards(explanation, simulation.arm, drawn)
+
+
+def _next(comparison: Comparison) -> Markup | None:
+    words = None if comparison.explanation is None else comparison.explanation.next_experiment
+    return None if not words else join(element("h2", "Next experiment"), element("p", f"{words}."))
+
+
+def _mended(mended: Mended | None) -> Markup | None:
+    if mended is None:
+        return None
+    rows = [
+        element(
+            "tr",
+            element("th", breakable(joint), class_="text", scope="row"),
+            element("td", number(cost)),
+            element("td", percent(cost / mended.fit.torque_Nm[joint]) if mended.fit.torque_Nm[joint] > 0 else NOTHING),
+        )
+        for joint, cost in mended.fit.cost_Nm.items()
+    ]
+    heads = (("joint", "text"), ("costs, N·m RMS", None), ("of the torque", None))
+    header = element("tr", *(element("th", head, class_=kind, scope="col") for head, kind in heads))
+    lost = ", ".join(mended.fit.lost) or "nothing"
+    return join(
+        element("h2", "The simulation, mended"),
+        element(
+            "p",
+            element("code", mended.name),
+            f" is the simulation's own file with identified values. It does not hold: {lost}; its own parameters are "
+            "fitted to come nearest, and what that costs is below. The whole model is extended_model.yaml.",
+        ),
+        element("table", element("thead", header), element("tbody", *rows), class_="narrow"),
+    )
+
+
+def _seen(comparison: Comparison) -> Markup | None:
+    """What was looked at and not named, with the size that would have been."""
+    if not comparison.would_have_seen:
+        return None
+    rows = [
+        element(
+            "tr",
+            element("th", one.name.replace("_", " "), class_="text", scope="row"),
+            element("td", listed(one.joints), class_="text"),
+            element("td", f"{number(one.size)} {unit_text(one.unit)}".rstrip()),
+        )
+        for one in comparison.would_have_seen
+    ]
+    heads = (("unchanged", "text"), ("at", "text"), ("a change from here on would have been named", None))
+    header = element("tr", *(element("th", head, class_=kind, scope="col") for head, kind in heads))
+    table = element("table", element("thead", header), element("tbody", *rows), class_="narrow")
+    return element("details", element("summary", "What agrees, and how well that is known"), table)
+
+
+def _obtained(comparison: Comparison, sources: Mapping[str, Any]) -> Markup:
+    known = dict(sources)
+    tables = [source_table(known.pop(which, None), title) for which, title in SOURCES]
+    facts: list[tuple[str, object]] = [("bandwidth", f"{number(comparison.cutoff_hz)} Hz")]
+    facts += [(str(key).replace("_", " "), fact(value)) for key, value in known.items() if value]
+    return join(
+        element("h2", "How it was obtained"),
+        element("dl", *(element(tag, text) for named in facts for tag, text in zip(("dt", "dd"), named))),
+        *tables,
+        element(
+            "p",
+            "Share: part of the simulation's residual variance above the noise, mean over the joints, that is back "
+            "when this alone is as in the simulation. Replicated: estimated from the held-out recordings by "
+            "themselves, with the same sign and within 99 % of the errors of both. Beside this page: mismatch.json "
+            "says the same to programs; extended_model.yaml is the model of all layers.",
+            class_="quiet",
+        ),
+    )
