@@ -180,10 +180,8 @@ def _item_line(layer: str, item: Item) -> str:
         return f"{item.name}: {item.where}"
     was = f"{item.was:.4g} -> " if math.isfinite(item.was) else ""
     replicated = {True: ", replicated", False: ", NOT replicated", None: ""}[item.replicated]
-    return (
-        f"{item.name} at {', '.join(item.joints)}: {was}{item.value:.4g} [{item.low:.4g}, {item.high:.4g}] {item.unit}"
-        f" ({item.share:.1%}{replicated})"
-    )
+    value = f"{was}{item.value:.4g} [{item.low:.4g}, {item.high:.4g}] {item.unit}"
+    return f"{item.name.replace('_', ' ')}, {item.where}: {value} ({item.share:.1%}{replicated})"
 
 
 def sort_bags(

@@ -11,12 +11,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from ..dynamics.model import IdentifiedModel
 from ..recording.motion import Motion
 from ..report.urdf import identified_urdf
 from ..simulations import Simulation
 from ..simulations.mjcf import mujoco_or_error
-from .frames import bodies_of
+from .frames import bodies_of, quaternion
 from .law import ARMATURE, DAMPING, FRICTION, STIFFNESS, Nearest, nearest
 from .mjcf import MJCF
 from .sdf import SDF, sdf
@@ -71,15 +73,15 @@ def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) 
         carrier.explicitinertial = True
         carrier.mass = body.mass
         carrier.ipos = body.centre + joint.pos
-        inertia = body.inertia
-        carrier.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        carrier.iquat = [1.0, 0.0, 0.0, 0.0]
+        principal, axes = np.linalg.eigh(body.inertia)
+        carrier.inertia, carrier.fullinertia = principal, [np.nan] * 6
+        carrier.iquat = quaternion(axes * np.sign(np.linalg.det(axes)))
         for fixed in _welded(carrier):
             # Its mass is part of the body that carries it: kept here as well, it would count twice.
             fixed.explicitinertial = True
             fixed.mass = LEAST
             fixed.inertia = [LEAST] * 3
-            fixed.fullinertia = [float("nan")] * 6
+            fixed.fullinertia = [np.nan] * 6
         values = fit.values[body.joint.name]
         joint.armature = values[ARMATURE]
         joint.damping = _first(joint.damping, values[DAMPING])

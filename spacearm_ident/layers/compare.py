@@ -362,10 +362,10 @@ def _cause_items(simple: Explained, found: _Joint, shares: _Shares) -> list[Item
     half = float(norm.ppf(0.975))
     for cause, values, errors in zip(simple.causes, simple.values, simple.errors):
         joint = found.run.joints.index(cause.joint)
-        inertial = found.run.arm.joints[joint].inertial
+        inertial, body = cause.inertial, cause.body
         without = found.estimate.values.copy()
         without[places] -= cause.directions @ values
-        body, share = simulation.body(cause.joint), shares.of(without)
+        share = shares.of(without)
         for axis, (change, error) in enumerate(zip(values, errors)):
             if cause.name == "mass":
                 was, name, where, key = float(inertial[0]), "mass", f"mass of {body}", f"{body}.mass"

@@ -2,8 +2,8 @@
 
 Torque determines combinations of inertials only (base parameters, Gautier 1991). What is reported is the simplest of
 
-- *causes*: a link's mass, its centre, a rotor's inertia, a body at the flange; a few of them, found by forward
-  selection, if together they account for the change of every combination within its error;
+- *causes*: a body's mass, its centre, a rotor's inertia; at most `MOST_CAUSES` of them, the fewest that together
+  account for the change of every combination within its error;
 - the *combinations* themselves, each with was -> is, otherwise.
 
 Friction loss, damping and stiffness of a joint are determined one by one. A change is named if it exceeds its error at
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -31,6 +32,8 @@ LEVEL = 0.05
 DETERMINED = 0.1
 """Largest error of a combination, in standard deviations of its prior, at which the data say what it is: the prior
 then moves the estimate by less than one per cent of the distance."""
+MOST_CAUSES = 3
+"""Causes that are a simple word; all sets of so many are tried."""
 ENOUGH = 0.01
 """Probability below which causes do not account for the change of the combinations."""
 INERTIAL_WORDS = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
@@ -61,11 +64,22 @@ class Change:
 
 @dataclass(frozen=True)
 class Cause:
-    """A simple change of one thing: directions in the (11 n,) inertials and rotor inertias."""
+    """A simple change of one thing.
+
+    Attributes:
+        name: `mass`, `centre_of_mass` or `armature`.
+        body: Name of the body; of the joint where it is a rotor's.
+        joint: That carries it.
+        unit: SI.
+        inertial: (10,) of the body in the simulation, in the frame of the joint.
+        directions: (11 n, d) change of all inertials and rotor inertias a unit of each of its d directions.
+    """
 
     name: str
+    body: str
     joint: str
     unit: str
+    inertial: FloatArray
     directions: FloatArray
 
 
@@ -186,24 +200,34 @@ def combination_of(change: Change, linear: Linear, simulation: Simulation) -> di
     return named
 
 
-def causes(arm: Arm) -> list[Cause]:
+def causes(simulation: Simulation) -> list[Cause]:
     """Simple changes: masses with their bodies' shape, centres of mass, rotor inertias."""
-    n = len(arm.joints)
+    names = simulation.arm.joint_names
+    n = len(names)
     found = []
-    for k, joint in enumerate(arm.joints):
-        inertial = joint.inertial
-        if inertial[0] > 0.0:
-            mass = np.zeros((11 * n, 1))
-            mass[10 * k : 10 * k + 10, 0] = inertial / inertial[0]
-            found.append(Cause("mass", joint.name, "kg", mass))
-            centre = np.zeros((11 * n, 3))
-            for axis in range(3):
-                centre[10 * k : 10 * k + 10, axis] = _moved(inertial, axis)
-            found.append(Cause("centre_of_mass", joint.name, "m", centre))
+    for part in simulation.all_parts:
+        own = slice(10 * names.index(part.joint), 10 * names.index(part.joint) + 10)
+        dense, point, centre = np.zeros((11 * n, 1)), np.zeros((11 * n, 1)), np.zeros((11 * n, 3))
+        # A body of other density has another inertia; one whose mass alone was mistyped keeps that about its centre.
+        dense[own, 0] = part.inertial / part.inertial[0]
+        point[own, 0] = _point(part.inertial[1:4] / part.inertial[0])
+        centre[own] = np.column_stack([_moved(part.inertial, axis) for axis in range(3)])
+        found += [
+            Cause("mass", part.name, part.joint, "kg", part.inertial, dense),
+            Cause("mass", part.name, part.joint, "kg", part.inertial, point),
+            Cause("centre_of_mass", part.name, part.joint, "m", part.inertial, centre),
+        ]
+    for k, joint in enumerate(names):
         rotor = np.zeros((11 * n, 1))
         rotor[10 * n + k, 0] = 1.0
-        found.append(Cause("armature", joint.name, "kg m^2", rotor))
+        found.append(Cause("armature", joint, joint, "kg m^2", np.zeros(10), rotor))
     return found
+
+
+def _point(place: FloatArray) -> FloatArray:
+    """(10,) parameters of one kilogram at a place (3,)."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = place @ place * np.eye(3) - np.outer(place, place)
+    return np.array([1.0, *place, xx, xy, yy, xz, yz, zz])
 
 
 def _moved(inertial: FloatArray, axis: int) -> FloatArray:
@@ -234,8 +258,7 @@ class Explained:
 def few_causes(linear: Linear, found: Estimate, prior: Prior, simulation: Simulation) -> Explained | None:
     """The causes by which alone the simulation's inertials differ; None where they are too many for a simple word.
 
-    Forward selection: each step takes the cause that lowers chi-square most for its number of directions, until what
-    is left is what chance leaves. It is given up when it needs as many directions as there are combinations changed.
+    Of all sets that leave what chance leaves of the change (chi-square), the one with the fewest directions.
     """
     arm = linear.model.model.arm
     base = [one for one in _combinations(linear, simulation) if _determined(one.vector, found, prior)]
@@ -246,29 +269,17 @@ def few_causes(linear: Linear, found: Estimate, prior: Prior, simulation: Simula
     errors = np.array([found.error(one.vector) for one in base])
     posterior = rows @ found.covariance @ rows.T
     wider = errors / np.sqrt(np.maximum(np.diag(posterior), 1e-300))
-    covariance = posterior * np.outer(wider, wider)
+    # One factor for all: the jackknife's few blocks say how large errors are, not how they go together.
+    covariance = posterior * float(np.mean(wider**2))
     whiten = np.linalg.pinv(np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance))))
     names = list(linear.names)
     model = TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}})
     places = [names.index(parameter.name) for parameter in model.parameters]
     target = whiten @ delta
-    offered = [(one, whiten @ rows[:, places] @ one.directions) for one in causes(arm)]
-    chosen: list[tuple[Cause, FloatArray]] = []
-    while True:
-        width = sum(columns.shape[1] for _, columns in chosen)
-        left = _left(target, [columns for _, columns in chosen])
-        dof = len(target) - width
-        if dof > 0 and chi2.sf(float(left @ left), dof) > ENOUGH:
-            break
-        tried = [
-            (_log_chance(target, left, [*(c for _, c in chosen), columns], columns.shape[1]), one, columns)
-            for one, columns in offered
-            if all(one is not other for other, _ in chosen)
-        ]
-        if not tried or 2 * width >= len(target):
-            return None
-        _, one, columns = min(tried, key=lambda item: item[0])
-        chosen.append((one, columns))
+    if chi2.sf(float(target @ target), len(target)) > ENOUGH:
+        return None
+    offered = [(one, whiten @ rows[:, places] @ one.directions) for one in causes(simulation)]
+    chosen = _fewest(target, offered)
     if not chosen:
         return None
     matrix = np.concatenate([columns for _, columns in chosen], axis=1)
@@ -284,7 +295,7 @@ def _possible(arm: Arm, chosen: Sequence[Cause], values: Sequence[FloatArray]) -
     """Whether bodies changed like this have mass, and centres of mass within reach of the arm's own size."""
     reach = max(float(np.linalg.norm(joint.translation)) for joint in arm.joints)
     for cause, change in zip(chosen, values):
-        mass = arm.joints[arm.joint_names.index(cause.joint)].inertial[0]
+        mass = float(cause.inertial[0])
         if (cause.name == "mass" and mass + change[0] <= 0.0) or (
             cause.name == "centre_of_mass" and float(np.linalg.norm(change)) > reach
         ):
@@ -299,10 +310,19 @@ def _left(target: FloatArray, columns: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-9)[0])
 
 
-def _log_chance(target: FloatArray, before: FloatArray, columns: Sequence[FloatArray], width: int) -> float:
-    """Logarithm of the probability that a cause of so many directions lowers chi-square by as much by chance."""
-    after = _left(target, columns)
-    return float(chi2.logsf(float(before @ before - after @ after), width))
+def _fewest(target: FloatArray, offered: Sequence[tuple[Cause, FloatArray]]) -> Sequence[tuple[Cause, FloatArray]]:
+    """The causes with the fewest directions that leave what chance leaves; none where `MOST_CAUSES` do not."""
+    best: tuple[int, float, Sequence[tuple[Cause, FloatArray]]] | None = None
+    for count in range(1, MOST_CAUSES + 1):
+        for chosen in combinations(offered, count):
+            width = sum(columns.shape[1] for _, columns in chosen)
+            if width >= len(target) or (best is not None and width > best[0]):
+                continue
+            left = _left(target, [columns for _, columns in chosen])
+            squares = float(left @ left)
+            if chi2.sf(squares, len(target) - width) > ENOUGH and (best is None or (width, squares) < best[:2]):
+                best = width, squares, chosen
+    return () if best is None else best[2]
 
 
 def words_of(values: Mapping[str, float]) -> str:

@@ -103,3 +103,27 @@ def _joint(link: TreeLink) -> list[str]:
 
 def _words(values: FloatArray) -> str:
     return " ".join(repr(float(value)) for value in values)
+
+
+def inertials_of(links: Sequence[TreeLink]) -> dict[str, tuple[str, FloatArray]]:
+    """Link with mass -> the joint that moves it, and its ten parameters about that joint's frame.
+
+    Links that no joint moves are left out. Parameters are m, m c, I in Pinocchio's order.
+    """
+    placed: dict[str, tuple[str, FloatArray, FloatArray]] = {}
+    found: dict[str, tuple[str, FloatArray]] = {}
+    for link in links:
+        joint, rotation, place = link.joint.name, np.eye(3), np.zeros(3)
+        if link.joint.kind == "fixed":
+            if link.parent not in placed:
+                continue
+            joint, outer, origin = placed[link.parent]
+            rotation, place = outer @ link.rotation, origin + outer @ link.translation
+        placed[link.name] = joint, rotation, place
+        if link.mass > 0.0:
+            centre = place + rotation @ link.centre
+            tensor = rotation @ link.inertia @ rotation.T
+            tensor = tensor + link.mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+            (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
+            found[link.name] = joint, np.array([link.mass, *(link.mass * centre), xx, xy, yy, xz, yz, zz])
+    return found

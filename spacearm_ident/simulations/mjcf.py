@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from ..dynamics.arm import FloatArray, arm_from_urdf
 from ..errors import UserError
-from .description import ROOT, TreeJoint, TreeLink, urdf_of
-from .simulation import JointDynamics, Simulation, simulation_of
+from .description import ROOT, TreeJoint, TreeLink, inertials_of, urdf_of
+from .simulation import JointDynamics, Part, Simulation, simulation_of
 
 UNBOUNDED = 1e3
 """rad or m: a range beyond it says nothing."""
@@ -60,6 +60,7 @@ def read_mjcf(path: Path) -> Simulation:
         path.name,
         bodies,
         _notes(model),
+        [Part(name, *where) for name, where in inertials_of(links).items() if where[0] in kept],
     )
 
 

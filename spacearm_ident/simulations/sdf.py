@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from ..dynamics.arm import FloatArray, arm_from_urdf
 from ..errors import UserError
-from .description import ROOT, TreeJoint, TreeLink, urdf_of
-from .simulation import JointDynamics, Simulation, simulation_of
+from .description import ROOT, TreeJoint, TreeLink, inertials_of, urdf_of
+from .simulation import JointDynamics, Part, Simulation, simulation_of
 
 KINDS = {"revolute": "revolute", "prismatic": "prismatic", "continuous": "continuous", "fixed": "fixed"}
 UNBOUNDED = 1e3
@@ -65,7 +65,8 @@ class _Model:
         names = set(arm.joint_names)
         joints = {one.get("name", ""): _dynamics(one) for one in carried.values() if one.get("name") in names}
         bodies = {one.get("name", ""): child for child, one in carried.items()}
-        return simulation_of(arm, joints, "sdf", self._path.name, bodies)
+        parts = [Part(name, *where) for name, where in inertials_of(tree).items() if where[0] in names]
+        return simulation_of(arm, joints, "sdf", self._path.name, bodies, parts=parts)
 
     def _sorted(
         self, links: list[ElementTree.Element], carried: dict[str, ElementTree.Element]

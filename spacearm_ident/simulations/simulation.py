@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..dynamics.arm import Arm, without_joints
+from ..dynamics.arm import Arm, FloatArray, without_joints
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 
@@ -43,6 +43,21 @@ class JointDynamics:
 
 
 @dataclass(frozen=True)
+class Part:
+    """A body as the simulation's file has it; several may be fixed to each other behind one joint.
+
+    Attributes:
+        name: In the file.
+        joint: That moves it.
+        inertial: (10,) m, m c, I about the frame of the joint, in its axes.
+    """
+
+    name: str
+    joint: str
+    inertial: FloatArray
+
+
+@dataclass(frozen=True)
 class Simulation:
     """A simulation of an arm.
 
@@ -52,6 +67,7 @@ class Simulation:
         source: The file, as a person would name it.
         bodies: Joint -> name of the body it moves, in the simulation's words.
         notes: What of the file is not in the model, a sentence each.
+        parts: Bodies of the file, where the reader knows them apart.
     """
 
     model: IdentifiedModel
@@ -59,6 +75,18 @@ class Simulation:
     source: str
     bodies: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    parts: tuple[Part, ...] = ()
+
+    @property
+    def all_parts(self) -> tuple[Part, ...]:
+        """The file's bodies with mass; where they are not known apart, everything behind a joint is one."""
+        known = {part.joint for part in self.parts}
+        whole = (
+            Part(self.body(joint.name), joint.name, joint.inertial)
+            for joint in self.arm.joints
+            if joint.name not in known
+        )
+        return tuple(part for part in (*self.parts, *whole) if part.inertial[0] > 0.0)
 
     @property
     def arm(self) -> Arm:
@@ -86,6 +114,7 @@ def simulation_of(
     source: str,
     bodies: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
+    parts: Sequence[Part] = (),
 ) -> Simulation:
     """A simulation from an arm and what its joints hold; joints that are not named hold nothing.
 
@@ -99,7 +128,8 @@ def simulation_of(
     model = TorqueModel(arm, structure)
     parameters = np.array([_value(arm, values, parameter.symbol, parameter.joint) for parameter in model.parameters])
     constants = np.zeros(len(model.constants))
-    return Simulation(IdentifiedModel(model, parameters, constants), format_, source, dict(bodies or {}), tuple(notes))
+    identified = IdentifiedModel(model, parameters, constants)
+    return Simulation(identified, format_, source, dict(bodies or {}), tuple(notes), tuple(parts))
 
 
 def simulated_structure(sprung: Sequence[str] = ()) -> Structure:

@@ -1,0 +1,133 @@
+"""From a simulation to the arm: each layer finds what was changed in MuJoCo, and nothing where nothing was."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mujoco_arm import JOINTS, mjcf, mujoco_or_skip, recorded
+
+from spacearm_ident.cli.main import main
+from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.layers.compare import Comparison, compare
+from spacearm_ident.layers.conventions import find_wiring
+from spacearm_ident.layers.item import Item
+from spacearm_ident.layers.wiring import Wiring
+from spacearm_ident.mismatch.preparation import banded
+from spacearm_ident.recording import Recording
+from spacearm_ident.recording.writer import write_recording
+from spacearm_ident.simulations import Simulation, read_simulation
+
+
+@pytest.fixture
+def simulation(tmp_path: Path) -> Simulation:
+    mujoco_or_skip()
+    path = tmp_path / "three.xml"
+    path.write_text(mjcf())
+    return read_simulation(path)
+
+
+def _compared(simulation: Simulation, **changes: float) -> Comparison:
+    """Layers 0, 1 and 3 against an arm with changed parameters; no effect of the catalogue is considered."""
+    text = mjcf(**changes)
+    runs = [recorded(text, seed) for seed in (1, 2)]
+    return compare(simulation, runs[:1], runs[1:], excluded=tuple(EFFECTS))
+
+
+def _items(comparison: Comparison, layer: str) -> tuple[Item, ...]:
+    return next(one.items for one in comparison.layers if one.name == layer)
+
+
+def _recorded_as(recording: Recording, wiring: Wiring) -> Recording:
+    """The recording as wiring that is off would have made it."""
+    late = np.column_stack(
+        [np.interp(recording.time - wiring.delay_s, recording.time, one) for one in recording.effort.T]
+    )
+    return replace(recording, effort=late * wiring.gain, position=recording.position - wiring.zero_rad)
+
+
+def test_an_arm_that_is_its_simulation_has_no_items(simulation: Simulation) -> None:
+    comparison = _compared(simulation)
+    assert [item.name for layer in comparison.layers for item in layer.items] == []
+    np.testing.assert_allclose(comparison.after_Nm, comparison.before_Nm, rtol=0.1)
+
+
+def test_heavier_link_is_named_with_its_mass(simulation: Simulation) -> None:
+    comparison = _compared(simulation, upper_mass=3.6)
+    (item,) = _items(comparison, "parameters")
+    assert (item.name, item.joints, item.was) == ("mass", ("shoulder",), 3.0)
+    assert item.low < 3.6 < item.high
+    assert np.all(comparison.after_Nm < 1.2 * 0.02)
+
+
+def test_friction_and_damping_are_named_at_every_joint(simulation: Simulation) -> None:
+    comparison = _compared(simulation, friction=1.1, damping=0.4)
+    items = {(item.name, item.joints[0]): item for item in _items(comparison, "parameters")}
+    assert set(items) == {(name, joint) for name in ("frictionloss", "damping") for joint in JOINTS}
+    for (name, _), item in items.items():
+        truth = {"frictionloss": 1.1, "damping": 0.4}[name]
+        assert abs(item.value - truth) < 0.02
+        assert item.replicated
+
+
+def test_many_changes_become_combinations_with_the_simulations_names(simulation: Simulation) -> None:
+    """Where no few words do, the value of each combination is the true one within its interval."""
+    changes = {"upper_mass": 3.5, "fore_mass": 1.5, "fore_y": 0.03, "armature": 0.08}
+    comparison = _compared(simulation, **changes)
+    items = _items(comparison, "parameters")
+    assert items
+    assert all(item.low <= item.value <= item.high for item in items)
+    assert np.all(comparison.after_Nm < 1.2 * 0.02)
+
+
+@pytest.mark.parametrize(
+    ("wiring", "found"),
+    [
+        (Wiring(np.array([1.0, 0.75, 1.0]), np.zeros(3)), ("gain[shoulder]",)),
+        (Wiring(np.ones(3), np.array([0.0, 0.03, 0.0])), ("zero[shoulder]",)),
+        (Wiring(np.ones(3), np.zeros(3), 0.006), ("delay",)),
+        (Wiring(np.ones(3), np.zeros(3)), ()),
+    ],
+)
+def test_wiring_that_is_off_is_found_with_its_size(
+    simulation: Simulation, wiring: Wiring, found: tuple[str, ...]
+) -> None:
+    run = _recorded_as(recorded(mjcf(), 3), wiring)
+    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0))
+    assert wired.found == found
+    np.testing.assert_allclose(wired.wiring.gain, wiring.gain, rtol=0.02)
+    np.testing.assert_allclose(wired.wiring.zero_rad, wiring.zero_rad, atol=0.004)
+    assert abs(wired.wiring.delay_s - wiring.delay_s) < 0.001
+
+
+def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    mujoco_or_skip()
+    sim, out = tmp_path / "three.xml", tmp_path / "out"
+    sim.write_text(mjcf())
+    for name, seed in (("real.mcap", 4), ("real_2.mcap", 5)):
+        write_recording(tmp_path / name, recorded(mjcf(fore_mass=2.3), seed))
+    bags = [str(tmp_path / "real.mcap"), "--validate", str(tmp_path / "real_2.mcap")]
+    without = ["--without", *EFFECTS]
+    assert main(["mismatch", *bags, "--simulation", str(sim), "--out", str(out), *without]) == 0
+    assert "mass of fore" in capsys.readouterr().out
+    document = json.loads((out / "mismatch.json").read_text())
+    assert document["verdict"] == "mismatch"
+    assert [layer["layer"] for layer in document["layers"]] == ["conventions", "parameters", "physics", "rest"]
+    assert set(document["ceiling_Nm"]) == set(JOINTS)
+    assert document["mended_simulation"] == "mended.xml"
+    assert read_simulation(out / "mended.xml").arm.joint_names == JOINTS
+    page = (out / "report.html").read_text()
+    assert "mass of fore" in page and "mended.xml" in page
+
+
+def test_simulation_of_other_joints_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    mujoco_or_skip()
+    sim, out = tmp_path / "three.xml", tmp_path / "out"
+    sim.write_text(mjcf().replace("elbow", "ellbogen"))
+    write_recording(tmp_path / "real.mcap", recorded(mjcf(), 4, seconds=6.0))
+    assert main(["mismatch", str(tmp_path / "real.mcap"), "--simulation", str(sim), "--out", str(out)]) == 2
+    assert "same names" in capsys.readouterr().err
+    assert not out.exists()

@@ -1,0 +1,114 @@
+"""Reading simulations: MJCF as MuJoCo has it, SDF and URDF with their joint dynamics, and files that are none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mujoco_arm import JOINTS, inverse, mjcf, mujoco_or_skip, recorded
+
+from spacearm_ident.dynamics.regressor import rigid_body_torque
+from spacearm_ident.errors import UserError
+from spacearm_ident.export.law import nearest
+from spacearm_ident.export.mended import mend
+from spacearm_ident.export.sdf import SDF, sdf
+from spacearm_ident.recording.signals import prepare
+from spacearm_ident.simulations import Simulation, read_simulation
+
+
+def _states(seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return tuple(rng.uniform(-1.5, 1.5, (3, 8, 3)))  # type: ignore[return-value]
+
+
+def _torque(simulation: Simulation, states: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+    """Torque of the simulation's bodies, rotors and friction."""
+    arm, (position, velocity, acceleration) = simulation.arm, states
+    inertials = np.array([joint.inertial for joint in arm.joints])
+    rigid = rigid_body_torque(arm, inertials, position, velocity, acceleration)
+
+    def own(symbol: str) -> np.ndarray:
+        return np.array([simulation.model.value(symbol, joint) for joint in arm.joint_names])
+
+    return np.asarray(rigid + own("J_m") * acceleration + own("k_v1") * velocity + own("f_c") * np.sign(velocity))
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "three.xml"
+    path.write_text(mjcf())
+    return path
+
+
+def test_mjcf_predicts_the_torque_of_mujoco(file: Path) -> None:
+    """Anchors off the origin, `ref`, welded bodies and full inertias are as MuJoCo has them."""
+    mujoco_or_skip()
+    simulation, states = read_simulation(file), _states()
+    assert simulation.arm.joint_names == JOINTS
+    assert simulation.bodies == {"base_turn": "post", "shoulder": "upper", "elbow": "fore"}
+    np.testing.assert_allclose(_torque(simulation, states), inverse(mjcf(), *states), atol=1e-9)
+
+
+def test_mjcf_of_a_free_body_is_refused_with_what_to_give(tmp_path: Path) -> None:
+    mujoco_or_skip()
+    path = tmp_path / "free.xml"
+    body = '<body><freejoint name="f"/><geom size="0.1" mass="1"/></body>'
+    path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    with pytest.raises(UserError, match="fixed to the world"):
+        read_simulation(path)
+
+
+def test_sdf_reads_back_what_the_exporter_wrote(file: Path, tmp_path: Path) -> None:
+    mujoco_or_skip()
+    simulation = read_simulation(file)
+    motions, _ = prepare([recorded(mjcf())], JOINTS)
+    written = tmp_path / "three.sdf"
+    written.write_text(sdf(simulation.model, nearest(simulation.model, SDF, motions), []))
+    again, states = read_simulation(written), _states()
+    without_rotor = inverse(mjcf(armature=0.0), *states)
+    np.testing.assert_allclose(_torque(again, states)[:, 1:], without_rotor[:, 1:], rtol=0.2, atol=0.3)
+    inertials = [[joint.inertial for joint in one.arm.joints] for one in (simulation, again)]
+    np.testing.assert_allclose(inertials[0], inertials[1], atol=1e-12)
+
+
+def test_urdf_takes_damping_and_friction_of_its_joints(file: Path, tmp_path: Path) -> None:
+    mujoco_or_skip()
+    urdf = read_simulation(file).arm.urdf
+    path = tmp_path / "three.urdf"
+    path.write_text(urdf.replace("</joint>", '<dynamics damping="1.5" friction="0.25"/></joint>'))
+    simulation = read_simulation(path)
+    assert simulation.model.value("k_v1", "elbow") == 1.5
+    assert simulation.model.value("f_c", "shoulder") == 0.25
+    assert simulation.body("elbow") == "fore"
+
+
+def test_mended_mjcf_predicts_in_mujoco_what_the_model_predicts(file: Path, tmp_path: Path) -> None:
+    """Values of another arm of the same structure, written into this file: the welded hand counts once."""
+    mujoco_or_skip()
+    other = tmp_path / "other.xml"
+    other.write_text(mjcf(fore_mass=2.6, fore_y=0.03, damping=0.9, friction=0.3, armature=0.11))
+    simulation, truth = read_simulation(file), read_simulation(other)
+    motions, _ = prepare([recorded(mjcf())], JOINTS)
+    mended = mend(simulation, file, truth.model, motions)
+    assert mended is not None
+    states = _states()
+    np.testing.assert_allclose(inverse(mended.text, *states), inverse(other.read_text(), *states), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.xml", "<html></html>", "no simulation"),
+        ("a.xml", "<mujoco", "well-formed"),
+        ("a.xml", '<!DOCTYPE a [<!ENTITY b "c">]><mujoco/>', "DOCTYPE"),
+        ("a.sdf", "<sdf version='1.9'><world name='w'/></sdf>", "no <model>"),
+        ("a.sdf", "<sdf><model name='m'><link name='l'><pose>1 2</pose></link></model></sdf>", "six numbers"),
+        ("a.yaml", "schema: other", "schema"),
+    ],
+)
+def test_what_is_no_simulation_is_refused_with_what_to_give(tmp_path: Path, name: str, text: str, said: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(UserError, match=said):
+        read_simulation(path)
