@@ -221,6 +221,9 @@ class _Pass:
         gain = found.wiring.gain
         simulated = self._as_simulated()
         stages = [found.simulated(), found.fit(with_terms=())]
+        gone = [one for one in added if found.replicates(found.vector(one), 0.0) is False]
+        found.leave_out(gone)
+        added = [one for one in added if one not in gone]
         named = found.clear(optional)
         rest = [one for one in optional if one not in named]
         order = found.order([*added, *named])
@@ -237,7 +240,7 @@ class _Pass:
         layers = (
             Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(suspected)),
             Layer(PARAMETERS, rms[1], rms[2], items, self.simulation.notes),
-            Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, above), _unnamed(rest)),
+            Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, above), _unnamed(rest, gone)),
             Layer(REST, after, noise, _rest_items(explanation, after, noise, above)),
         )
         traces = found.traces(stages[-1])
@@ -302,6 +305,7 @@ class _Pass:
             if simple is not None and change.unit in ("kg", "kg m", "kg m^2"):
                 continue
             items.append(self._change_item(change, found, shares))
+        items = [item for item in items if item.replicated is not False]
         seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
         return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf))), seen
 
@@ -408,6 +412,7 @@ class _Joint:
         self.again = Linear(model, run.judged, noise.whiteners, wiring)
         self.base = run.simulation.model.model
         self._known = {p.name for p, own in zip(self.base.parameters, _has_values(self.base)) if own}
+        self._gone: set[int] = set()
         self._variance(noise)
         self._settle()
 
@@ -423,6 +428,7 @@ class _Joint:
 
     def _settle(self) -> None:
         """Solve for everything, here and in the held-out recordings by themselves."""
+        self.prior = self._prior(None)
         self.estimate = estimate(self.linear, self.prior, self.variance)
         try:
             self._there: Estimate | None = estimate(self.again, self._prior(None, self.again), self.variance)
@@ -438,7 +444,8 @@ class _Joint:
         kept = set() if terms is None else {int(k) for columns in terms for k in columns}
         names = {name: number for number, name in enumerate(linear.names)}
         for number, parameter in enumerate(linear.model.model.parameters):
-            if parameter.name in self._known or terms is None or number in kept:
+            left_in = (terms is None or number in kept) and number not in self._gone
+            if parameter.name in self._known or left_in:
                 continue
             if parameter.symbol == "f_b" and free[number]:
                 _tie(precision, number, names[f"f_c[{parameter.joint}]"])
@@ -449,6 +456,12 @@ class _Joint:
                 free[number], mean[number] = True, 0.0
                 precision[number, number] = 1e-6
         return Prior(mean, precision, free)
+
+    def leave_out(self, terms: Sequence[Added]) -> None:
+        """Take physics out of the model for good."""
+        if terms:
+            self._gone |= {int(number) for one in terms for number in one.columns}
+            self._settle()
 
     def clear(self, terms: Sequence[Added]) -> list[Added]:
         """Friction terms whose values exceed their errors and are the same in the held-out recordings.
@@ -613,12 +626,16 @@ def _wiring_words(name: str) -> str:
     return {GAIN: f"torque gain of {joint}", ZERO: f"encoder zero of {joint} (rad)", DELAY: "delay of torque (s)"}[kind]
 
 
-def _unnamed(terms: Sequence[Added]) -> tuple[str, ...]:
-    """What is in the model and too small to be named."""
-    if not terms:
-        return ()
-    words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in terms)
-    return (f"in the model because held-out parts are predicted better with it, each within its error: {words}",)
+def _unnamed(small: Sequence[Added], gone: Sequence[Added]) -> tuple[str, ...]:
+    """What is in the model and too small to be named, and what was found and not found again."""
+    notes = []
+    if small:
+        words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in small)
+        notes.append(f"in the model, for held-out parts are predicted better with it, but within its error: {words}")
+    if gone:
+        words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in gone)
+        notes.append(f"found, but another recording does not show it, and left out: {words}")
+    return tuple(notes)
 
 
 def _rest_items(explanation: Explanation, after: FloatArray, noise: FloatArray, above: FloatArray) -> tuple[Item, ...]:

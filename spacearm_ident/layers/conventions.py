@@ -2,8 +2,9 @@
 
 Each is a hypothesis: its column is free, with a prior of its own, or absent. Hypotheses are compared by marginal
 likelihood, summed over how far the simulation's inertials may be off (`CAD_SCALES`), so that a gain is not found where
-a heavier link says the same. The best joins, everything is linearised anew, and so on until nothing gains; what gains
-nothing beside the others leaves again. Signs, units, order and gravity are for `conventions.search`, before this.
+a heavier link says the same. The best joins if every recording (each half of a single one) supports it by itself, for
+model error is not the same in all; everything is linearised anew, and so on until nothing gains; what gains nothing
+beside the others leaves again. Signs, units, order and gravity are for `conventions.search`, before this.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from itertools import combinations
 
 import numpy as np
 from scipy.special import expit, logsumexp
+from scipy.stats import chi2
 
 from ..conventions.evidence import CAD_SCALES, inertial_belief
-from ..conventions.search import CHANCE, SURE
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..mismatch.noise import weighted
@@ -25,12 +26,19 @@ from ..recording.motion import Motion
 from .linear import DELAY, GAIN, ZERO, Linear, Prior, Solution, weak_prior
 from .wiring import Wiring
 
-GAIN_SD, ZERO_SD, DELAY_SD = 0.5, 0.1, 0.02
+SURE = 5.0
+"""Log odds from which a hypothesis is taken: one false in 150, were residuals noise; all parts must agree besides."""
+GAIN_SD, ZERO_SD, DELAY_SD = 0.5, 0.05, 0.02
 """Standard deviations of what is off where something is: of a gain's logarithm (a torque constant of a neighbouring
-size of motor), of a zero, rad (six degrees), of a delay, s (a few cycles of a slow bus)."""
-ODDS = {GAIN: 0.1, ZERO: 0.02, DELAY: 0.05}
+size of motor), of a zero, rad (three degrees), of a delay, s (a few cycles of a slow bus)."""
+ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05}
 """Prior probability of each at one joint (the delay: at all). Of the five real arms in hand torque from current is 8
 to 43 % off at single joints of two; a zero that is off shows as soon as an arm is used; late torque is common."""
+AGREE = 0.001
+"""Probability below which values from different parts do not agree: they are compared within errors that take residuals
+for noise."""
+SHORT_LIST = 4
+"""Best hypotheses that the parts are asked about."""
 MOST = 8
 """Gains, zeros and delays looked for at once."""
 SETTLING = 2
@@ -87,7 +95,7 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion]) -> Wired:
     for _ in range(SETTLING if state.found else 0):
         state.settle()
     odds = {name: state.log_odds(name) for name in state.found}
-    while odds and min(odds.values()) < state.sure:
+    while odds and min(odds.values()) < SURE:
         state.found.remove(min(odds, key=lambda name: odds[name]))
         state.settle()
         odds = {name: state.log_odds(name) for name in state.found}
@@ -114,11 +122,6 @@ class _State:
         self.fitted = self._fit(())
         self._relinearise()
 
-    @property
-    def sure(self) -> float:
-        """Log odds from which a hypothesis is taken, as `conventions.search.Court.sure`."""
-        return SURE - 0.5 * float(np.log1p(-CHANCE)) * self.counts
-
     def settle(self) -> None:
         """Move to the most probable values of what was found."""
         solution = self._solved(self.found)
@@ -127,7 +130,7 @@ class _State:
         self.wiring = Wiring(
             self.wiring.gain * np.exp([values[f"{GAIN}[{joint}]"] for joint in joints]),
             self.wiring.zero_rad + np.array([values[f"{ZERO}[{joint}]"] for joint in joints]),
-            self.wiring.delay_s + values[DELAY],
+            float(self.wiring.delay_s + values[DELAY]),
         )
         # What is not among the hypotheses any more is right.
         gains, zeros = ([f"{kind}[{joint}]" in self.found for joint in joints] for kind in (GAIN, ZERO))
@@ -141,13 +144,15 @@ class _State:
 
     def best_addition(self) -> tuple[str, ...] | None:
         """The hypotheses that gain most beside those found, if they gain enough."""
-        best = max(self._additions(), default=None)
-        return best[1] if best is not None and best[0] > self.sure * len(best[1]) else None
+        sure = [(odds, names) for odds, names in self._additions() if odds > SURE * len(names)]
+        agreed = (names for _, names in sorted(sure, reverse=True)[:SHORT_LIST] if self._agreed(names))
+        return next(agreed, None)
 
     def suspected(self) -> tuple[Suspicion, ...]:
-        """The best addition, if it is more probable than none."""
-        best = max(self._additions(), default=None)
-        if best is None or best[0] <= 0.0:
+        """The best addition that is more probable than none, and that all parts of the data support."""
+        probable = sorted((one for one in self._additions() if one[0] > 0.0), reverse=True)[:SHORT_LIST]
+        best = next((one for one in probable if self._agreed(one[1])), None)
+        if best is None:
             return ()
         solution = self._solved([*self.found, *best[1]])
         values = [float(solution.values[self.linear.names.index(name)]) for name in best[1]]
@@ -166,6 +171,24 @@ class _State:
         """Of a hypothesis among those found."""
         return self._evidence(self.found) - self._evidence([one for one in self.found if one != name])
 
+    def _agreed(self, names: Sequence[str]) -> bool:
+        """Whether every part of the data supports hypotheses beside those found, and with values that agree."""
+        together = [*self.found, *names]
+        places = [self.linear.names.index(name) for name in names]
+        solutions = []
+        for part in self.linear.parts():
+            if self._evidence(together, part) < self._evidence(self.found, part) + self._log_prior(names):
+                return False
+            solution = self._solved(together, blocks=part)
+            solutions.append((solution.values[places], np.diag(solution.covariance)[places]))
+        values, variances = (np.stack(each) for each in zip(*solutions))
+        mean = np.sum(values / variances, axis=0) / np.sum(1.0 / variances, axis=0)
+        squares = np.sum((values - mean) ** 2 / variances, axis=0)
+        return bool(np.all(chi2.sf(squares, max(len(values) - 1, 1)) > AGREE))
+
+    def _log_prior(self, names: Sequence[str]) -> float:
+        return sum(float(np.log(ODDS[name.split("[")[0]])) for name in names)
+
     def _candidates(self) -> list[str]:
         revolute = [joint.name for joint in self.arm.joints if joint.revolute]
         return [*(f"{GAIN}[{joint}]" for joint in self.arm.joint_names), *(f"{ZERO}[{j}]" for j in revolute), DELAY]
@@ -182,7 +205,6 @@ class _State:
         rows = self.linear.rows.sum(axis=1)
         share = np.array([(f / w.sigma_Nm) ** 2 for f, w in zip(self.noise.floor_Nm, self.whiteners)])
         counts = np.where(np.isfinite(share), rows * share, 0.0)
-        self.counts = float(counts.sum())
         self.variance = np.where(counts > 0, left / np.maximum(counts, 1e-9), 1.0).clip(1e-4, 10.0)
 
     def _prior(self, names: Sequence[str], scale: float) -> Prior:
@@ -210,15 +232,16 @@ class _State:
                 precision[number, number] = 1.0 / spread[name.split("[")[0]] ** 2
         return Prior(mean, precision, free)
 
-    def _evidence(self, names: Sequence[str]) -> float:
-        logs = [self.linear.log_evidence(self._prior(names, scale), self.variance) for scale in CAD_SCALES]
-        odds = sum(float(np.log(ODDS[name.split("[")[0]])) for name in names)
-        return float(logsumexp(logs)) + odds
+    def _evidence(self, names: Sequence[str], blocks: np.ndarray | None = None) -> float:
+        logs = [self.linear.log_evidence(self._prior(names, scale), self.variance, blocks) for scale in CAD_SCALES]
+        return float(logsumexp(logs)) + self._log_prior(names)
 
-    def _solved(self, names: Sequence[str], variance: FloatArray | None = None) -> Solution:
+    def _solved(
+        self, names: Sequence[str], variance: FloatArray | None = None, blocks: np.ndarray | None = None
+    ) -> Solution:
         noise = self.variance if variance is None else variance
-        logs = [self.linear.log_evidence(self._prior(names, scale), noise) for scale in CAD_SCALES]
-        return self.linear.solve(self._prior(names, CAD_SCALES[int(np.argmax(logs))]), noise)
+        logs = [self.linear.log_evidence(self._prior(names, scale), noise, blocks) for scale in CAD_SCALES]
+        return self.linear.solve(self._prior(names, CAD_SCALES[int(np.argmax(logs))]), noise, blocks)
 
     def _fit(self, names: Sequence[str]) -> IdentifiedModel:
         return self._with(self._solved(names).values)

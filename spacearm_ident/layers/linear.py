@@ -158,6 +158,13 @@ class Linear:
         covariance[np.ix_(free, free)] = inverse
         return Solution(values, covariance)
 
+    def parts(self) -> list[np.ndarray]:
+        """Blocks of every recording; of a single one, of its two halves."""
+        recordings = np.unique(self.recording)
+        if len(recordings) > 1:
+            return [np.flatnonzero(self.recording == number) for number in recordings]
+        return np.array_split(np.arange(self.blocks), 2)
+
     def squares(self, values: FloatArray) -> FloatArray:
         """(n, B) squares left by values (P,), in the rows' weights."""
         vector = np.append(values, -1.0)
@@ -169,9 +176,9 @@ class Linear:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.sqrt(self.squares(values).sum(axis=1) / np.where(rows > 0, rows, np.nan)))
 
-    def log_evidence(self, prior: Prior, noise: FloatArray) -> float:
-        """Logarithm of the marginal likelihood of all rows, up to what does not depend on the prior."""
-        gram = self._weighted(noise, None)
+    def log_evidence(self, prior: Prior, noise: FloatArray, blocks: np.ndarray | None = None) -> float:
+        """Logarithm of the marginal likelihood of rows, up to what no prior changes; arguments as for `solve`."""
+        gram = self._weighted(noise, blocks)
         free = np.flatnonzero(prior.free)
         held = np.flatnonzero(~prior.free)
         held_mean = prior.mean[held]
