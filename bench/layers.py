@@ -1,4 +1,4 @@
-"""Draws for `mismatch --simulation`: a simulation with parameters that are off, against an arm in MuJoCo, and the score.
+"""Draws for `mismatch --simulation`: a simulation with parameters off, against an arm in MuJoCo, and the score.
 
     python bench/layers.py run --draws 12 --seed 1 --out DIR      draw, compare, score; a JSON line a draw
     python bench/layers.py score DIR                              score what is there again

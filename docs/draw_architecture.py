@@ -7,7 +7,7 @@ longer way already shows are left out. `test/test_architecture.py` holds picture
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 
@@ -26,18 +26,20 @@ class Place:
 
 
 PLACES = {
-    "api": Place(13, 20, 600, "the same from Python: import spacearm_ident as sa"),
-    "cli": Place(12, 20, 600, "the command spacearm: options in, exit codes out"),
-    "commissioning": Place(11, 340, 900, "files of a new arm, and checks of them and of the machine"),
-    "nodes": Place(10, 340, 1060, "the five ROS 2 nodes and what only they need; the one place with rclpy"),
-    "batch_session": Place(10, 226, 334, "many bags"),
-    "side_by_side": Place(9, 200, 296, "on cores"),
-    "bag_session": Place(9, 304, 450, "identify as a function"),
-    "orbit_session": Place(9, 86, 192, "to orbit"),
-    "mismatch_session": Place(9, 460, 600, "to explanation"),
-    "export": Place(8, 20, 78, "models"),
-    "session": Place(8, 86, 600, "bags to validated model, one pass for command and node"),
-    "report": Place(7, 20, 430, "pages, figures and files out of results"),
+    "api": Place(14, 20, 600, "the same from Python: import spacearm_ident as sa"),
+    "cli": Place(13, 20, 600, "the command spacearm: options in, exit codes out"),
+    "commissioning": Place(12, 340, 900, "files of a new arm, and checks of them and of the machine"),
+    "nodes": Place(11, 340, 1060, "the five ROS 2 nodes and what only they need; the one place with rclpy"),
+    "batch_session": Place(11, 226, 334, "many bags"),
+    "side_by_side": Place(10, 200, 296, "on cores"),
+    "bag_session": Place(10, 304, 450, "identify as a function"),
+    "orbit_session": Place(10, 86, 192, "to orbit"),
+    "mismatch_session": Place(10, 460, 600, "to explanation"),
+    "simulation_session": Place(10, 610, 760, "from a simulation"),
+    "export": Place(9, 20, 78, "models"),
+    "session": Place(9, 86, 600, "bags to validated model, one pass for command and node"),
+    "report": Place(8, 20, 430, "pages, figures and files out of results"),
+    "layers": Place(7, 20, 308, "from a simulation to the arm"),
     "mismatch": Place(6, 20, 300, "what physics was left out"),
     "identification": Place(5, 20, 300, "fit, errors, validation, tracking"),
     "conventions": Place(5, 526, 600, "signs, units"),
@@ -45,6 +47,7 @@ PLACES = {
     "excitation": Place(5, 310, 430, "motions, limits, criteria"),
     "simulation": Place(5, 620, 900, "the arm and its drives, apart"),
     "driver": Place(4, 620, 900, "safety, set-points, 1 kHz loop"),
+    "simulations": Place(4, 20, 110, "MJCF, SDF"),
     "dynamics": Place(3, 20, 700, "arm, regressor, friction, effects: the terms of the torque"),
     "recording": Place(2, 20, 600, "bags in and out, and the signals in them"),
     "canbus": Place(2, 720, 900, "CANopen, CiA 402"),
@@ -115,7 +118,7 @@ def svg() -> str:
     """The picture.
 
     Raises:
-        ValueError: Two boxes that an arrow joins do not stand over each other, or a box stands between them.
+        ValueError: A box imports one that does not stand lower, or boxes leave no way between them.
     """
     height = FLOORS * STEP + 10
     parts = [
@@ -126,9 +129,8 @@ def svg() -> str:
         f'<rect width="{WIDTH}" height="{height}" fill="#fff"/>',
     ]
     for upper, lower in shown(imports()):
-        x = _between(upper, lower)
-        start, end = _top(PLACES[upper]) + HEIGHT, _top(PLACES[lower])
-        parts.append(f'<path d="M{x} {start}V{end}" stroke="#57606a" stroke-width="1.5" marker-end="url(#tip)"/>')
+        way = _way(upper, lower)
+        parts.append(f'<path d="{way}" fill="none" stroke="#57606a" stroke-width="1.5" marker-end="url(#tip)"/>')
     for name, place in PLACES.items():
         middle, top = (place.left + place.right) // 2, _top(place)
         parts += [
@@ -145,20 +147,35 @@ def _top(place: Place) -> int:
     return 10 + (FLOORS - 1 - place.floor) * STEP
 
 
-def _between(upper: str, lower: str) -> int:
-    """Where an arrow stands that touches both boxes and nothing between."""
+def _way(upper: str, lower: str) -> str:
+    """An arrow's path from one box down to another past all between: straight, or with one bend between two floors."""
     one, other = PLACES[upper], PLACES[lower]
-    left, right = max(one.left, other.left), min(one.right, other.right)
-    if left >= right or one.floor <= other.floor:
+    if one.floor <= other.floor:
         raise ValueError(f"{upper} imports {lower} and does not stand above it: move them in PLACES, or the code")
-    middle = (left + right) // 2
-    between = {name: place for name, place in PLACES.items() if other.floor < place.floor < one.floor}
-    crossed = ""
-    for x in sorted(range(left + 5, right, 5), key=lambda x: abs(x - middle)):
-        crossed = next((name for name, place in between.items() if place.left <= x <= place.right), "")
-        if not crossed:
-            return x
-    raise ValueError(f"the arrow from {upper} to {lower} would cross {crossed}: move it in PLACES")
+    start, end = _top(one) + HEIGHT, _top(other)
+    ways = [
+        (abs(x - y), x, y, floor)
+        for floor in range(other.floor, one.floor)
+        for x in _free(one, other.floor if floor == other.floor else floor, one.floor)
+        for y in _free(other, other.floor, floor + 1)
+        if floor == other.floor or x != y
+    ]
+    straight = [x for x in _free(one, other.floor, one.floor) if other.left < x < other.right]
+    if straight:
+        middle = (max(one.left, other.left) + min(one.right, other.right)) // 2
+        return f"M{min(straight, key=lambda x: abs(x - middle))} {start}V{end}"
+    if not ways:
+        raise ValueError(f"no way for the arrow from {upper} to {lower}: move them in PLACES")
+    _, x, y, floor = min(ways)
+    bend = _top(replace(one, floor=floor)) - (STEP - HEIGHT) // 2
+    return f"M{x} {start}V{bend}H{y}V{end}"
+
+
+def _free(box: Place, below: int, above: int) -> list[int]:
+    """Columns under or over a box that no box on the floors strictly between stands in."""
+    others = [place for place in PLACES.values() if below < place.floor < above]
+    columns = range(box.left + 5, box.right, 5)
+    return [x for x in columns if not any(place.left <= x <= place.right for place in others)]
 
 
 if __name__ == "__main__":

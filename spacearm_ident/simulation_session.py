@@ -13,12 +13,12 @@ import numpy as np
 
 from .dynamics.arm import Arm
 from .errors import UserError
-from .export.mended import Mended, mend
+from .export.mended import mend
 from .identification.effort import in_newton_metres
 from .identification.identify import Progress, Settings, identify
 from .layers.compare import Comparison, compare
 from .layers.discrete import Mistake, find_mistakes
-from .layers.item import CONVENTIONS, Item
+from .layers.item import CONVENTIONS, Item, Mended
 from .recording import Recording
 from .recording.signals import prepare
 from .report.layers_folder import write_comparison

@@ -10,10 +10,9 @@ from typing import Any
 
 from ..dynamics.effects import EFFECTS
 from ..errors import UserError
-from ..export.mended import Mended
 from ..layers.compare import Comparison
 from ..layers.document import comparison_document, verdict
-from ..layers.item import REST, Item
+from ..layers.item import REST, Item, Mended
 from ..mismatch.document import NEXT_RUN, to_document
 from ..mismatch.finding import DATA_UNFIT, Explanation, Finding
 from ..mismatch_session import explain_session

@@ -6,7 +6,6 @@ What a format has no place for is fitted by what it has (`export.law.nearest`), 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
+from ..layers.item import Mended
 from ..recording.motion import Motion
 from ..report.urdf import identified_urdf
 from ..simulations import Simulation
@@ -23,21 +23,6 @@ from .law import ARMATURE, DAMPING, FRICTION, STIFFNESS, Nearest, nearest
 from .mjcf import MJCF
 from .sdf import SDF, sdf
 from .urdf import URDF
-
-
-@dataclass(frozen=True)
-class Mended:
-    """A simulation's file with new values.
-
-    Attributes:
-        name: File name to write it under.
-        text: Its contents.
-        fit: What the format holds, and what the rest costs.
-    """
-
-    name: str
-    text: str
-    fit: Nearest
 
 
 def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Sequence[Motion]) -> Mended | None:
@@ -57,11 +42,15 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
         return None
     fit = nearest(model, form, motions)
     if simulation.format == "mjcf":
-        return Mended("mended.xml", _mjcf(mujoco_or_error(), path, model, fit), fit)
+        return _mended("mended.xml", _mjcf(mujoco_or_error(), path, model, fit), fit)
     if simulation.format == "sdf":
-        return Mended("mended.sdf", sdf(model, fit, [f"{simulation.source}, mended by spacearm_ident"]), fit)
+        return _mended("mended.sdf", sdf(model, fit, [f"{simulation.source}, mended by spacearm_ident"]), fit)
     dynamics = {joint: (own[DAMPING], own[FRICTION]) for joint, own in fit.values.items()}
-    return Mended("mended.urdf", identified_urdf(model, dynamics), fit)
+    return _mended("mended.urdf", identified_urdf(model, dynamics), fit)
+
+
+def _mended(name: str, text: str, fit: Nearest) -> Mended:
+    return Mended(name, text, fit.lost, fit.cost_Nm, fit.torque_Nm)
 
 
 def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) -> str:

@@ -57,3 +57,22 @@ class Layer:
     after_Nm: FloatArray
     items: tuple[Item, ...] = ()
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A simulation's file with new values.
+
+    Attributes:
+        name: File name to write it under.
+        text: Its contents.
+        lost: What of the model the format does not hold, in words.
+        cost_Nm: Joint -> RMS that its nearest parameters leave of the model's torque, where the joint moves.
+        torque_Nm: Joint -> RMS of the model's torque there.
+    """
+
+    name: str
+    text: str
+    lost: tuple[str, ...]
+    cost_Nm: Mapping[str, float]
+    torque_Nm: Mapping[str, float]

@@ -5,8 +5,8 @@ the excitation: the arm is identified from it, its parameters are published (lat
 then on. Every later run, with other coefficients, validates that model and completes the result folder, where the
 runs lie as bags, too. `/identifier/identify` starts over from all that is buffered, as `spacearm identify` would
 from a bag of it: the last third is held out. With `mismatch_reference` every run is compared with the healthy arm as
-well, as `spacearm mismatch` would, and the verdict is on `/diagnostics`. All of it runs in a process of its own
-(`worker`).
+well, as `spacearm mismatch` would; with `simulation`, with that simulation, layer by layer. The verdict is on
+`/diagnostics`. All of it runs in a process of its own (`worker`).
 
 With a model, the friction levels are followed on line (`tracking`) and published beside the identified ones; a jump is
 a warning on `/diagnostics`, and with `mismatch_on_change` the stretch behind it is explained like a run.
@@ -29,9 +29,11 @@ from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..errors import UserError
 from ..identification.identified import Identified
+from ..layers.document import verdict
 from ..mismatch.finding import NO_MISMATCH
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
 from .identifier_messages import (
+    layer_figures,
     mismatch_figures,
     parameter_statuses,
     parameters_message,
@@ -40,7 +42,7 @@ from .identifier_messages import (
     validation_figures,
 )
 from .identifier_settings import declare
-from .jobs import Done, Explained, ExplainJob, IdentifyJob, Job
+from .jobs import Compared, CompareJob, Done, Explained, ExplainJob, IdentifyJob, Job
 from .live_tracking import LiveTracking, sentence
 from .message_buffer import Capture, MessageBuffer
 from .residual_stream import ResidualStream
@@ -88,7 +90,7 @@ class Identifier(LiveNode):
         self._known: Identified | None = None
         self._fitted: tuple[Path, ...] = ()
         self._last = Status(Level.OK, "nothing identified yet", part="identification")
-        self._to_explain: ExplainJob | None = None
+        self._to_explain: ExplainJob | CompareJob | None = None
         self._verdict = Status(Level.OK, "nothing compared yet", part="mismatch")
         self._model_file = self._settings.model
         self._statuses: list[DiagnosticStatus] = []
@@ -229,9 +231,9 @@ class Identifier(LiveNode):
         place = (None, None) if healthy is None else (how.arm, how.gravity)
         return ExplainJob((bag,), (), (healthy or model,), folder, *place, self._captures(start_ns, stop_ns), bag)
 
-    def _start(self, job: IdentifyJob | ExplainJob) -> None:
+    def _start(self, job: IdentifyJob | ExplainJob | CompareJob) -> None:
         self._step = Step(0.0, "starting")
-        self._job = replace(job, captures=())
+        self._job = job if isinstance(job, CompareJob) else replace(job, captures=())
         self._worker = Worker(job)
         self.get_logger().info(f"{job.name}, as {job.command}")
         self.publish_diagnostics()
@@ -248,6 +250,8 @@ class Identifier(LiveNode):
                 self._fail(job, event)
             elif isinstance(event, Explained) and isinstance(job, ExplainJob):
                 self._report(job, event)
+            elif isinstance(event, Compared) and isinstance(job, CompareJob):
+                self._report_layers(job, event)
             elif isinstance(event, Done) and isinstance(job, IdentifyJob):
                 self._finish(job, event)
             self.publish_diagnostics()
@@ -282,6 +286,10 @@ class Identifier(LiveNode):
             folder = self._settings.directory / MISMATCH_FOLDER
             how = self._settings.how
             self._to_explain = ExplainJob(job.fitted, judged, (self._settings.reference,), folder, how.arm, how.gravity)
+        elif self._settings.simulation is not None:
+            judged = () if job.holds_nothing_out else job.validated
+            folder, how = self._settings.directory / MISMATCH_FOLDER, self._settings.how
+            self._to_explain = CompareJob(job.fitted, judged, self._settings.simulation, folder, how.arm, how.gravity)
 
     def _report(self, job: ExplainJob, explained: Explained) -> None:
         """Publish a verdict."""
@@ -291,6 +299,15 @@ class Identifier(LiveNode):
         message = explanation.headline
         self._verdict = Status(level, message, {**figures, **mismatch_figures(explanation)}, job.name)
         self.get_logger().info(f"{message}; report: {explained.page}")
+
+    def _report_layers(self, job: CompareJob, compared: Compared) -> None:
+        """Publish what a comparison with the simulation says."""
+        comparison = compared.comparison
+        figures = {"report": compared.page, "bags": _files(job.bags), "simulation": str(job.simulation)}
+        level = Level.OK if verdict(comparison) == NO_MISMATCH else Level.WARN
+        message = comparison.headline
+        self._verdict = Status(level, message, {**figures, **layer_figures(comparison)}, job.name)
+        self.get_logger().info(f"{message}; report: {compared.page}")
 
     def _use(self, model: IdentifiedModel, identified: Identified | None) -> None:
         """Publish a model's parameters; from now on the residual is its, and what is followed begins at it."""
@@ -337,7 +354,8 @@ class Identifier(LiveNode):
     def diagnose(self) -> Sequence[Status]:
         """The buffer, the last identification, the verdict, the residual, the tracking."""
         statuses = [self._buffer_status(), self._last]
-        if self._settings.reference is not None or self._settings.change_window_s is not None:
+        compares = self._settings.reference is not None or self._settings.simulation is not None
+        if compares or self._settings.change_window_s is not None:
             statuses.append(self._verdict)
         if self._stream is not None:
             figures = self._stream.figures()

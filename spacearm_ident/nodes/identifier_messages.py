@@ -14,6 +14,8 @@ from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Constant, Parameter
 from ..identification.identified import Identified, Validation
 from ..identification.tracking import TrackingState
+from ..layers.compare import Comparison
+from ..layers.document import verdict
 from ..mismatch.finding import Explanation
 
 FROM_FILE = "from a model file"
@@ -134,4 +136,16 @@ def mismatch_figures(explanation: Explanation) -> dict[str, object]:
     by_joint = (explanation.noise_floor_Nm, explanation.before_Nm, explanation.after_Nm)
     for joint, *rms in zip(explanation.joints, *by_joint):
         figures |= {f"{what}_Nm[{joint}]": value for what, value in zip(("noise", "before", "after"), rms)}
+    return figures
+
+
+def layer_figures(comparison: Comparison) -> dict[str, object]:
+    """What the layers of `mismatch.json` say, as far as a person watches it."""
+    figures: dict[str, object] = {"verdict": verdict(comparison), "judged_on": comparison.judged_on}
+    for layer in comparison.layers:
+        for item in layer.items:
+            name = f"{layer.name}: {item.name}[{', '.join(item.joints)}]"
+            figures[name] = f"{item.was:.4g} -> {item.value:.4g} {item.unit}"
+    for joint, *rms in zip(comparison.joints, comparison.before_Nm, comparison.after_Nm):
+        figures |= {f"{what}_Nm[{joint}]": value for what, value in zip(("before", "after"), rms)}
     return figures

@@ -38,6 +38,7 @@ class IdentifierSettings:
         model: File to begin with.
         replay: What to identify at start.
         reference: The healthy arm, for explanations of every run.
+        simulation: A simulation to compare every run with.
         tracking: What to follow on line; None: nothing.
         change_window_s: Length of what is explained behind a change; None: changes are not explained.
     """
@@ -50,6 +51,7 @@ class IdentifierSettings:
     model: Path | None
     replay: Replay | None
     reference: Path | None
+    simulation: Path | None
     tracking: TrackingChoice | None
     change_window_s: float | None
 
@@ -66,6 +68,10 @@ def declare(node: LiveNode) -> IdentifierSettings:
     )
     text = "Bag or model.yaml of the healthy arm, to explain every run; empty: not"
     tracking = _tracking(node)
+    reference = _file(node, "mismatch_reference", text)
+    simulation = _file(node, "simulation", "MJCF, URDF, SDF or model.yaml to compare every run with; empty: not")
+    if reference is not None and simulation is not None:
+        raise UserError("parameters simulation and mismatch_reference: give one of them, the other empty")
     return IdentifierSettings(
         how=how,
         buffer_s=buffer_s,
@@ -74,7 +80,8 @@ def declare(node: LiveNode) -> IdentifierSettings:
         row_rate_hz=node.parameter("residual_rate_hz", 50.0, "Rate of /identifier/residuals, Hz", low=0.1, high=1000.0),
         model=_file(node, "model", "model.yaml to watch the residual of from the start"),
         replay=_replay(node),
-        reference=_file(node, "mismatch_reference", text),
+        reference=reference,
+        simulation=simulation,
         tracking=tracking,
         change_window_s=_change_window(node, tracking is not None, buffer_s),
     )

@@ -13,9 +13,11 @@ from typing import Protocol
 from ..bag_session import Options, arm_words, identify_bags
 from ..identification.identified import Identified
 from ..identification.identify import Progress
+from ..layers.compare import Comparison
 from ..mismatch.finding import Explanation
 from ..mismatch_session import explain_session
 from ..session import Session, within
+from ..simulation_session import compare_session
 from .message_buffer import Capture, write_captures
 
 
@@ -35,6 +37,14 @@ class Explained:
     page: Path
 
 
+@dataclass(frozen=True)
+class Compared:
+    """An arm compared with a simulation of it, and the page to open."""
+
+    comparison: Comparison
+    page: Path
+
+
 class Job(Protocol):
     """Something to do."""
 
@@ -50,7 +60,7 @@ class Job(Protocol):
     def name(self) -> str:
         """What it is, a noun."""
 
-    def perform(self, progress: Progress) -> Done | Explained:
+    def perform(self, progress: Progress) -> Done | Explained | Compared:
         """Do it.
 
         Raises:
@@ -180,3 +190,57 @@ class ExplainJob:
             progress=progress,
         )
         return Explained(session.explanation, session.page)
+
+
+@dataclass(frozen=True)
+class CompareJob:
+    """The comparison with a simulation; what `spacearm mismatch --simulation` does, from the same bags.
+
+    Attributes:
+        field: Bags of the arm.
+        judged: Bags to judge on; empty: the last third of `field`.
+        simulation: The simulation's file, or a bag that a simulator wrote.
+        directory: Result folder.
+        arm, gravity: As `compare_session`.
+    """
+
+    field: tuple[Path, ...]
+    judged: tuple[Path, ...]
+    simulation: Path
+    directory: Path
+    arm: Path | None = None
+    gravity: tuple[float, float, float] | None = None
+
+    name = "mismatch"
+
+    @property
+    def command(self) -> str:
+        """The offline command that does the same."""
+        words = ["spacearm", "mismatch", *map(str, self.field), "--simulation", str(self.simulation)]
+        if self.judged:
+            words += ["--validate", *map(str, self.judged)]
+        words += arm_words(self.arm, self.gravity)
+        return shlex.join([*words, "--out", str(self.directory)])
+
+    @property
+    def bags(self) -> tuple[Path, ...]:
+        """Compared, then judged on."""
+        return (*self.field, *self.judged)
+
+    def perform(self, progress: Progress) -> Compared:
+        """Compare, write the result.
+
+        Raises:
+            UserError: As `compare_session`.
+        """
+        session = compare_session(
+            (self.simulation,),
+            self.field,
+            self.judged,
+            self.directory,
+            arm=self.arm,
+            gravity=self.gravity,
+            command=self.command,
+            progress=progress,
+        )
+        return Compared(session.comparison, session.page)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from ..dynamics.model_file import save_model
 from ..errors import UserError
-from ..export.mended import Mended
 from ..layers.compare import Comparison
 from ..layers.document import comparison_document
+from ..layers.item import Mended
 from ..mismatch.document import EXTENDED_MODEL
 from ..recording.recording import Recording
 from ..simulations import Simulation

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..export.mended import Mended
 from ..layers.compare import Comparison
 from ..layers.document import replicated_share
-from ..layers.item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
+from ..layers.item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer, Mended
 from ..simulations import Simulation
 from . import layers_figures as figures
 from . import mismatch_figures
@@ -246,13 +245,13 @@ def _mended(mended: Mended | None) -> Markup | None:
             "tr",
             element("th", breakable(joint), class_="text", scope="row"),
             element("td", number(cost)),
-            element("td", percent(cost / mended.fit.torque_Nm[joint]) if mended.fit.torque_Nm[joint] > 0 else NOTHING),
+            element("td", percent(cost / mended.torque_Nm[joint]) if mended.torque_Nm[joint] > 0 else NOTHING),
         )
-        for joint, cost in mended.fit.cost_Nm.items()
+        for joint, cost in mended.cost_Nm.items()
     ]
     heads = (("joint", "text"), ("costs, N·m RMS", None), ("of the torque", None))
     header = element("tr", *(element("th", head, class_=kind, scope="col") for head, kind in heads))
-    lost = ", ".join(mended.fit.lost) or "nothing"
+    lost = ", ".join(mended.lost) or "nothing"
     return join(
         element("h2", "The simulation, mended"),
         element(
