@@ -3,7 +3,8 @@
 1. What the simulation predicts of the held-out recordings, as it is.
 2. Conventions and wiring: signs, order, units (`conventions.search`), then gains, zeros and delay (`conventions.py`).
 3. The catalogue's search for physics beside the simulation's own terms, on corrected recordings.
-4. One joint fit of wiring, parameters and physics. Layers are nested sets of its unknowns; each is judged on the
+4. Gains, zeros and delay again, beside the physics: what looked like a gain may have been an effect. Then one joint
+   fit of wiring, parameters and physics. Layers are nested sets of its unknowns; each is judged on the
    held-out recordings. Items are read off the whole fit, with errors that hold where the residual is model error, and
    estimated again on the held-out recordings by themselves: that is whether they replicate.
 5. What a flexible function of the same inputs could still remove.
@@ -215,6 +216,7 @@ class _Pass:
         chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
         extended = explanation.model or wired.model
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
+        wired = find_wiring(whole, self.motions, wired)
         found = _Joint(self, whole, wired.wiring, wired.found)
         added = added_terms(whole, base, explanation.findings)
         optional = optional_terms(whole, base)

@@ -81,14 +81,19 @@ class Wired:
     whiteners: Sequence[Whitener]
 
 
-def find_wiring(model: IdentifiedModel, motions: Sequence[Motion]) -> Wired:
+def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired | None = None) -> Wired:
     """Find what gains, zeros and delay the data demand.
 
     Args:
-        model: The simulation's torque model, with its values.
+        model: The simulation's torque model, with its values; physics that it lacks may have been added.
         motions: As recorded, in the bandwidth to look at.
+        known: What was found before that physics was known; tested again beside it.
     """
     state = _State(model, motions)
+    if known is not None and known.found:
+        state.found, state.wiring = list(known.found), known.wiring
+        state.relinearise()
+        state.settle()
     while len(state.found) < MOST and (best := state.best_addition()) is not None:
         state.found = [*state.found, *best]
         state.settle()
@@ -118,9 +123,9 @@ class _State:
         self.found: list[str] = []
         self.wiring = Wiring.right(len(self.arm.joints))
         self.fitted = model
-        self._relinearise()
+        self.relinearise()
         self.fitted = self._fit(())
-        self._relinearise()
+        self.relinearise()
 
     def settle(self) -> None:
         """Move to the most probable values of what was found."""
@@ -140,7 +145,7 @@ class _State:
             self.wiring.delay_s if DELAY in self.found else 0.0,
         )
         self.fitted = self._with(solution.values)
-        self._relinearise()
+        self.relinearise()
 
     def best_addition(self) -> tuple[str, ...] | None:
         """The hypotheses that gain most beside those found, if they gain enough."""
@@ -193,7 +198,8 @@ class _State:
         revolute = [joint.name for joint in self.arm.joints if joint.revolute]
         return [*(f"{GAIN}[{joint}]" for joint in self.arm.joint_names), *(f"{ZERO}[{j}]" for j in revolute), DELAY]
 
-    def _relinearise(self) -> None:
+    def relinearise(self) -> None:
+        """Build the linear problem around the model and the wiring."""
         undone = self.wiring.undone(self.motions)
         self.noise = weighted(self.fitted, undone)
         self.whiteners = self.noise.whiteners
