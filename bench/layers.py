@@ -2,6 +2,7 @@
 
     python bench/layers.py run --draws 12 --seed 1 --out DIR      draw, compare, score; a JSON line a draw
     python bench/layers.py score DIR                              score what is there again
+    python bench/layers.py real --out DIR                         the five real arms of ../shared, a line each
 
 The arm is one of ../shared/models with friction, damping and armature of its size. Of the simulation every mass is
 ±20 % off, every centre of mass ±2 cm, damping and friction loss ±50 %. Each with probability one half: a torque
@@ -341,6 +342,52 @@ def run(arms: list[str], draws: int, seed: int, out: Path) -> None:
     totals(out)
 
 
+REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings" / "real"
+RUNS = {
+    "airbot": (("simulation.xml",), ("run_1", "run_2"), ("run_3",)),
+    "airbot_bag": (("simulation.mcap",), ("run_1", "run_2"), ("run_3",)),
+    "ur10e": (("arm.urdf",), ("commissioning",), ("commissioning_2",)),
+    "panda": (("arm.urdf",), ("run_1",), ("run_2",)),
+    "rokae": (("arm.urdf",), ("run_1",), ("run_2",)),
+    "tx40": (("arm.urdf",), ("excitation",), ()),
+}
+"""Arm -> its simulation (the authors' MJCF, or the URDF without friction), what is fitted, what is held out."""
+
+
+def real(out: Path) -> None:
+    """Compare every real arm with its simulation; RMS over the torque's, median joint, and what replicates."""
+    print("| arm | simulation | conventions | parameters | physics | ceiling | named | replicated | s |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for arm, (simulation, fitted, held) in RUNS.items():
+        folder = REAL / arm.split("_")[0]
+        command = ["mismatch", *(str(folder / f"{name}.mcap") for name in fitted)]
+        command += ["--simulation", *(str(folder / name) for name in simulation)]
+        command += ["--validate", *(str(folder / f"{name}.mcap") for name in held)] if held else []
+        begin = time.monotonic()
+        where = [sys.executable, "-m", "spacearm_ident.cli.main", *command, "--out", str(out / arm)]
+        done = subprocess.run(where, capture_output=True, text=True, check=False)
+        if done.returncode:
+            print(f"| {arm} | failed: {done.stderr.strip().splitlines()[-1:]} |", flush=True)
+            continue
+        result = json.loads((out / arm / "mismatch.json").read_text())
+        print(_real_line(arm, result, time.monotonic() - begin), flush=True)
+
+
+def _real_line(arm: str, result: dict[str, Any], seconds: float) -> str:
+    torque = np.array(list(result["torque_Nm"].values()))
+
+    def share(values: dict[str, Any]) -> str:
+        return f"{100 * float(np.median(np.array(list(values.values())) / torque)):.1f}"
+
+    after = [
+        share({joint: one["rms_after_Nm"] for joint, one in layer["joints"].items()}) for layer in result["layers"][:3]
+    ]
+    named = " + ".join(str(len(layer["items"])) for layer in result["layers"][:3])
+    again = result["replicated_share"]
+    cells = [arm, share(result["residual_before_Nm"]), *after, share(result["ceiling_Nm"]), named]
+    return "| " + " | ".join([*cells, "–" if again is None else f"{again:.0%}", f"{seconds:.0f}"]) + " |"
+
+
 def totals(out: Path) -> None:
     """Sums over the draws."""
     lines = [json.loads(line) for line in (out / "scores.jsonl").read_text().splitlines()]
@@ -370,8 +417,12 @@ def main() -> None:
     one.add_argument("--out", type=Path, required=True)
     again = commands.add_parser("score")
     again.add_argument("out", type=Path)
+    arms = commands.add_parser("real")
+    arms.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    if options.command == "run":
+    if options.command == "real":
+        real(options.out)
+    elif options.command == "run":
         options.out.mkdir(parents=True, exist_ok=True)
         run(options.arm, options.draws, options.seed, options.out)
     else:

@@ -22,6 +22,7 @@ from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..errors import UnfitDataError
 from ..identification.consistency import make_consistent
+from ..identification.held_out import folds_of, predicts_better
 from ..identification.identify import Settings, identify
 from ..identification.prior import make_prior
 from ..mismatch.finding import DATA_UNFIT, Explanation
@@ -239,6 +240,9 @@ class _Pass:
         added = [one for one in added if one not in gone]
         named = found.clear(optional)
         rest = [one for one in optional if one not in named]
+        if rest and not found.predicted_better_with(rest):
+            found.leave_out(rest)
+            rest = []
         order = found.order([*added, *named])
         stages += [found.fit(with_terms=order[: k + 1]) for k in range(len(order))]
         if rest:
@@ -475,6 +479,20 @@ class _Joint:
         if terms:
             self._gone |= {int(number) for one in terms for number in one.columns}
             self._settle()
+
+    def predicted_better_with(self, terms: Sequence[Added]) -> bool:
+        """Whether held-out parts of the fitted recordings are predicted better with some physics, beyond chance."""
+        numbers = [int(number) for one in terms for number in one.columns]
+        others = [np.array([k]) for k in range(len(self.linear.model.parameters)) if k not in numbers]
+        squares = []
+        for prior in (self._prior(others), self._prior(None)):
+            left = np.zeros((self.linear.blocks, len(self.run.joints)))
+            for fold in folds_of(self.linear.recording):
+                rest = np.setdiff1d(np.arange(self.linear.blocks), fold)
+                values = self.linear.solve(prior, self.variance, rest).values
+                left[fold] = self.linear.squares(values)[:, fold].T
+            squares.append(left)
+        return predicts_better(*squares)
 
     def clear(self, terms: Sequence[Added]) -> list[Added]:
         """Friction terms whose values exceed their errors and are the same in the held-out recordings.
