@@ -24,6 +24,7 @@ from .recording.signals import prepare
 from .report.layers_folder import write_comparison
 from .session import corrected, find_arm, read_bags, within
 from .simulations import SIMULATION_SUFFIXES, Simulation, read_simulation
+from .simulations.noise_free import noise_free
 from .simulations.simulation import simulated_structure, without
 
 
@@ -96,6 +97,17 @@ def compare_session(
 def is_simulation(path: Path) -> bool:
     """Whether a path is a simulation's file, not a bag."""
     return path.suffix.lower() in SIMULATION_SUFFIXES
+
+
+def written_by_simulator(paths: Sequence[Path], arm: Path | None, namespace: str | None, mapping: Path | None) -> bool:
+    """Whether bags given as a healthy arm are a simulator's: the torque of the first has no noise.
+
+    Raises:
+        UserError: It cannot be read.
+    """
+    if not paths or is_simulation(paths[0]):
+        return False
+    return noise_free(read_bags(paths[:1], lambda share, what: None, False, namespace, arm, mapping)[0])
 
 
 def _simulation(

@@ -226,6 +226,20 @@ def test_a_field_run_is_explained_where_asked(bags, processes, graph, tmp_path):
     assert f"{found:.4g}" in figures["current_offset[elbow]"] and abs(found - 2.0) < 0.1
 
 
+def test_a_run_is_compared_with_a_simulation_where_asked(bags, graph, tmp_path):
+    """The simulation is the arm's URDF: it has no friction, which the run shows at both joints."""
+    sim, out = tmp_path / "arm.urdf", tmp_path / "live"
+    sim.write_text(small_arm.URDF)
+    node = graph.identifier(f"result_directory:={out}", f"simulation:={sim}", *QUICK)
+    graph.tell(f"run 1 {bags['first']}")
+    graph.wait_for(graph.said("identifier: mismatch", "of parameters"), "the comparison of the run")
+    figures = graph.values("identifier: mismatch")
+    assert figures["verdict"] == "mismatch" and figures["simulation"] == str(sim)
+    assert any(name.startswith("parameters: friction") for name in figures)
+    assert end(node) == 0 and "Traceback" not in output(node)
+    assert json.loads((out / "mismatch" / "mismatch.json").read_text())["mended_simulation"] == "mended.urdf"
+
+
 def test_replay_is_the_command(bags, processes, tmp_path):
     replay, by_command = tmp_path / "replay", tmp_path / "offline"
     parameters = (f"replay:={bags['first']}", f"replay_validate:={bags['second']}", "exit_after_replay:=true")

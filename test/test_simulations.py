@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from spacearm_ident.export.mended import mend
 from spacearm_ident.export.sdf import SDF, sdf
 from spacearm_ident.recording.signals import prepare
 from spacearm_ident.simulations import Simulation, read_simulation
+from spacearm_ident.simulations.noise_free import noise_free
 
 
 def _states(seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -112,3 +114,12 @@ def test_what_is_no_simulation_is_refused_with_what_to_give(tmp_path: Path, name
     path.write_text(text)
     with pytest.raises(UserError, match=said):
         read_simulation(path)
+
+
+def test_recording_without_noise_is_a_simulators_and_one_with_noise_is_not() -> None:
+    mujoco_or_skip()
+    assert noise_free(recorded(mjcf(), noise_Nm=0.0))
+    assert not noise_free(recorded(mjcf(), noise_Nm=0.02))
+    frozen = recorded(mjcf(), noise_Nm=0.0)
+    held = np.repeat(frozen.effort[::5], 5, axis=0)[: len(frozen.time)]
+    assert not noise_free(replace(frozen, effort=held))

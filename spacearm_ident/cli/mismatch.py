@@ -17,7 +17,7 @@ from ..mismatch.document import NEXT_RUN, to_document
 from ..mismatch.finding import DATA_UNFIT, Explanation, Finding
 from ..mismatch_session import explain_session
 from ..session import locked_words
-from ..simulation_session import compare_session
+from ..simulation_session import compare_session, written_by_simulator
 from . import common
 
 DESCRIPTION = """
@@ -83,6 +83,11 @@ def run(options: argparse.Namespace) -> int:
     if options.simulation:
         return _simulation(options)
     bags, references, judges = sort_bags(options.bags, options.reference, options.validate)
+    if written_by_simulator(references, options.arm, options.namespace, options.mapping):
+        common.note(options, "the reference's torque has no noise: taken for a simulation (--simulation)")
+        options.bags, options.reference, options.validate = bags, [], [judges] if judges else []
+        options.simulation = [references]
+        return _simulation(options)
     with common.progress(options) as report:
         session = explain_session(
             bags,
