@@ -273,7 +273,7 @@ class _Pass:
             model=found.mended(),
             wiring=found.wiring,
             suspected=suspected,
-            explanation=explanation,
+            explanation=_standing(explanation, gone),
             traces=traces,
             would_have_seen=seen,
             judged_on=self.judged_on,
@@ -640,6 +640,12 @@ class _Shares:
         """The same of other values (P,)."""
         rms = self._gain * self._found.judge.rms(values)
         return float(np.nanmean((rms**2 - self._after**2) / self._above))
+
+
+def _standing(explanation: Explanation, gone: Sequence[Added]) -> Explanation:
+    """The search's answer without the findings that another recording does not show."""
+    lost = [one.finding for one in gone]
+    return replace(explanation, findings=tuple(one for one in explanation.findings if one not in lost))
 
 
 def _suspicions(suspected: Sequence[Suspicion]) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ def comparison_html(
         element("p", f"{simulation.source} · {len(comparison.joints)} joints{judged}", class_="quiet"),
         _verdict(comparison, mended),
         *(_glance(comparison) if comparison.fit else ()),
-        *(_layer(layer) for layer in comparison.layers),
+        *(_layer(layer, _with_card(comparison)) for layer in comparison.layers),
         *_cards(comparison, simulation),
         _next(comparison),
         _mended(mended),
@@ -69,7 +69,7 @@ def _verdict(comparison: Comparison, mended: Mended | None) -> Markup:
         )
     before, after = (_relative(comparison, rms) for rms in (comparison.before_Nm, comparison.after_Nm))
     headline = f"The simulation misses {before} of the torque; with all layers {after} is left"
-    sentences = [_layers_sentence(comparison)]
+    sentences = [_layers_sentence(comparison), "RMS of the residual over that of the torque, of the median joint."]
     share = replicated_share(comparison.layers)
     if math.isfinite(share):
         sentences.append(f"{percent(share)} of what the held-out recordings can confirm, they confirm.")
@@ -86,7 +86,7 @@ def _relative(comparison: Comparison, rms: np.ndarray) -> str:
     """Median over the joints of RMS over the torque's RMS, in words."""
     with np.errstate(invalid="ignore", divide="ignore"):
         shares = rms / comparison.torque_Nm
-    return f"{percent(float(np.nanmedian(shares)))} (median joint, RMS)"
+    return percent(float(np.nanmedian(shares)))
 
 
 def _layers_sentence(comparison: Comparison) -> str:
@@ -160,21 +160,27 @@ def _table(comparison: Comparison) -> Markup:
     return element("details", element("summary", "The same in figures"), caption, element("div", table, class_="wide"))
 
 
-def _layer(layer: Layer) -> Markup:
+def _with_card(comparison: Comparison) -> frozenset[str]:
+    """Anchors of the cards on the page."""
+    findings = () if comparison.explanation is None else comparison.explanation.findings
+    return frozenset(card_id(finding.effect, finding.joints) for finding in findings)
+
+
+def _layer(layer: Layer, cards: frozenset[str]) -> Markup:
     shown, hidden = layer.items[:MOST_ITEMS], layer.items[MOST_ITEMS:]
     body: list[Markup | None] = [element("h2", TITLES[layer.name])]
     if not layer.items:
         body.append(element("p", "Nothing beyond its error." if layer.name != REST else "Nothing above the noise."))
     else:
-        body.append(_items(layer.name, shown))
+        body.append(_items(layer.name, shown, cards))
     if hidden:
         words = f"{len(hidden)} more"
-        body.append(element("details", element("summary", words), _items(layer.name, hidden)))
+        body.append(element("details", element("summary", words), _items(layer.name, hidden, cards)))
     body += [element("p", f"{note[:1].upper()}{note[1:]}.", class_="quiet") for note in layer.notes]
     return join(*body)
 
 
-def _items(layer: str, items: Iterable[Item]) -> Markup:
+def _items(layer: str, items: Iterable[Item], cards: frozenset[str]) -> Markup:
     if layer == REST:
         header = element(
             "tr",
@@ -200,16 +206,16 @@ def _items(layer: str, items: Iterable[Item]) -> Markup:
         ("replicated", None),
     )
     header = element("tr", *(element("th", head, class_=kind, scope="col") for head, kind in heads))
-    body = element("tbody", *(_row(layer, item) for item in items))
+    body = element("tbody", *(_row(item, cards) for item in items))
     return element("div", element("table", element("thead", header), body), class_="wide")
 
 
-def _row(layer: str, item: Item) -> Markup:
+def _row(item: Item, cards: frozenset[str]) -> Markup:
     unit = unit_text(item.unit)
     interval = f"{number(item.low)} to {number(item.high)}" if math.isfinite(item.low) else NOTHING
     name: object = _name(item)
-    if layer == PHYSICS:
-        name = element("a", _name(item), href=f"#{card_id(item.name, item.joints)}")
+    if (anchor := card_id(item.name, item.joints)) in cards:
+        name = element("a", _name(item), href=f"#{anchor}")
     replicated = {True: "yes", False: "no", None: "not asked"}[item.replicated]
     return element(
         "tr",
