@@ -34,7 +34,7 @@ from ..mismatch.scene import Whitener, one_way
 from ..recording.recording import Recording
 from ..simulations import Simulation
 from .ceiling import black_box, inputs_of
-from .conventions import Suspicion, find_wiring
+from .conventions import Suspicion, Wired, find_wiring
 from .estimate import Estimate, estimate
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
 from .linear import DELAY, GAIN, ZERO, Linear, Prior, weak_prior
@@ -218,7 +218,7 @@ class _Pass:
         extended = explanation.model or wired.model
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
         wired = find_wiring(whole, self.motions, wired)
-        found = _Joint(self, whole, wired.wiring, wired.found)
+        found = _Joint(self, whole, wired)
         added = added_terms(whole, base, explanation.findings)
         optional = optional_terms(whole, base)
         report(0.9, "what a flexible function could remove")
@@ -419,8 +419,10 @@ def _cause_items(simple: Explained, found: _Joint, shares: _Shares) -> list[Item
 class _Joint:
     """The last joint fit: wiring, parameters and physics, and nested fits of less."""
 
-    def __init__(self, run: _Pass, model: IdentifiedModel, wiring: Wiring, names: Sequence[str]) -> None:
-        self.wiring, self.names, self.run = wiring, tuple(names), run
+    def __init__(self, run: _Pass, model: IdentifiedModel, wired: Wired) -> None:
+        wiring = wired.wiring
+        self.wiring, self.names, self.run = wiring, wired.found, run
+        self._errors = dict(zip(wired.found, wired.errors))
         undone = wiring.undone(run.motions)
         noise = weighted(model, undone)
         unit = [Whitener(np.zeros(0), 1.0)] * len(run.joints)
@@ -471,7 +473,8 @@ class _Joint:
         for number, name in enumerate(linear.names):
             if name in self.names:
                 free[number], mean[number] = True, 0.0
-                precision[number, number] = 1e-6
+                # The weak prior of an identification would let a gain be a heavier link.
+                precision[number, number] = 1.0 / self._errors[name] ** 2
         return Prior(mean, precision, free)
 
     def leave_out(self, terms: Sequence[Added]) -> None:
@@ -565,7 +568,7 @@ class _Joint:
         return bool(abs(here - there) < AGREE * error and (here - was) * (there - was) > 0)
 
     def ceiling(self, values: FloatArray) -> FloatArray:
-        """(n,) RMS that a flexible function leaves beside values (P,), on the held-out recordings."""
+        """(n,) RMS that a flexible function leaves beside the simulation's terms with values (P,), held out."""
         here, there = (self._residuals(linear, values) for linear in (self.linear, self.judge))
         counts = [[one_way(motion) for motion in linear.motions] for linear in (self.linear, self.judge)]
         inputs = [inputs_of(linear.motions, kept) for linear, kept in zip((self.linear, self.judge), counts)]
@@ -574,9 +577,11 @@ class _Joint:
             return np.asarray(np.sqrt((left**2 * inputs[1].counts).sum(axis=0) / inputs[1].counts.sum(axis=0)))
 
     def _residuals(self, linear: Linear, values: FloatArray) -> FloatArray:
-        """(M, n) measured minus predicted, all motions one after the other, N m."""
-        count = len(linear.model.model.parameters)
-        model = replace(linear.model, parameters=values[:count])
+        """(M, n) measured minus what the simulation's own terms predict, all motions one after the other, N m."""
+        known = dict(zip(linear.names, values.tolist()))
+        simulated = self.run.simulation.model
+        own = np.array([known.get(parameter.name, 0.0) for parameter in self.base.parameters])
+        model = replace(simulated, parameters=own)
         return np.concatenate([motion.torque_rows - motion.reduce(model.torque(motion)) for motion in linear.motions])
 
     def traces(self, values: FloatArray) -> tuple[Trace, ...]:

@@ -34,6 +34,9 @@ size of motor), of a zero, rad (three degrees), of a delay, s (a few cycles of a
 ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05}
 """Prior probability of each at one joint (the delay: at all). Of the five real arms in hand torque from current is 8
 to 43 % off at single joints of two; a zero that is off shows as soon as an arm is used; late torque is common."""
+LARGEST = {GAIN: 1.6, ZERO: 0.35, DELAY: 0.1}
+"""Largest size of each that is considered: a factor of five, twenty degrees, a tenth of a second. Beyond, the torque is
+in another unit or the joint has another zero, and the linear problem around the simulation does not hold."""
 AGREE = 0.001
 """Probability below which values from different parts do not agree: they are compared within errors that take residuals
 for noise."""
@@ -67,6 +70,7 @@ class Wired:
     Attributes:
         wiring: What the recordings are off by.
         found: Names of the columns that the data demand, such as `gain[joint_2]`.
+        errors: Standard error of each: of a gain's logarithm, a zero (rad), a delay (s).
         log_odds: For each, log-likelihood ratio against its absence, with priors.
         suspected: What else is more probable than not, the most probable first.
         model: The simulation's terms with values that fit beside it.
@@ -75,6 +79,7 @@ class Wired:
 
     wiring: Wiring
     found: tuple[str, ...]
+    errors: tuple[float, ...]
     log_odds: tuple[float, ...]
     suspected: tuple[Suspicion, ...]
     model: IdentifiedModel
@@ -107,6 +112,7 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
     return Wired(
         state.wiring,
         tuple(state.found),
+        state.errors(),
         tuple(odds[name] for name in state.found),
         state.suspected(),
         state.fitted,
@@ -128,24 +134,27 @@ class _State:
         self.relinearise()
 
     def settle(self) -> None:
-        """Move to the most probable values of what was found."""
+        """Move to the most probable values of what was found; what becomes larger than `LARGEST` leaves."""
         solution = self._solved(self.found)
-        values = dict(zip(self.linear.names, solution.values))
-        joints = self.arm.joint_names
+        step, joints = dict(zip(self.linear.names, solution.values.tolist())), self.arm.joint_names
+        now = {**self._now(), **{name: self._now()[name] + step[name] for name in self.found}}
+        self.found = [name for name in self.found if abs(now[name]) <= LARGEST[name.split("[")[0]]]
+        kept = {name: value if name in self.found else 0.0 for name, value in now.items()}
         self.wiring = Wiring(
-            self.wiring.gain * np.exp([values[f"{GAIN}[{joint}]"] for joint in joints]),
-            self.wiring.zero_rad + np.array([values[f"{ZERO}[{joint}]"] for joint in joints]),
-            float(self.wiring.delay_s + values[DELAY]),
-        )
-        # What is not among the hypotheses any more is right.
-        gains, zeros = ([f"{kind}[{joint}]" in self.found for joint in joints] for kind in (GAIN, ZERO))
-        self.wiring = Wiring(
-            np.where(gains, self.wiring.gain, 1.0),
-            np.where(zeros, self.wiring.zero_rad, 0.0),
-            self.wiring.delay_s if DELAY in self.found else 0.0,
+            np.exp([kept[f"{GAIN}[{joint}]"] for joint in joints]),
+            np.array([kept[f"{ZERO}[{joint}]"] for joint in joints]),
+            kept[DELAY],
         )
         self.fitted = self._with(solution.values)
         self.relinearise()
+
+    def _now(self) -> dict[str, float]:
+        """What is undone, by column: logarithm of a gain, zero, delay."""
+        return {
+            **{f"{GAIN}[{j}]": float(np.log(g)) for j, g in zip(self.arm.joint_names, self.wiring.gain)},
+            **{f"{ZERO}[{j}]": float(z) for j, z in zip(self.arm.joint_names, self.wiring.zero_rad)},
+            DELAY: self.wiring.delay_s,
+        }
 
     def best_addition(self) -> tuple[str, ...] | None:
         """The hypotheses that gain most beside those found, if they gain enough."""
@@ -172,6 +181,11 @@ class _State:
         sets = [*((name,) for name in others), *pairs]
         return [(self._evidence([*self.found, *names]) - here, names) for names in sets]
 
+    def errors(self) -> tuple[float, ...]:
+        """Standard error of each that was found."""
+        spread = np.sqrt(np.diag(self._solved(self.found).covariance))
+        return tuple(float(spread[self.linear.names.index(name)]) for name in self.found)
+
     def log_odds(self, name: str) -> float:
         """Of a hypothesis among those found."""
         return self._evidence(self.found) - self._evidence([one for one in self.found if one != name])
@@ -185,6 +199,8 @@ class _State:
             if self._evidence(together, part) < self._evidence(self.found, part) + self._log_prior(names):
                 return False
             solution = self._solved(together, blocks=part)
+            if any(abs(solution.values[k]) > LARGEST[n.split("[")[0]] for k, n in zip(places, names)):
+                return False
             solutions.append((solution.values[places], np.diag(solution.covariance)[places]))
         values, variances = (np.stack(each) for each in zip(*solutions))
         mean = np.sum(values / variances, axis=0) / np.sum(1.0 / variances, axis=0)
@@ -222,11 +238,7 @@ class _State:
         precision[:count, :] = 0.0
         precision[:, :count] = 0.0
         precision[:count, :count] = np.diag(1.0 / ((scale * self.spread) ** 2 + self.payload**2))
-        now = {
-            **{f"{GAIN}[{j}]": float(np.log(g)) for j, g in zip(self.arm.joint_names, self.wiring.gain)},
-            **{f"{ZERO}[{j}]": float(z) for j, z in zip(self.arm.joint_names, self.wiring.zero_rad)},
-            DELAY: self.wiring.delay_s,
-        }
+        now = self._now()
         spread = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD}
         for number, name in enumerate(self.linear.names):
             if name not in now:

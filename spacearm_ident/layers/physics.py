@@ -38,6 +38,8 @@ class Optional:
     rivals: frozenset[str]
 
 
+EARLIER = ("torque_constant", "time_delay", "base_tilt", "payload", "friction_drift")
+"""Effects that the first two layers are about: a search for physics would find them in place of what is there."""
 OPTIONAL = (
     Optional("offset", "current_offset", "constant torque", "", frozenset({"asymmetric_friction", "base_tilt"})),
     Optional("f_b", "stribeck", "Stribeck friction f_b - f_c", "stribeck", frozenset()),
@@ -89,7 +91,7 @@ def missing_physics(
     def simulated(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
         return structure, ()
 
-    return explain(arm, [], fitted, held, excluded, progress=progress, choose=simulated)
+    return explain(arm, [], fitted, held, (*excluded, *EARLIER), progress=progress, choose=simulated)
 
 
 def added_terms(model: IdentifiedModel, base: TorqueModel, findings: Sequence[Finding]) -> list[Added]:
