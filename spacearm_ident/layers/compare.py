@@ -92,6 +92,7 @@ class Comparison:
         suspected: What else may be off.
         explanation: The search for physics, with its cards.
         traces: For figures.
+        unconfirmed: Names of what was found and what the held-out recordings by themselves do not show; not among items.
         would_have_seen: Of what was looked at and not named, the smallest size that would have been.
         judged_on: In words, what the residuals are on.
         cutoff_hz: Bandwidth that was looked at.
@@ -110,6 +111,7 @@ class Comparison:
     suspected: tuple[Suspicion, ...]
     explanation: Explanation | None
     traces: tuple[Trace, ...] = ()
+    unconfirmed: tuple[str, ...] = ()
     would_have_seen: tuple[Detectable, ...] = ()
     judged_on: str = ""
     cutoff_hz: float = float("nan")
@@ -253,7 +255,7 @@ class _Pass:
         above = np.maximum(simulated**2 - noise**2, 1e-12)
         ceiling = found.ceiling(stages[1]) * gain
         shares = _Shares(found, above, gain, after)
-        items, seen = self._parameter_items(found, shares)
+        items, lost, seen = self._parameter_items(found, shares)
         layers = (
             Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(suspected)),
             Layer(PARAMETERS, rms[1], rms[2], items, self.simulation.notes),
@@ -275,6 +277,7 @@ class _Pass:
             suspected=suspected,
             explanation=_standing(explanation, gone),
             traces=traces,
+            unconfirmed=(*lost, *(f"{one.effect} at {', '.join(one.joints)}" for one in gone)),
             would_have_seen=seen,
             judged_on=self.judged_on,
             cutoff_hz=self.cutoff,
@@ -314,7 +317,10 @@ class _Pass:
             )
         return tuple(sorted(items, key=lambda one: -one.share))
 
-    def _parameter_items(self, found: _Joint, shares: _Shares) -> tuple[tuple[Item, ...], tuple[Detectable, ...]]:
+    def _parameter_items(
+        self, found: _Joint, shares: _Shares
+    ) -> tuple[tuple[Item, ...], tuple[str, ...], tuple[Detectable, ...]]:
+        """What differs and is confirmed, names of what is not confirmed, and what agrees."""
         simple = few_causes(found.linear, found.estimate, found.prior, self.simulation)
         changed, same = changes(found.linear, found.estimate, found.prior, self.simulation)
         items = [] if simple is None else _cause_items(simple, found, shares)
@@ -322,9 +328,10 @@ class _Pass:
             if simple is not None and change.unit in ("kg", "kg m", "kg m^2"):
                 continue
             items.append(self._change_item(change, found, shares))
+        lost = tuple(f"{item.name} of {item.where}" for item in items if item.replicated is False)
         items = [item for item in items if item.replicated is not False]
         seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
-        return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf))), seen
+        return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf))), lost, seen
 
     def _change_item(self, change: Change, found: _Joint, shares: _Shares) -> Item:
         low, high = found.estimate.interval(change.vector)

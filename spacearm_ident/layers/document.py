@@ -44,7 +44,8 @@ def comparison_document(comparison: Comparison, simulation: str, mended: str | N
             {"names": list(one.names), "values": list(one.values), "probability": round(one.probability, 4)}
             for one in comparison.suspected
         ],
-        "replicated_share": _finite(replicated_share(comparison.layers)),
+        "replicated_share": _finite(replicated_share(comparison)),
+        "unconfirmed": list(comparison.unconfirmed),
         "model": EXTENDED_MODEL if comparison.model is not None else None,
         "mended_simulation": mended,
     }
@@ -58,10 +59,11 @@ def verdict(comparison: Comparison) -> str:
     return MISMATCH if any(layer.items for layer in comparison.layers) else NO_MISMATCH
 
 
-def replicated_share(layers: Sequence[Layer]) -> float:
-    """Share of the items that other recordings say again, of those that they can say anything of; NaN where none."""
-    asked = [item.replicated for layer in layers for item in layer.items if item.replicated is not None]
-    return float(np.mean(asked)) if asked else float("nan")
+def replicated_share(comparison: Comparison) -> float:
+    """Share of what was found that the held-out recordings confirm, of what they can confirm; NaN where nothing."""
+    asked = [item.replicated for layer in comparison.layers for item in layer.items if item.replicated is not None]
+    count = len(asked) + len(comparison.unconfirmed)
+    return sum(asked) / count if count else float("nan")
 
 
 def _layer(layer: Layer, joints: Sequence[str]) -> dict[str, Any]:

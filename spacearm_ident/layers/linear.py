@@ -125,11 +125,6 @@ class Linear:
         """P."""
         return len(self.names)
 
-    @property
-    def is_wiring(self) -> np.ndarray:
-        """(P,) which unknowns are gains, zeros and the delay."""
-        return np.arange(self.count) >= self.count - len(wiring_names(self.model.model.arm.joint_names))
-
     def start(self) -> FloatArray:
         """(P,) values of the model; nothing left to correct."""
         values = np.zeros(self.count)
@@ -202,14 +197,8 @@ class Linear:
         return np.asarray(np.tensordot(1.0 / noise, chosen.sum(axis=1), axes=1))
 
 
-def weak_prior(linear: Linear, inertials: bool = True, friction: bool = True) -> Prior:
-    """The prior of an identification: CAD's inertials, as uncertain as they are large; the wiring is not estimated.
-
-    Args:
-        linear: The problem.
-        inertials: Whether the model's parameters that are of bodies and rotors are estimated.
-        friction: Whether its others are.
-    """
+def weak_prior(linear: Linear) -> Prior:
+    """The prior of an identification: CAD's inertials, as uncertain as they are large; the wiring is not estimated."""
     model = linear.model.model
     known = make_prior(model, linear.motions)
     mean, free = linear.start(), np.zeros(linear.count, dtype=bool)
@@ -219,14 +208,9 @@ def weak_prior(linear: Linear, inertials: bool = True, friction: bool = True) ->
     # Rows of the prior are relative to an anchor; values are pulled to the CAD's, not to the model's.
     pulled = np.linalg.lstsq(known.rows, known.target, rcond=None)[0]
     mean[:count] = np.where(known.scale > 0, pulled, mean[:count])
-    rigid = np.array([parameter.symbol in RIGID for parameter in model.parameters])
-    free[:count] = (known.scale > 0) & ((rigid & inertials) | (~rigid & friction))
+    free[:count] = known.scale > 0
     mean[:count] = np.where(free[:count], mean[:count], linear.start()[:count])
     return Prior(mean, precision, free)
-
-
-RIGID = frozenset({"m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz", "J_m"})
-"""Symbols of bodies and rotors."""
 
 
 def _model_columns(model: IdentifiedModel, scene: Scene) -> FloatArray:

@@ -12,7 +12,7 @@ Friction loss, damping and stiffness of a joint are determined one by one. A cha
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -323,9 +323,3 @@ def _fewest(target: FloatArray, offered: Sequence[tuple[Cause, FloatArray]]) -> 
             if chi2.sf(squares, len(target) - width) > ENOUGH and (best is None or (width, squares) < best[:2]):
                 best = width, squares, chosen
     return () if best is None else best[2]
-
-
-def words_of(values: Mapping[str, float]) -> str:
-    """A combination for a person: `0.31 link3.mass + link2.mx`."""
-    parts = [f"{'' if abs(value - 1) < 1e-6 else f'{value:.3g} '}{name}" for name, value in values.items()]
-    return " + ".join(parts)

@@ -70,9 +70,12 @@ def _verdict(comparison: Comparison, mended: Mended | None) -> Markup:
     before, after = (_relative(comparison, rms) for rms in (comparison.before_Nm, comparison.after_Nm))
     headline = f"The simulation misses {before} of the torque; with all layers {after} is left"
     sentences = [_layers_sentence(comparison), "RMS of the residual over that of the torque, of the median joint."]
-    share = replicated_share(comparison.layers)
+    share = replicated_share(comparison)
     if math.isfinite(share):
-        sentences.append(f"{percent(share)} of what the held-out recordings can confirm, they confirm.")
+        lost = (
+            f"; not confirmed, and not counted: {', '.join(comparison.unconfirmed)}" if comparison.unconfirmed else ""
+        )
+        sentences.append(f"The held-out recordings confirm {percent(share)} of what they can{lost}.")
     if mended is not None:
         sentences.append(f"The simulation with new values is {mended.name}, beside this page.")
     items = sum(len(layer.items) for layer in comparison.layers[:3])

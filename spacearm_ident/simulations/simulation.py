@@ -93,11 +93,6 @@ class Simulation:
         """The arm that is simulated."""
         return self.model.model.arm
 
-    @property
-    def has_inertials(self) -> bool:
-        """Whether the simulation has any mass."""
-        return bool(any(joint.inertial[0] > 0.0 for joint in self.arm.joints))
-
     def word(self, symbol: str) -> str:
         """What the simulation's format calls a parameter of a joint; other symbols stay."""
         return WORDS[self.format].get(symbol, symbol)
