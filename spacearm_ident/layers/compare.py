@@ -92,7 +92,7 @@ class Comparison:
         suspected: What else may be off.
         explanation: The search for physics, with its cards.
         traces: For figures.
-        unconfirmed: Names of what was found and what the held-out recordings by themselves do not show; not among items.
+        unconfirmed: Names of what was found and the held-out recordings by themselves do not show; not among items.
         would_have_seen: Of what was looked at and not named, the smallest size that would have been.
         judged_on: In words, what the residuals are on.
         cutoff_hz: Bandwidth that was looked at.
