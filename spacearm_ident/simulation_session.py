@@ -16,7 +16,8 @@ from .errors import UserError
 from .export.mended import mend
 from .identification.effort import in_newton_metres
 from .identification.identify import Progress, Settings, identify
-from .layers.compare import Comparison, compare
+from .layers.compare import compare
+from .layers.comparison import Comparison
 from .layers.discrete import Mistake, find_mistakes
 from .layers.item import CONVENTIONS, Item, Mended
 from .recording import Recording

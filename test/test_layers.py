@@ -12,7 +12,8 @@ from mujoco_arm import JOINTS, mjcf, mujoco_or_skip, recorded
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.effects import EFFECTS
-from spacearm_ident.layers.compare import Comparison, compare
+from spacearm_ident.layers.compare import compare
+from spacearm_ident.layers.comparison import Comparison
 from spacearm_ident.layers.conventions import find_wiring
 from spacearm_ident.layers.item import Item
 from spacearm_ident.layers.wiring import Wiring

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..dynamics.effects import EFFECTS
 from ..errors import UserError
-from ..layers.compare import Comparison
+from ..layers.comparison import Comparison
 from ..layers.document import comparison_document, verdict
 from ..layers.item import REST, Item, Mended
 from ..mismatch.document import NEXT_RUN, to_document

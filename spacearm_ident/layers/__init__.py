@@ -8,5 +8,6 @@ Each layer is fitted jointly with those before it and judged on recordings that 
     parameters   layer 1: which of the simulation's parameters are wrong, in combinations that the data determine
     physics      layer 2: what the simulation does not have
     ceiling      layer 3: what a flexible function of the same inputs could still remove
-    compare      all of them, one after the other
+    joint_fit    wiring, parameters and physics together, and nested fits of less
+    compare      all of them, one after the other, into a `comparison`
 """

@@ -3,8 +3,8 @@
 Each is a hypothesis: its column is free, with a prior of its own, or absent. Hypotheses are compared by marginal
 likelihood, summed over how far the simulation's inertials may be off (`CAD_SCALES`), so that a gain is not found where
 a heavier link says the same. The best joins if every recording (each half of a single one) supports it by itself, for
-model error is not the same in all; everything is linearised anew, and so on until nothing gains; what gains nothing
-beside the others leaves again. Signs, units, order and gravity are for `conventions.search`, before this.
+model error is not the same in all; everything is linearised again, until nothing gains; what gains nothing beside the
+others is removed. Signs, units, order and gravity are for `conventions.search`, before this.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ from ..conventions.evidence import CAD_SCALES, inertial_belief
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..mismatch.noise import weighted
-from ..mismatch.scene import Whitener
 from ..recording.motion import Motion
-from .linear import DELAY, GAIN, ZERO, Linear, Prior, Solution, weak_prior
-from .wiring import Wiring
+from .linear import Linear, Prior, Solution, weak_prior
+from .wiring import DELAY, GAIN, ZERO, Wiring, kind_and_joint
 
 SURE = 5.0
 """Log odds from which a hypothesis is taken: one false in 150, were residuals noise; all parts must agree besides."""
@@ -40,12 +39,14 @@ in another unit or the joint has another zero, and the linear problem around the
 AGREE = 0.001
 """Probability below which values from different parts do not agree: they are compared within errors that take residuals
 for noise."""
+LEAST_FACTOR = 1e-4
+"""Smallest factor on a joint's variance: a hundredth of its residual's standard deviation."""
 SHORT_LIST = 4
 """Best hypotheses that the parts are asked about."""
 MOST = 8
 """Gains, zeros and delays looked for at once."""
 SETTLING = 2
-"""Times that everything is linearised anew once nothing is added."""
+"""Times that everything is linearised again once nothing is added."""
 
 
 @dataclass(frozen=True)
@@ -71,19 +72,15 @@ class Wired:
         wiring: What the recordings are off by.
         found: Names of the columns that the data demand, such as `gain[joint_2]`.
         errors: Standard error of each: of a gain's logarithm, a zero (rad), a delay (s).
-        log_odds: For each, log-likelihood ratio against its absence, with priors.
         suspected: What else is more probable than not, the most probable first.
         model: The simulation's terms with values that fit beside it.
-        whiteners: What rows count for.
     """
 
     wiring: Wiring
     found: tuple[str, ...]
     errors: tuple[float, ...]
-    log_odds: tuple[float, ...]
     suspected: tuple[Suspicion, ...]
     model: IdentifiedModel
-    whiteners: Sequence[Whitener]
 
 
 def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired | None = None) -> Wired:
@@ -113,10 +110,8 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
         state.wiring,
         tuple(state.found),
         state.errors(),
-        tuple(odds[name] for name in state.found),
         state.suspected(),
         state.fitted,
-        state.whiteners,
     )
 
 
@@ -130,31 +125,19 @@ class _State:
         self.wiring = Wiring.right(len(self.arm.joints))
         self.fitted = model
         self.relinearise()
-        self.fitted = self._fit(())
+        self.fitted = self._with(self._solved(()).values)
         self.relinearise()
 
     def settle(self) -> None:
         """Move to the most probable values of what was found; what becomes larger than `LARGEST` leaves."""
         solution = self._solved(self.found)
         step, joints = dict(zip(self.linear.names, solution.values.tolist())), self.arm.joint_names
-        now = {**self._now(), **{name: self._now()[name] + step[name] for name in self.found}}
-        self.found = [name for name in self.found if abs(now[name]) <= LARGEST[name.split("[")[0]]]
-        kept = {name: value if name in self.found else 0.0 for name, value in now.items()}
-        self.wiring = Wiring(
-            np.exp([kept[f"{GAIN}[{joint}]"] for joint in joints]),
-            np.array([kept[f"{ZERO}[{joint}]"] for joint in joints]),
-            kept[DELAY],
-        )
+        now = self.wiring.by_column(joints)
+        now |= {name: now[name] + step[name] for name in self.found}
+        self.found = [name for name in self.found if abs(now[name]) <= LARGEST[kind_and_joint(name)[0]]]
+        self.wiring = Wiring.of_columns(joints, {k: v if k in self.found else 0.0 for k, v in now.items()})
         self.fitted = self._with(solution.values)
         self.relinearise()
-
-    def _now(self) -> dict[str, float]:
-        """What is undone, by column: logarithm of a gain, zero, delay."""
-        return {
-            **{f"{GAIN}[{j}]": float(np.log(g)) for j, g in zip(self.arm.joint_names, self.wiring.gain)},
-            **{f"{ZERO}[{j}]": float(z) for j, z in zip(self.arm.joint_names, self.wiring.zero_rad)},
-            DELAY: self.wiring.delay_s,
-        }
 
     def best_addition(self) -> tuple[str, ...] | None:
         """The hypotheses that gain most beside those found, if they gain enough."""
@@ -199,7 +182,7 @@ class _State:
             if self._evidence(together, part) < self._evidence(self.found, part) + self._log_prior(names):
                 return False
             solution = self._solved(together, blocks=part)
-            if any(abs(solution.values[k]) > LARGEST[n.split("[")[0]] for k, n in zip(places, names)):
+            if any(abs(solution.values[k]) > LARGEST[kind_and_joint(n)[0]] for k, n in zip(places, names)):
                 return False
             solutions.append((solution.values[places], np.diag(solution.covariance)[places]))
         values, variances = (np.stack(each) for each in zip(*solutions))
@@ -208,7 +191,7 @@ class _State:
         return bool(np.all(chi2.sf(squares, max(len(values) - 1, 1)) > AGREE))
 
     def _log_prior(self, names: Sequence[str]) -> float:
-        return sum(float(np.log(ODDS[name.split("[")[0]])) for name in names)
+        return sum(float(np.log(ODDS[kind_and_joint(name)[0]])) for name in names)
 
     def _candidates(self) -> list[str]:
         revolute = [joint.name for joint in self.arm.joints if joint.revolute]
@@ -217,28 +200,23 @@ class _State:
     def relinearise(self) -> None:
         """Build the linear problem around the model and the wiring."""
         undone = self.wiring.undone(self.motions)
-        self.noise = weighted(self.fitted, undone)
-        self.whiteners = self.noise.whiteners
-        self.linear = Linear(self.fitted, self.motions, self.whiteners, self.wiring)
+        noise = weighted(self.fitted, undone)
+        self.linear = Linear(self.fitted, self.motions, noise.whiteners, self.wiring)
         size = np.sqrt(np.mean(np.concatenate([motion.torque_rows for motion in undone]) ** 2, axis=0))
         self.centre, self.spread, self.payload = inertial_belief(self.arm, size)
-        everything = [name for name in self._candidates()]
-        left = self.linear.squares(self._solved(everything, np.ones(len(size))).values).sum(axis=1)
-        rows = self.linear.rows.sum(axis=1)
-        share = np.array([(f / w.sigma_Nm) ** 2 for f, w in zip(self.noise.floor_Nm, self.whiteners)])
-        counts = np.where(np.isfinite(share), rows * share, 0.0)
-        self.variance = np.where(counts > 0, left / np.maximum(counts, 1e-9), 1.0).clip(1e-4, 10.0)
+        self.weak = weak_prior(self.linear)
+        everything = self._solved(self._candidates(), np.ones(len(size)))
+        self.variance = self.linear.variance(everything.values, noise, LEAST_FACTOR)
 
     def _prior(self, names: Sequence[str], scale: float) -> Prior:
         """With inertials off the simulation's by `scale` of themselves, and these hypotheses free."""
-        prior = weak_prior(self.linear)
-        mean, precision, free = prior.mean.copy(), prior.precision.copy(), prior.free.copy()
+        mean, precision, free = self.weak.mean.copy(), self.weak.precision.copy(), self.weak.free.copy()
         count = 10 * len(self.arm.joints)
         mean[:count] = self.centre
         precision[:count, :] = 0.0
         precision[:, :count] = 0.0
         precision[:count, :count] = np.diag(1.0 / ((scale * self.spread) ** 2 + self.payload**2))
-        now = self._now()
+        now = self.wiring.by_column(self.arm.joint_names)
         spread = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD}
         for number, name in enumerate(self.linear.names):
             if name not in now:
@@ -247,7 +225,7 @@ class _State:
             mean[number] = -now[name]
             if name in names:
                 free[number] = True
-                precision[number, number] = 1.0 / spread[name.split("[")[0]] ** 2
+                precision[number, number] = 1.0 / spread[kind_and_joint(name)[0]] ** 2
         return Prior(mean, precision, free)
 
     def _evidence(self, names: Sequence[str], blocks: np.ndarray | None = None) -> float:
@@ -260,9 +238,6 @@ class _State:
         noise = self.variance if variance is None else variance
         logs = [self.linear.log_evidence(self._prior(names, scale), noise, blocks) for scale in CAD_SCALES]
         return self.linear.solve(self._prior(names, CAD_SCALES[int(np.argmax(logs))]), noise, blocks)
-
-    def _fit(self, names: Sequence[str]) -> IdentifiedModel:
-        return self._with(self._solved(names).values)
 
     def _with(self, values: FloatArray) -> IdentifiedModel:
         return replace(self.fitted, parameters=values[: len(self.fitted.parameters)])

@@ -10,7 +10,7 @@ import numpy as np
 from ..dynamics.arm import FloatArray
 from ..mismatch.document import EXTENDED_MODEL, to_document
 from ..mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH, unfit
-from .compare import Comparison
+from .comparison import Comparison
 from .item import Item, Layer
 
 

@@ -6,7 +6,6 @@ Stein 1981) asks instead how much the estimate moves when a block is left out. T
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,27 +54,16 @@ class Estimate:
         return self.of(combination) - half, self.of(combination) + half
 
 
-def estimate(linear: Linear, prior: Prior, variance: FloatArray, blocks: np.ndarray | None = None) -> Estimate:
+def estimate(linear: Linear, prior: Prior, variance: FloatArray) -> Estimate:
     """Estimate by least squares with a prior.
 
     Args:
         linear: The problem.
         prior: Of every unknown.
         variance: (n,) factor on each joint's variance.
-        blocks: Numbers of the blocks to use; None: all.
     """
-    chosen = np.arange(linear.blocks) if blocks is None else blocks
-    whole = linear.solve(prior, variance, chosen)
-    return Estimate(
-        whole.values,
-        whole.covariance,
-        jackknife(lambda rest: linear.solve(prior, variance, rest).values, chosen),
-        len(chosen),
-    )
-
-
-def jackknife(fitted: Callable[[np.ndarray], FloatArray], blocks: np.ndarray) -> FloatArray:
-    """(P, P) covariance from fits that leave out one block each."""
-    left_out = np.stack([fitted(np.delete(blocks, number)) for number in range(len(blocks))])
+    whole, blocks = linear.solve(prior, variance), np.arange(linear.blocks)
+    left_out = np.stack([linear.solve(prior, variance, np.delete(blocks, one)).values for one in blocks])
     off = left_out - left_out.mean(axis=0)
-    return np.asarray((len(blocks) - 1) / len(blocks) * off.T @ off)
+    jackknife = (len(blocks) - 1) / len(blocks) * off.T @ off
+    return Estimate(whole.values, whole.covariance, jackknife, len(blocks))

@@ -23,20 +23,17 @@ from ..dynamics.regressor import rigid_body_torque
 from ..dynamics.term import Columns
 from ..identification.held_out import time_blocks
 from ..identification.prior import make_prior
+from ..mismatch.noise import Noise
 from ..mismatch.scene import Scene, Whitener
 from ..recording.motion import Motion
-from .wiring import Wiring
+from .wiring import Wiring, column_names
 
-GAIN, ZERO, DELAY = "gain", "zero", "delay"
 ZERO_STEP = 1e-4
 """rad: step of the difference quotient of the torque by a zero."""
+LARGEST_FACTOR = 10.0
+"""A joint's variance is at most so many times what its own residual said."""
 RIDGE = 1e-10
 """Relative, on the diagonal of normal equations: keeps a column that is zero from making them singular."""
-
-
-def wiring_names(joints: Sequence[str]) -> tuple[str, ...]:
-    """Names of the wiring's columns: gains, zeros, one delay."""
-    return (*(f"{GAIN}[{j}]" for j in joints), *(f"{ZERO}[{j}]" for j in joints), DELAY)
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ class Linear:
         )
         self.names = (
             *(parameter.name for parameter in model.model.parameters),
-            *wiring_names(joints),
+            *column_names(joints),
         )
         block_of, self.recording = time_blocks(undone)
         self.blocks = len(self.recording)
@@ -191,6 +188,19 @@ class Linear:
         value = -0.5 * float(rest + mean @ precision @ mean - solved @ solved)
         value += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(lower)).sum())
         return value
+
+    def variance(self, values: FloatArray, noise: Noise, least: float) -> FloatArray:
+        """(n,) factor on each joint's variance: squares that values leave over what its rows count for.
+
+        Args:
+            values: (P,).
+            noise: Whose whiteners the rows are weighted by.
+            least: Smallest factor.
+        """
+        share = np.array([(f / w.sigma_Nm) ** 2 for f, w in zip(noise.floor_Nm, noise.whiteners)])
+        counts = np.where(np.isfinite(share), self.rows.sum(axis=1) * share, 0.0)
+        left = self.squares(values).sum(axis=1)
+        return np.where(counts > 0, left / np.maximum(counts, 1e-9), 1.0).clip(least, LARGEST_FACTOR)
 
     def _weighted(self, noise: FloatArray, blocks: np.ndarray | None) -> FloatArray:
         chosen = self.gram if blocks is None else self.gram[:, blocks]

@@ -7,7 +7,7 @@ Torque determines combinations of inertials only (base parameters, Gautier 1991)
 - the *combinations* themselves, each with was -> is, otherwise.
 
 Friction loss, damping and stiffness of a joint are determined one by one. A change is named if it exceeds its error at
-`LEVEL` shared by all that are tested (Bonferroni), and if the data, not the prior, say so (`TOLD`).
+`LEVEL` shared by all that are tested (Bonferroni), and if the data, not the prior, say so (`DETERMINED`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import pinocchio as pin
 from scipy.stats import chi2, norm
 
 from ..dynamics.arm import Arm, FloatArray
-from ..dynamics.base_parameters import BaseParameters, base_parameters
+from ..dynamics.base_parameters import base_parameters
 from ..dynamics.model import TorqueModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..simulations import Simulation
@@ -38,7 +39,8 @@ ENOUGH = 0.01
 """Probability below which causes do not account for the change of the combinations."""
 INERTIAL_WORDS = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 """What a body's ten parameters are called in a combination; about the origin of its frame."""
-OWN_UNITS = {"k_v1": "N m s/rad", "f_c": "N m", "k_1": "N m/rad"}
+OWN = frozenset({"k_v1", "f_c", "k_1"})
+"""Symbols of a joint's parameters that torque determines one by one."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ class Change:
         unit: SI.
         vector: (P,) its coefficients in the unknowns.
         was: In the simulation.
+        of_bodies: Whether it is a combination of inertials and rotor inertias.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Change:
     unit: str
     vector: FloatArray
     was: float
+    of_bodies: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,22 +87,36 @@ class Cause:
     directions: FloatArray
 
 
-def changes(
-    linear: Linear, found: Estimate, prior: Prior, simulation: Simulation
-) -> tuple[tuple[Change, ...], tuple[tuple[Change, float], ...]]:
-    """Parameters that differ from the simulation's beyond their errors, and those that do not.
+def determined(linear: Linear, found: Estimate, prior: Prior, simulation: Simulation) -> list[Change]:
+    """Parameters and combinations that the data, not the prior, say something of; changed or not.
 
     Args:
         linear: The problem that was solved.
         found: Its solution.
         prior: What it was solved with.
         simulation: What to compare with.
+    """
+    own = np.flatnonzero(prior.free)
+    spread = np.linalg.pinv(prior.precision[np.ix_(own, own)], hermitian=True)
+
+    def known(one: Change) -> bool:
+        free = one.vector[own]
+        before = float(np.sqrt(max(float(free @ spread @ free), 0.0)))
+        return bool(free.any()) and found.error(one.vector) < DETERMINED * before
+
+    return [one for one in (*_own(linear, simulation), *_combinations(linear, simulation)) if known(one)]
+
+
+def changes(known: Sequence[Change], found: Estimate) -> tuple[tuple[Change, ...], tuple[tuple[Change, float], ...]]:
+    """Parameters that differ from the simulation's beyond their errors, and those that do not.
+
+    Args:
+        known: What the data determine.
+        found: The estimate.
 
     Returns:
-        What differs; and what is determined and does not differ, with the size from which it would have been named.
+        What differs; and what does not, with the size from which it would have been named.
     """
-    candidates = [*_own(linear, simulation), *_combinations(linear, simulation)]
-    known = [one for one in candidates if _determined(one.vector, found, prior)]
     bound = float(norm.ppf(1 - LEVEL / 2 / max(len(known), 1)))
     sized = [(one, bound * found.error(one.vector)) for one in known]
     off = [abs(found.of(one.vector) - one.was) for one in known]
@@ -108,23 +126,11 @@ def changes(
     )
 
 
-def _determined(vector: FloatArray, found: Estimate, prior: Prior) -> bool:
-    """Whether the data say what a combination is."""
-    free = prior.free & (vector != 0)
-    if not free.any():
-        return False
-    own = np.flatnonzero(prior.free)
-    spread = np.linalg.pinv(prior.precision[np.ix_(own, own)], hermitian=True)
-    before = float(np.sqrt(max(float(vector[own] @ spread @ vector[own]), 0.0)))
-    return found.error(vector) < DETERMINED * before
-
-
 def _own(linear: Linear, simulation: Simulation) -> list[Change]:
     """Damping, friction and stiffness, joint by joint."""
-    was = {p.name: float(v) for p, v in zip(simulation.model.model.parameters, simulation.model.parameters)}
-    found = []
+    was, found = simulation.values, []
     for number, parameter in enumerate(linear.model.model.parameters):
-        if parameter.symbol in OWN_UNITS and parameter.name in was and parameter.scale != 0.0:
+        if parameter.symbol in OWN and parameter.name in was and parameter.scale != 0.0:
             vector = np.zeros(linear.count)
             vector[number] = 1.0
             word = simulation.word(parameter.symbol)
@@ -132,19 +138,22 @@ def _own(linear: Linear, simulation: Simulation) -> list[Change]:
     return found
 
 
-def inertial_base(arm: Arm) -> BaseParameters:
-    """Combinations of inertials and rotor inertias that torque determines."""
-    return base_parameters(TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}}))
+def bodies_and_rotors(arm: Arm) -> TorqueModel:
+    """The terms whose parameters torque shows in combinations only: 10 n inertials, then n rotor inertias."""
+    return TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}})
+
+
+def places_of(linear: Linear) -> list[int]:
+    """(11 n,) numbers of inertials and rotor inertias among the unknowns."""
+    names = list(linear.names)
+    return [names.index(parameter.name) for parameter in bodies_and_rotors(linear.model.model.arm).parameters]
 
 
 def _combinations(linear: Linear, simulation: Simulation) -> list[Change]:
     """The combinations of inertials and rotor inertias that torque determines."""
-    model = TorqueModel(linear.model.model.arm, {"rigid_body": {}, "rotor_inertia": {}})
-    base, names = inertial_base(linear.model.model.arm), list(linear.names)
-    places = [names.index(parameter.name) for parameter in model.parameters]
-    was_all = {p.name: float(v) for p, v in zip(simulation.model.model.parameters, simulation.model.parameters)}
-    was = np.array([was_all.get(parameter.name, 0.0) for parameter in model.parameters])
-    found = []
+    model, places, values = bodies_and_rotors(linear.model.model.arm), places_of(linear), simulation.values
+    was = np.array([values.get(parameter.name, 0.0) for parameter in model.parameters])
+    base, found = base_parameters(model), []
     for lead, row in zip(base.independent, base.regrouping):
         parameter = model.parameters[lead]
         vector = np.zeros(linear.count)
@@ -158,6 +167,7 @@ def _combinations(linear: Linear, simulation: Simulation) -> list[Change]:
                 parameter.unit,
                 vector,
                 float(row @ was),
+                of_bodies=True,
             )
         )
     return found
@@ -172,7 +182,14 @@ def _leading_word(symbol: str, simulation: Simulation) -> str:
 
 
 def where_words(symbol: str, joint: str, simulation: Simulation, alone: bool) -> str:
-    """What a combination is of, for a person."""
+    """What a combination is of, for a person.
+
+    Args:
+        symbol: Of its leading parameter.
+        joint: Of the same.
+        simulation: Whose words are used.
+        alone: Whether nothing else is in it.
+    """
     body = simulation.body(joint)
     if symbol not in INERTIAL_SYMBOLS:
         return joint
@@ -186,7 +203,13 @@ def where_words(symbol: str, joint: str, simulation: Simulation, alone: bool) ->
 
 
 def combination_of(change: Change, linear: Linear, simulation: Simulation) -> dict[str, float]:
-    """Coefficients by the simulation's own names, such as `link2.mass` and `joint2.armature`."""
+    """Coefficients by the simulation's own names, such as `link2.mass` and `joint2.armature`.
+
+    Args:
+        change: The combination.
+        linear: Whose unknowns its vector counts.
+        simulation: Whose names are used.
+    """
     named = {}
     symbols = dict(zip(INERTIAL_SYMBOLS, INERTIAL_WORDS))
     own = {"J_m": "armature", "k_v1": "damping", "f_c": "frictionloss", "k_1": "stiffness"}
@@ -226,8 +249,7 @@ def causes(simulation: Simulation) -> list[Cause]:
 
 def _point(place: FloatArray) -> FloatArray:
     """(10,) parameters of one kilogram at a place (3,)."""
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = place @ place * np.eye(3) - np.outer(place, place)
-    return np.array([1.0, *place, xx, xy, yy, xz, yz, zz])
+    return np.array(pin.Inertia(1.0, place, np.zeros((3, 3))).toDynamicParameters())
 
 
 def _moved(inertial: FloatArray, axis: int) -> FloatArray:
@@ -255,13 +277,18 @@ class Explained:
     errors: tuple[FloatArray, ...]
 
 
-def few_causes(linear: Linear, found: Estimate, prior: Prior, simulation: Simulation) -> Explained | None:
+def few_causes(known: Sequence[Change], linear: Linear, found: Estimate, simulation: Simulation) -> Explained | None:
     """The causes by which alone the simulation's inertials differ; None where they are too many for a simple word.
 
     Of all sets that leave what chance leaves of the change (chi-square), the one with the fewest directions.
+
+    Args:
+        known: What the data determine.
+        linear: The problem that was solved.
+        found: Its solution.
+        simulation: What to compare with.
     """
-    arm = linear.model.model.arm
-    base = [one for one in _combinations(linear, simulation) if _determined(one.vector, found, prior)]
+    base = [one for one in known if one.of_bodies]
     if not base:
         return None
     rows = np.stack([one.vector for one in base])
@@ -272,13 +299,10 @@ def few_causes(linear: Linear, found: Estimate, prior: Prior, simulation: Simula
     # One factor for all: the jackknife's few blocks say how large errors are, not how they go together.
     covariance = posterior * float(np.mean(wider**2))
     whiten = np.linalg.pinv(np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance))))
-    names = list(linear.names)
-    model = TorqueModel(arm, {"rigid_body": {}, "rotor_inertia": {}})
-    places = [names.index(parameter.name) for parameter in model.parameters]
     target = whiten @ delta
     if chi2.sf(float(target @ target), len(target)) > ENOUGH:
         return None
-    offered = [(one, whiten @ rows[:, places] @ one.directions) for one in causes(simulation)]
+    offered = [(one, whiten @ rows[:, places_of(linear)] @ one.directions) for one in causes(simulation)]
     chosen = _fewest(target, offered)
     if not chosen:
         return None
@@ -286,7 +310,7 @@ def few_causes(linear: Linear, found: Estimate, prior: Prior, simulation: Simula
     inverse = np.linalg.pinv(matrix.T @ matrix, hermitian=True)
     values, spread = inverse @ matrix.T @ target, np.sqrt(np.diag(inverse))
     ends = np.cumsum([columns.shape[1] for _, columns in chosen])[:-1]
-    if not _possible(arm, [one for one, _ in chosen], np.split(values, ends)):
+    if not _possible(simulation.arm, [one for one, _ in chosen], np.split(values, ends)):
         return None
     return Explained(tuple(one for one, _ in chosen), tuple(np.split(values, ends)), tuple(np.split(spread, ends)))
 

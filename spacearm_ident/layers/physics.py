@@ -29,23 +29,29 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Optional:
-    """A friction term that a joint may have beside the textbook's: its parameter, and what the contract calls it."""
+    """A friction term that a joint may have beside the textbook's.
+
+    Attributes:
+        symbol: Of its parameter.
+        effect: What `mismatch.json` calls it.
+        words: For a person.
+        rivals: Effects that say much the same.
+    """
 
     symbol: str
     effect: str
     words: str
-    option: str
-    rivals: frozenset[str]
+    rivals: frozenset[str] = frozenset()
 
 
 EARLIER = ("torque_constant", "time_delay", "base_tilt", "payload", "friction_drift")
 """Effects that the first two layers are about: a search for physics would find them in place of what is there."""
 OPTIONAL = (
-    Optional("offset", "current_offset", "constant torque", "", frozenset({"asymmetric_friction", "base_tilt"})),
-    Optional("f_b", "stribeck", "Stribeck friction f_b - f_c", "stribeck", frozenset()),
-    Optional("mu", "load_friction", "friction per load", "load", frozenset({"gear_efficiency"})),
-    Optional("k_v2", "viscous_second_order", "quadratic friction", "", frozenset({"asymmetric_friction"})),
-    Optional("k_v3", "viscous_third_order", "cubic friction", "", frozenset({"motor_saturation"})),
+    Optional("offset", "current_offset", "constant torque", frozenset({"asymmetric_friction", "base_tilt"})),
+    Optional("f_b", "stribeck", "Stribeck friction f_b - f_c"),
+    Optional("mu", "load_friction", "friction per load", frozenset({"gear_efficiency"})),
+    Optional("k_v2", "viscous_second_order", "quadratic friction", frozenset({"asymmetric_friction"})),
+    Optional("k_v3", "viscous_third_order", "cubic friction", frozenset({"motor_saturation"})),
 )
 """Presliding is not among them: rows beside a reversal do not count in the joint fit."""
 
@@ -114,8 +120,7 @@ def added_terms(model: IdentifiedModel, base: TorqueModel, findings: Sequence[Fi
             if term.kind == finding.effect and (not term.joints or set(term.joints) <= set(finding.joints))
         ]
         if mine:
-            where = finding.where
-            added.append(Added(finding.effect, finding.joints, where, np.concatenate(mine), finding))
+            added.append(Added(finding.effect, finding.joints, finding.where, np.concatenate(mine), finding))
     return added
 
 

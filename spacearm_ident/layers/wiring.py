@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,20 @@ import numpy as np
 from ..dynamics.arm import FloatArray
 from ..recording.corrections import Corrections, JointCorrection
 from ..recording.motion import Motion
+
+GAIN, ZERO, DELAY = "gain", "zero", "delay"
+"""Kinds of what may be off; a column is called `gain[JOINT]`, `zero[JOINT]` or `delay`."""
+
+
+def column_names(joints: Sequence[str]) -> tuple[str, ...]:
+    """Names of all columns: gains, zeros, one delay."""
+    return (*(f"{GAIN}[{joint}]" for joint in joints), *(f"{ZERO}[{joint}]" for joint in joints), DELAY)
+
+
+def kind_and_joint(column: str) -> tuple[str, str]:
+    """What a column is of, and the joint; none for the delay."""
+    kind, _, joint = column.rstrip("]").partition("[")
+    return kind, joint
 
 
 @dataclass(frozen=True)
@@ -30,6 +44,18 @@ class Wiring:
     def right(cls, joints: int) -> Wiring:
         """Nothing is off."""
         return cls(np.ones(joints), np.zeros(joints))
+
+    @classmethod
+    def of_columns(cls, joints: Sequence[str], values: Mapping[str, float]) -> Wiring:
+        """From `by_column`."""
+        gains, zeros = (np.array([values[f"{kind}[{joint}]"] for joint in joints]) for kind in (GAIN, ZERO))
+        return cls(np.exp(gains), zeros, values[DELAY])
+
+    def by_column(self, joints: Sequence[str]) -> dict[str, float]:
+        """Column -> the logarithm of a gain, a zero (rad), the delay (s)."""
+        return dict(
+            zip(column_names(joints), (*np.log(self.gain).tolist(), *self.zero_rad.tolist(), float(self.delay_s)))
+        )
 
     def undone(self, motions: Sequence[Motion]) -> list[Motion]:
         """Motions as they would have been recorded rightly; torque is interpolated at the later times."""

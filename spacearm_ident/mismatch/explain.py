@@ -34,6 +34,7 @@ from .scored import Scored
 
 Progress = Callable[[float, str], None]
 HOLD_OUT = 0.35
+"""Share of every recording that is held out where no recording is given to judge on."""
 UNDETERMINED = (
     "the data do not determine the base model (its normal equations are singular): record a longer run, or a motion of "
     "all joints"
@@ -75,7 +76,7 @@ def explain(
         return unfit(names, tuple(broken))
     fitted, judged, judged_on = list(field), list(validation), "recordings the fit has not seen"
     if not judged:
-        fitted, judged = _held_out(fitted)
+        fitted, judged = held_out_ends(fitted)
         judged_on = "the last third of the field recordings, held out of the fit"
     report(0.0, "fitting the base model")
     try:
@@ -92,7 +93,8 @@ def explain(
     return replace(answer, judged_on=judged_on)
 
 
-def _held_out(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+def held_out_ends(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Recordings without their last third (`HOLD_OUT`), and those thirds."""
     first, last = [], []
     for recording in recordings:
         cut = recording.time[-1] - HOLD_OUT * (recording.time[-1] - recording.time[0])

@@ -97,10 +97,7 @@ def prepare_evidence(
     healthy = [] if isinstance(reference, IdentifiedModel) else list(reference)
     healthy, field, validation = placed(healthy, arm), placed(field, arm), placed(validation, arm)
     everything = [*healthy, *field, *validation]
-    rates = [recording.rate_hz for recording in everything]
-    rates += [recording.base.rate_hz for recording in everything if recording.base is not None]
-    cutoff = min(CUTOFF_HZ, 0.2 * min(rates))
-    wide = min(WIDER * cutoff, 0.35 * min(rates))
+    cutoff, wide = cut_offs(everything)
     referred, examined, judged = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field, validation))
     if known is None:
         start = _identified(healthy or field, arm, cutoff, choose)
@@ -194,6 +191,14 @@ def _widened(found: _WithNoise) -> _WithNoise:
     ratio = np.fmax(np.divide(found.left_out.rms_Nm, noise.floor_Nm), 1.0)
     whiteners = [replace(own, sigma_Nm=own.sigma_Nm * float(r)) for own, r in zip(noise.whiteners, ratio)]
     return replace(found, noise=replace(noise, whiteners=whiteners, floor_Nm=noise.floor_Nm * ratio))
+
+
+def cut_offs(recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Cut-off of torque and columns, and the wider one of positions, Hz, that all recordings' rates allow."""
+    rates = [recording.rate_hz for recording in recordings]
+    rates += [recording.base.rate_hz for recording in recordings if recording.base is not None]
+    cutoff = min(CUTOFF_HZ, 0.2 * min(rates))
+    return cutoff, min(WIDER * cutoff, 0.35 * min(rates))
 
 
 def banded(recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float, wide_hz: float) -> list[Motion]:

@@ -14,7 +14,7 @@ from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Constant, Parameter
 from ..identification.identified import Identified, Validation
 from ..identification.tracking import TrackingState
-from ..layers.compare import Comparison
+from ..layers.comparison import Comparison
 from ..layers.document import verdict
 from ..mismatch.finding import Explanation
 

@@ -13,7 +13,7 @@ from typing import Protocol
 from ..bag_session import Options, arm_words, identify_bags
 from ..identification.identified import Identified
 from ..identification.identify import Progress
-from ..layers.compare import Comparison
+from ..layers.comparison import Comparison
 from ..mismatch.finding import Explanation
 from ..mismatch_session import explain_session
 from ..session import Session, within

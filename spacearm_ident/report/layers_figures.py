@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from ..layers.compare import Comparison, Trace
+from ..layers.comparison import Comparison, Trace
 from .figures import short
 from .markup import Markup
-from .plotting import COLOUR, decimated, grid, stacked, to_svg
+from .plotting import COLOUR, gapped_line, grid, stacked, to_svg
 
 LINE_POINTS = 1200
 HATCHES = {"conventions": "", "parameters": "//", "physics": "..", "rest": ""}
@@ -66,7 +66,8 @@ def torques(comparison: Comparison) -> Markup | None:
     with stacked([0.95] * len(comparison.joints)) as (figure, panels):
         for row, (axes, name) in enumerate(zip(panels, comparison.joints)):
             for values, role, style, width in _lines(trace):
-                _line(axes, trace.time, values[:, row], COLOUR[role], style, width)
+                look = {"color": COLOUR[role], "linestyle": style, "linewidth": width}
+                gapped_line(axes, trace.time, values[:, row], LINE_POINTS, **look)
             axes.set_ylabel(short(name, 14))
             axes.margins(x=0.005)
         panels[-1].set_xlabel("time, s")
@@ -80,12 +81,3 @@ def _lines(trace: Trace) -> Sequence[tuple[FloatArray, str, object, float]]:
         (trace.simulated, "before", (0, (4, 2)), 0.9),
         (trace.mended, "after", "-", 0.9),
     )
-
-
-def _line(axes, x: FloatArray, y: FloatArray, colour: str, style: object, width: float) -> None:  # type: ignore[no-untyped-def]
-    """A line that keeps its extremes and its gaps."""
-    there = np.isfinite(y)
-    kept = decimated(np.where(there, y, 0.0), most=LINE_POINTS)
-    edges = np.flatnonzero(np.diff(there.astype(int)))
-    kept = np.unique(np.concatenate([kept, edges, edges + 1]))
-    axes.plot(x[kept], y[kept], color=colour, linewidth=width, linestyle=style)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..dynamics.model_file import save_model
 from ..errors import UserError
-from ..layers.compare import Comparison
+from ..layers.comparison import Comparison
 from ..layers.document import comparison_document
 from ..layers.item import Mended
 from ..mismatch.document import EXTENDED_MODEL

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..layers.compare import Comparison
+from ..layers.comparison import Comparison
 from ..layers.document import replicated_share
 from ..layers.item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer, Mended
 from ..simulations import Simulation

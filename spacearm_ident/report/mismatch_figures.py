@@ -17,7 +17,7 @@ from ..dynamics.arm import Arm, FloatArray
 from ..mismatch.finding import Explanation, Finding, Trace
 from .figures import cloud, joined, name_axes, short
 from .markup import Markup, number
-from .plotting import CLOUD_MOVING, COLOUR, decimated, grid, stacked, thinned, to_svg
+from .plotting import CLOUD_MOVING, COLOUR, gapped_line, grid, stacked, thinned, to_svg
 
 MOST_JOINTS = 3
 """So many joints of a finding are drawn, those where it takes most away."""
@@ -244,7 +244,7 @@ def _groups(x: FloatArray) -> list[np.ndarray]:
 def _panel(axes: Axes, of: Signals, row: int, view: View, when: str) -> None:
     x, y = _x(view, of), _y(view, row, of, when)
     if view.signal == TIME and not view.along:
-        _line(axes, x, y, when)
+        gapped_line(axes, x, y, LINE_POINTS, color=COLOUR[when], linewidth=0.8)
         return
     where = np.flatnonzero(np.isfinite(y) & np.isfinite(x))
     chosen = where[thinned(len(where))]
@@ -288,7 +288,7 @@ def over_time(names: Sequence[str], of: Signals, floor: FloatArray) -> Markup:
     with stacked([0.82] * len(names)) as (figure, panels):
         for row, (axes, name) in enumerate(zip(panels, names)):
             for when in ("before", "after"):
-                _line(axes, of.time, getattr(of, when)[:, row], when)
+                gapped_line(axes, of.time, getattr(of, when)[:, row], LINE_POINTS, color=COLOUR[when], linewidth=0.8)
             _noise(axes, floor[row])
             for start in of.starts[1:]:
                 axes.axvline(float(of.time[start]), color=COLOUR["muted"], linewidth=0.6, linestyle=":")
@@ -298,15 +298,6 @@ def over_time(names: Sequence[str], of: Signals, floor: FloatArray) -> Markup:
             axes.set_ylim(-limit, limit)
         panels[-1].set_xlabel("time, s" if len(of.starts) == 1 else "time, s (recordings joined)")
         return to_svg(figure, "Residual of every joint over time, before and after")
-
-
-def _line(axes: Axes, x: FloatArray, y: FloatArray, when: str) -> None:
-    """A line that keeps its extremes and its gaps."""
-    there = np.isfinite(y)
-    kept = decimated(np.where(there, y, 0.0), most=LINE_POINTS)
-    edges = np.flatnonzero(np.diff(there.astype(int)))
-    kept = np.unique(np.concatenate([kept, edges, edges + 1]))
-    axes.plot(x[kept], y[kept], color=COLOUR[when], linewidth=0.8)
 
 
 def _noise(axes: Axes, floor: float) -> None:

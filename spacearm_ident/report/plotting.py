@@ -143,6 +143,23 @@ def _share(box_in: tuple[float, float, float, float], height_in: float) -> tuple
     return left / WIDTH_IN, bottom / height_in, width / WIDTH_IN, height / height_in
 
 
+def gapped_line(axes: Axes, x: FloatArray, y: FloatArray, most: int, **style: Any) -> None:
+    """A line that keeps its extremes and its gaps.
+
+    Args:
+        axes: Where.
+        x: (M,).
+        y: (M,); NaN is a gap.
+        most: About so many points are drawn.
+        style: Of `Axes.plot`.
+    """
+    there = np.isfinite(y)
+    kept = decimated(np.where(there, y, 0.0), most=most)
+    edges = np.flatnonzero(np.diff(there.astype(int)))
+    kept = np.unique(np.concatenate([kept, edges, edges + 1]))
+    axes.plot(x[kept], y[kept], **style)
+
+
 def to_svg(figure: Figure, described: str) -> Markup:
     """A figure as an inline `<svg>` with no size, fonts, namespaces or colours of its own."""
     buffer = io.StringIO()

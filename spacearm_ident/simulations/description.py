@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -123,7 +124,5 @@ def inertials_of(links: Sequence[TreeLink]) -> dict[str, tuple[str, FloatArray]]
         if link.mass > 0.0:
             centre = place + rotation @ link.centre
             tensor = rotation @ link.inertia @ rotation.T
-            tensor = tensor + link.mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-            (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
-            found[link.name] = joint, np.array([link.mass, *(link.mass * centre), xx, xy, yy, xz, yz, zz])
+            found[link.name] = joint, np.array(pin.Inertia(link.mass, centre, tensor).toDynamicParameters())
     return found

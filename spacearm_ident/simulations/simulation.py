@@ -93,6 +93,11 @@ class Simulation:
         """The arm that is simulated."""
         return self.model.model.arm
 
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameter by name, such as `m[joint_1]` -> value."""
+        return {p.name: float(v) for p, v in zip(self.model.model.parameters, self.model.parameters)}
+
     def word(self, symbol: str) -> str:
         """What the simulation's format calls a parameter of a joint; other symbols stay."""
         return WORDS[self.format].get(symbol, symbol)
@@ -162,7 +167,7 @@ def without(simulation: Simulation, names: Sequence[str]) -> Simulation:
     if not names:
         return simulation
     arm = without_joints(simulation.arm, names)
-    values = {p.name: float(v) for p, v in zip(simulation.model.model.parameters, simulation.model.parameters)}
+    values = simulation.values
     joints = {
         joint: JointDynamics(
             armature=values.get(f"{ARMATURE}[{joint}]", 0.0),

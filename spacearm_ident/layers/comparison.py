@@ -1,0 +1,97 @@
+"""`Comparison`: what comparing a simulation with an arm found. Plain results, no computation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.model import IdentifiedModel
+from ..mismatch.finding import Explanation
+from .conventions import Suspicion
+from .item import Layer
+from .wiring import Wiring
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Torque of one held-out motion, for figures: rows of the bandwidth looked at, N m, NaN where no row counts.
+
+    Attributes:
+        time: (M,) s.
+        measured, simulated, mended: (M, n).
+    """
+
+    time: FloatArray
+    measured: FloatArray
+    simulated: FloatArray
+    mended: FloatArray
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest change of something that would have been named."""
+
+    name: str
+    joints: tuple[str, ...]
+    size: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The whole answer.
+
+    Attributes:
+        joints: Names.
+        layers: The four, in order.
+        before_Nm, after_Nm: (n,) residual RMS on held-out recordings of the simulation as it is, and with all layers.
+        torque_Nm: (n,) RMS of the measured torque there.
+        noise_Nm: (n,) noise floor: what is left that nothing tried explains, at most.
+        ceiling_Nm: (n,) what a flexible function of the same inputs leaves beside the simulation's own terms, refitted.
+        model: The mended simulation with the physics it lacked.
+        wiring: What recordings are off by.
+        suspected: What else may be off.
+        explanation: The search for physics, with its cards.
+        traces: For figures.
+        unconfirmed: Names of what was found and the held-out recordings by themselves do not show; not among items.
+        would_have_seen: Of what was looked at and not named, the smallest size that would have been.
+        judged_on: In words, what the residuals are on.
+        cutoff_hz: Bandwidth that was looked at.
+        reasons: Why the data are unfit; empty where they are not.
+    """
+
+    joints: tuple[str, ...]
+    layers: tuple[Layer, ...]
+    before_Nm: FloatArray
+    after_Nm: FloatArray
+    torque_Nm: FloatArray
+    noise_Nm: FloatArray
+    ceiling_Nm: FloatArray
+    model: IdentifiedModel | None
+    wiring: Wiring
+    suspected: tuple[Suspicion, ...]
+    explanation: Explanation | None
+    traces: tuple[Trace, ...] = ()
+    unconfirmed: tuple[str, ...] = ()
+    would_have_seen: tuple[Detectable, ...] = ()
+    judged_on: str = ""
+    cutoff_hz: float = float("nan")
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def fit(self) -> bool:
+        """Whether the data can carry the question."""
+        return not self.reasons
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        if not self.fit:
+            return f"data unfit: {'; '.join(self.reasons)}"
+        counted = [f"{len(layer.items)} of {layer.name}" for layer in self.layers[:3] if layer.items]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            before, after = (float(np.nanmedian(rms / self.torque_Nm)) for rms in (self.before_Nm, self.after_Nm))
+        what = ", ".join(counted) or "nothing beyond its error"
+        return f"simulation against arm: {what}; residual {before:.0%} -> {after:.1%} of the torque (median joint)"

@@ -1,0 +1,262 @@
+"""`JointFit`: wiring, parameters and physics fitted together, and nested fits of less.
+
+Everything is fitted once to the fitted recordings and, for what replicates, once to the held-out ones by themselves.
+Any subset of the physics is then a small linear problem (`linear.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import norm
+
+from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..identification.consistency import make_consistent
+from ..identification.held_out import folds_of, predicts_better
+from ..identification.prior import make_prior
+from ..mismatch.noise import weighted
+from ..mismatch.scene import Whitener, one_way
+from ..recording.motion import Motion
+from ..simulations import Simulation
+from .ceiling import black_box, inputs_of
+from .comparison import Trace
+from .conventions import Wired
+from .estimate import Estimate, estimate
+from .linear import Linear, Prior, weak_prior
+from .parameters import LEVEL
+from .physics import Added
+
+AGREE = 2.58
+"""Standard errors of the difference (99 %) within which two estimates of the same thing agree."""
+LEAST_FACTOR = 1e-3
+"""Smallest factor on a joint's variance: a thirtieth of its residual's standard deviation."""
+
+
+def in_newton_metres(arm: Arm) -> list[Whitener]:
+    """What leaves rows in N m, each counting for one, joint by joint."""
+    return [Whitener(np.zeros(0), 1.0)] * len(arm.joints)
+
+
+class JointFit:
+    """A joint fit, and nested fits of less.
+
+    Attributes:
+        simulation: What is compared.
+        wiring: What is undone in all motions.
+        names: Columns of the wiring that are estimated.
+        linear: Fitted motions.
+        judge: Held-out motions, every row counting for one N^2 m^2.
+        again: The same, in the weights of the fitted ones.
+        variance: (n,) factor on each joint's variance.
+        prior: Of everything.
+        estimate: Of everything.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        model: IdentifiedModel,
+        wired: Wired,
+        motions: Sequence[Motion],
+        judged: Sequence[Motion],
+    ) -> None:
+        """Fit.
+
+        Args:
+            simulation: What is compared.
+            model: Its terms, and all physics that was found, with values near the arm's.
+            wired: Gains, zeros and delay that were found.
+            motions: Recordings to fit to.
+            judged: Held-out recordings.
+        """
+        wiring = wired.wiring
+        self.simulation, self.wiring, self.names = simulation, wiring, wired.found
+        self._errors, self._judged = dict(zip(wired.found, wired.errors)), judged
+        noise = weighted(model, wiring.undone(motions))
+        self.linear = Linear(model, motions, noise.whiteners, wiring)
+        self.judge = Linear(model, judged, in_newton_metres(simulation.arm), wiring)
+        self.again = Linear(model, judged, noise.whiteners, wiring)
+        self._weak, self._weak_again = weak_prior(self.linear), weak_prior(self.again)
+        self.base = simulation.model.model
+        self._known = {p.name for p, own in zip(self.base.parameters, _has_values(self.base)) if own}
+        self._gone: set[int] = set()
+        self.prior = self._prior(None)
+        first = self.linear.solve(self.prior, np.ones(len(simulation.arm.joints)))
+        self.variance = self.linear.variance(first.values, noise, LEAST_FACTOR)
+        self._settle()
+
+    def _settle(self) -> None:
+        """Solve for everything, here and in the held-out recordings by themselves."""
+        self.prior = self._prior(None)
+        self.estimate = estimate(self.linear, self.prior, self.variance)
+        try:
+            self._there: Estimate | None = estimate(self.again, self._prior(None, self._weak_again), self.variance)
+        except np.linalg.LinAlgError:
+            self._there = None
+
+    def _prior(self, terms: Sequence[np.ndarray] | None, weak: Prior | None = None) -> Prior:
+        """Everything free that is in the layers so far.
+
+        Args:
+            terms: Numbers of the parameters of each piece of physics; None: all physics.
+            weak: Of the motions; None: of the fitted ones.
+        """
+        weak, linear = weak or self._weak, self.linear
+        free, mean, precision = weak.free.copy(), weak.mean.copy(), weak.precision.copy()
+        kept = set() if terms is None else {int(k) for columns in terms for k in columns}
+        names = {name: number for number, name in enumerate(linear.names)}
+        for number, parameter in enumerate(linear.model.model.parameters):
+            left_in = (terms is None or number in kept) and number not in self._gone
+            if parameter.name in self._known or left_in:
+                continue
+            if parameter.symbol == "f_b" and free[number]:
+                _tie(precision, number, names[f"f_c[{parameter.joint}]"])
+            else:
+                free[number], mean[number] = False, 0.0
+        for number, name in enumerate(linear.names):
+            if name in self.names:
+                free[number], mean[number] = True, 0.0
+                # The weak prior of an identification would let a gain be a heavier link.
+                precision[number, number] = 1.0 / self._errors[name] ** 2
+        return Prior(mean, precision, free)
+
+    def leave_out(self, terms: Sequence[Added]) -> None:
+        """Take physics out of the model for good."""
+        if terms:
+            self._gone |= {int(number) for one in terms for number in one.columns}
+            self._settle()
+
+    def predicted_better_with(self, terms: Sequence[Added]) -> bool:
+        """Whether held-out parts of the fitted recordings are predicted better with some physics, beyond chance."""
+        numbers = [int(number) for one in terms for number in one.columns]
+        others = [np.array([k]) for k in range(len(self.linear.model.parameters)) if k not in numbers]
+        squares = []
+        for prior in (self._prior(others), self._prior(None)):
+            left = np.zeros((self.linear.blocks, len(self.simulation.arm.joints)))
+            for fold in folds_of(self.linear.recording):
+                rest = np.setdiff1d(np.arange(self.linear.blocks), fold)
+                values = self.linear.solve(prior, self.variance, rest).values
+                left[fold] = self.linear.squares(values)[:, fold].T
+            squares.append(left)
+        return predicts_better(*squares)
+
+    def clear(self, terms: Sequence[Added]) -> list[Added]:
+        """Friction terms whose values exceed their errors and are the same in the held-out recordings.
+
+        The others stay in the model, where they predict better, and are not named.
+        """
+        bound = float(norm.ppf(1 - LEVEL / 2 / max(len(terms), 1)))
+        vectors = [self.vector(one) for one in terms]
+        return [
+            one
+            for one, vector in zip(terms, vectors)
+            if abs(self.estimate.of(vector)) > bound * self.estimate.error(vector)
+            and self.replicates(vector, 0.0) is not False
+        ]
+
+    def vector(self, one: Added) -> FloatArray:
+        """(P,) which unknown says how large an effect is: its largest parameter; what a static level is above."""
+        vector = np.zeros(self.linear.count)
+        largest = int(one.columns[int(np.argmax(np.abs(self.estimate.values[one.columns])))])
+        vector[largest] = 1.0
+        parameter = self.linear.model.model.parameters[largest]
+        if parameter.symbol == "f_b":
+            vector[self.linear.names.index(f"f_c[{parameter.joint}]")] = -1.0
+        return vector
+
+    def unit(self, one: Added) -> str:
+        """Of what `vector` says."""
+        return self.linear.model.model.parameters[int(one.columns[0])].unit
+
+    def simulated(self) -> FloatArray:
+        """(P,) the simulation's own values, wiring undone."""
+        was = self.simulation.values
+        return np.array([was.get(name, 0.0) for name in self.linear.names])
+
+    def fit(self, with_terms: Sequence[Added]) -> FloatArray:
+        """(P,) wiring and parameters fitted, with some of the physics."""
+        prior = self._prior([one.columns for one in with_terms])
+        return self.linear.solve(prior, self.variance).values
+
+    def order(self, added: Sequence[Added]) -> list[Added]:
+        """Physics in the order of what each removes beside those before."""
+        left, ordered = list(added), list[Added]()
+        while left:
+            squares = [
+                np.sum(np.log(np.maximum(self.linear.squares(self.fit([*ordered, one])).sum(axis=1), 1e-12)))
+                for one in left
+            ]
+            ordered.append(left.pop(int(np.argmin(squares))))
+        return ordered
+
+    def replicates(self, vector: FloatArray, was: float) -> bool | None:
+        """Whether the held-out recordings by themselves say the same; None: they cannot say."""
+        if self._there is None:
+            return None
+        here, there = self.estimate.of(vector), self._there.of(vector)
+        error = float(np.hypot(self.estimate.error(vector), self._there.error(vector)))
+        if self._there.error(vector) > abs(here - was):
+            return None
+        return bool(abs(here - there) < AGREE * error and (here - was) * (there - was) > 0)
+
+    def ceiling(self, values: FloatArray) -> FloatArray:
+        """(n,) RMS that a flexible function leaves beside the simulation's terms with values (P,), held out."""
+        here, there = (self._residuals(linear, values) for linear in (self.linear, self.judge))
+        counts = [[one_way(motion) for motion in linear.motions] for linear in (self.linear, self.judge)]
+        inputs = [inputs_of(linear.motions, kept) for linear, kept in zip((self.linear, self.judge), counts)]
+        left = there - black_box(inputs[0], here, inputs[1])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.sqrt((left**2 * inputs[1].counts).sum(axis=0) / inputs[1].counts.sum(axis=0)))
+
+    def _residuals(self, linear: Linear, values: FloatArray) -> FloatArray:
+        """(M, n) measured minus what the simulation's own terms predict, all motions one after the other, N m."""
+        known = dict(zip(linear.names, values.tolist()))
+        own = np.array([known.get(parameter.name, 0.0) for parameter in self.base.parameters])
+        model = replace(self.simulation.model, parameters=own)
+        return np.concatenate([motion.torque_rows - motion.reduce(model.torque(motion)) for motion in linear.motions])
+
+    def traces(self, values: FloatArray) -> tuple[Trace, ...]:
+        """Held-out torque for figures."""
+        count = len(self.judge.model.model.parameters)
+        mended = replace(self.judge.model, parameters=values[:count])
+        gain, made = self.wiring.gain, []
+        for recorded, undone in zip(self._judged, self.judge.motions):
+            hidden = np.where(one_way(undone), 1.0, np.nan)
+            made.append(
+                Trace(
+                    undone.start_s
+                    + undone.reduce(np.arange(float(len(undone.position)))[:, None])[:, 0] / undone.rate_hz,
+                    undone.torque_rows * gain * hidden,
+                    recorded.reduce(self.simulation.model.torque(recorded)) * hidden,
+                    undone.reduce(mended.torque(undone)) * gain * hidden,
+                )
+            )
+        return tuple(made)
+
+    def mended(self, cutoff_hz: float) -> IdentifiedModel:
+        """The model with all layers, its bodies such as can be, as of a bandwidth."""
+        model = self.linear.model
+        prior = make_prior(model.model, self.linear.motions)
+        count = len(model.parameters)
+        free = np.flatnonzero(self.prior.free[:count])
+        precision = np.linalg.pinv(self.estimate.covariance[np.ix_(free, free)], hermitian=True)
+        triangle = np.zeros((len(free), count))
+        triangle[:, free] = np.linalg.cholesky(precision + 1e-9 * np.diag(np.diag(precision))).T
+        scale = np.where(self.prior.free[:count], prior.scale, 0.0)
+        values = make_consistent(model.model, triangle, self.estimate.values[:count], scale)
+        return replace(model, parameters=values, cutoff_hz=cutoff_hz)
+
+
+def _tie(precision: FloatArray, one: int, other: int) -> None:
+    """Make two unknowns equal: their difference has no room."""
+    stiff = 1e6 * max(precision[one, one], precision[other, other], 1.0)
+    precision[np.ix_([one, other], [one, other])] += stiff * np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+
+def _has_values(model: TorqueModel) -> list[bool]:
+    """(p,) which parameters of a simulation are its own; a static level without Stribeck velocity is none."""
+    stribeck = model.structure.get("stribeck_friction", {}).get("stribeck", True)
+    return [p.symbol != "f_b" or bool(stribeck) for p in model.parameters]
