@@ -22,6 +22,7 @@ from .layers.discrete import Mistake, find_mistakes
 from .layers.item import CONVENTIONS, Item, Mended
 from .recording import Recording
 from .recording.signals import prepare
+from .report.folder import refuse_to_replace
 from .report.layers_folder import write_comparison
 from .session import corrected, find_arm, read_bags, within
 from .simulations import SIMULATION_SUFFIXES, Simulation, read_simulation
@@ -76,6 +77,8 @@ def compare_session(
     """
     report = progress or (lambda share, what: None)
     reading = within(report, 0.0, 0.05)
+    for path in simulation:
+        refuse_to_replace(path, directory)
     how = fixed_base, namespace, arm, mapping
     fitted, held = (read_bags(paths, reading, *how) for paths in (bags, judged))
     read = _simulation(simulation, arm, gravity, [*fitted, *held], reading, how)

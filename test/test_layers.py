@@ -124,6 +124,20 @@ def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, c
     assert "mass of fore" in page and "mended.xml" in page
 
 
+def test_simulation_that_the_result_would_replace_is_refused_and_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    mujoco_or_skip()
+    out = tmp_path / "out"
+    out.mkdir()
+    sim = out / "mended.xml"
+    sim.write_text(mjcf())
+    write_recording(tmp_path / "real.mcap", recorded(mjcf(), 4, seconds=6.0))
+    assert main(["mismatch", str(tmp_path / "real.mcap"), "--simulation", str(sim), "--out", str(out)]) == 2
+    assert "would be replaced" in capsys.readouterr().err
+    assert sim.read_text() == mjcf()
+
+
 def test_simulation_of_other_joints_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     mujoco_or_skip()
     sim, out = tmp_path / "three.xml", tmp_path / "out"

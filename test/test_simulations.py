@@ -17,6 +17,7 @@ from spacearm_ident.export.sdf import SDF, sdf
 from spacearm_ident.recording.signals import prepare
 from spacearm_ident.simulations import Simulation, read_simulation
 from spacearm_ident.simulations.noise_free import noise_free
+from spacearm_ident.simulations.simulation import without
 
 
 def _states(seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -96,6 +97,21 @@ def test_mended_mjcf_predicts_in_mujoco_what_the_model_predicts(file: Path, tmp_
     assert mended is not None
     states = _states()
     np.testing.assert_allclose(inverse(mended.text, *states), inverse(other.read_text(), *states), atol=1e-5)
+
+
+def test_mended_mjcf_counts_a_body_behind_a_fixed_joint_once(file: Path) -> None:
+    """The elbow is not in the recordings: its bodies are the upper arm's, and weigh nothing by themselves."""
+    mujoco = mujoco_or_skip()
+    simulation = without(read_simulation(file), ["elbow"])
+    run = recorded(mjcf())
+    two = replace(
+        run, joints=JOINTS[:2], position=run.position[:, :2], velocity=run.velocity[:, :2], effort=run.effort[:, :2]
+    )
+    motions, _ = prepare([two], JOINTS[:2])
+    mended = mend(simulation, file, simulation.model, motions)
+    assert mended is not None
+    masses = [mujoco.MjModel.from_xml_string(text).body_mass.sum() for text in (mended.text, mjcf())]
+    assert masses[0] == pytest.approx(masses[1], rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,7 @@ def _mended(name: str, text: str, fit: Nearest) -> Mended:
 def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) -> str:
     """The MJCF with new inertials, armature, damping and friction loss; everything else as it was."""
     spec = mujoco.MjSpec.from_file(str(path))
+    joints = frozenset(model.model.arm.joint_names)
     for body in bodies_of(model):
         joint = spec.joint(body.joint.name)
         carrier = joint.parent
@@ -65,7 +66,7 @@ def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) 
         principal, axes = np.linalg.eigh(body.inertia)
         carrier.inertia, carrier.fullinertia = principal, [np.nan] * 6
         carrier.iquat = quaternion(axes * np.sign(np.linalg.det(axes)))
-        for fixed in _welded(carrier):
+        for fixed in _fixed(carrier, joints):
             # Its mass is part of the body that carries it: kept here as well, it would count twice.
             fixed.explicitinertial = True
             fixed.mass = LEAST
@@ -94,10 +95,10 @@ def _first(old: Any, value: float) -> Any:
     return [value, *([0.0] * (len(coefficients) - 1))]
 
 
-def _welded(body: Any) -> list[Any]:
-    """Bodies without a joint of their own that a body carries, directly or through one another."""
+def _fixed(body: Any, joints: frozenset[str]) -> list[Any]:
+    """Bodies that none of the arm's joints moves against a body that carries them, directly or through one another."""
     found = []
     for child in body.bodies:
-        if not list(child.joints):
-            found += [child, *_welded(child)]
+        if not any(joint.name in joints for joint in child.joints):
+            found += [child, *_fixed(child, joints)]
     return found
