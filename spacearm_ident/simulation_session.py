@@ -132,7 +132,7 @@ def _simulation(
     written = read_bags(paths, progress, *how)
     known = find_arm(arm, gravity, [*written, *recordings])
     found = identify(written, known, Settings(structure=simulated_structure()))
-    model = replace(found.model, unbounded=None)
+    model = found.model.possible
     return Simulation(model, "bag", ", ".join(path.name for path in paths))
 
 

@@ -211,7 +211,7 @@ def model_of(options: argparse.Namespace) -> IdentifiedModel:
             f"{options.model} is of an arm with the joints {', '.join(identified.model.arm.joint_names)}; "
             f"{options.arm} has {', '.join(arm.joint_names)}"
         )
-    return replace(identified, model=TorqueModel(arm, identified.model.structure), unbounded=None)
+    return replace(identified.possible, model=TorqueModel(arm, identified.model.structure))
 
 
 def requirements(

@@ -255,6 +255,21 @@ class Unbounded:
 
 
 @dataclass(frozen=True)
+class Plain:
+    """A plain model (`identification/plain.py`), where it is part of what predicts held-out torque best.
+
+    Attributes:
+        model: Rigid bodies, rotor inertia, Coulomb and viscous friction, offset, and the arm's couplings; no constants.
+        parameters: (p,) values of `model.parameters`, by least squares without physical bounds.
+        share: (n,) share of each joint's prediction, 0 to 1.
+    """
+
+    model: TorqueModel
+    parameters: FloatArray
+    share: FloatArray
+
+
+@dataclass(frozen=True)
 class IdentifiedModel:
     """A torque model with values: everything needed to predict torque again.
 
@@ -264,7 +279,8 @@ class IdentifiedModel:
         constants: (c,) values of `model.constants`.
         cutoff_hz: Bandwidth it was identified in, Hz; None where it was not identified.
         provenance: Where it comes from (sources with checksums, versions, configuration).
-        unbounded: What is blended into predicted torque; None: nothing. Bodies are those of `parameters`.
+        unbounded: Unbounded parameters blended into predicted torque; None: none. Bodies are those of `parameters`.
+        plain: A plain model blended into predicted torque; None: none.
     """
 
     model: TorqueModel
@@ -273,14 +289,25 @@ class IdentifiedModel:
     cutoff_hz: float | None = None
     provenance: Mapping[str, Any] | None = None
     unbounded: Unbounded | None = None
+    plain: Plain | None = None
+
+    @property
+    def possible(self) -> IdentifiedModel:
+        """The physically consistent model alone, with nothing blended into its torque: an arm that could be."""
+        return replace(self, unbounded=None, plain=None)
 
     def torque(self, motion: Motion, kinds: Sequence[str] | None = None) -> FloatArray:
         """(N, n) predicted torque at full rate, N·m."""
         possible = self.model.torque(motion, self.parameters, self.constants, kinds)
-        if self.unbounded is None:
-            return possible
-        free = self.model.torque(motion, self.unbounded.parameters, self.constants, kinds)
-        return np.asarray(possible + self.unbounded.share * (free - possible))
+        total = possible
+        if self.unbounded is not None:
+            free = self.model.torque(motion, self.unbounded.parameters, self.constants, kinds)
+            total = total + self.unbounded.share * (free - possible)
+        if self.plain is not None:
+            simple = self.plain.model
+            plain = simple.torque(motion, self.plain.parameters, np.zeros(len(simple.constants)), kinds)
+            total = total + self.plain.share * (plain - possible)
+        return total
 
     def value(self, symbol: str, joint: str) -> float:
         """A parameter or constant by name.

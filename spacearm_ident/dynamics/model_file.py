@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import yaml
 from ..documents import read_text, read_yaml
 from ..errors import UserError
 from .arm import JOINT_KEYS, Arm, FloatArray, arm_from_description
-from .model import IdentifiedModel, Structure, TorqueModel, Unbounded
+from .model import IdentifiedModel, Plain, Structure, TorqueModel, Unbounded
 
 MODEL_SCHEMA = "spacearm_ident/model/1"
 
@@ -20,15 +20,6 @@ MODEL_SCHEMA = "spacearm_ident/model/1"
 def model_to_dict(identified: IdentifiedModel) -> dict[str, Any]:
     """Plain data of a model file: terms with options and values by symbol and joint, the URDF inside."""
     arm = identified.model.arm
-    values = _by_kind(identified.model, identified.parameters)
-    for term, _, first_constant in identified.model.numbered():
-        own = values[term.kind]
-        for k, constant in enumerate(term.constants):
-            own.setdefault(constant.symbol, {})[constant.joint] = float(identified.constants[first_constant + k])
-    terms = [
-        {"kind": kind, **({"options": dict(options)} if options else {}), "values": values[kind]}
-        for kind, options in identified.model.structure.items()
-    ]
     return {
         "schema": MODEL_SCHEMA,
         "name": arm.name,
@@ -45,11 +36,25 @@ def model_to_dict(identified: IdentifiedModel) -> dict[str, Any]:
         },
         **_effort(arm),
         "couplings": [{"name": c.name, "ratios": dict(c.ratios)} for c in arm.couplings],
-        "terms": terms,
+        "terms": _terms(identified.model, identified.parameters, identified.constants),
         **_unbounded(identified),
+        **_plain(identified),
         "provenance": dict(identified.provenance or {}),
         "urdf": arm.urdf,
     }
+
+
+def _terms(model: TorqueModel, parameters: FloatArray, constants: FloatArray) -> list[dict[str, Any]]:
+    """Terms with options, and values by symbol and joint."""
+    values = _by_kind(model, parameters)
+    for term, _, first_constant in model.numbered():
+        own = values[term.kind]
+        for k, constant in enumerate(term.constants):
+            own.setdefault(constant.symbol, {})[constant.joint] = float(constants[first_constant + k])
+    return [
+        {"kind": kind, **({"options": dict(options)} if options else {}), "values": values[kind]}
+        for kind, options in model.structure.items()
+    ]
 
 
 def _by_kind(model: TorqueModel, parameters: FloatArray) -> dict[str, dict[str, dict[str, float]]]:
@@ -68,6 +73,15 @@ def _unbounded(identified: IdentifiedModel) -> dict[str, Any]:
     names, share = identified.model.arm.joint_names, identified.unbounded.share
     values = _by_kind(identified.model, identified.unbounded.parameters)
     return {"unbounded": {"share": dict(zip(names, share.tolist())), "values": values}}
+
+
+def _plain(identified: IdentifiedModel) -> dict[str, Any]:
+    """The plain model that is part of the prediction, and its share at each joint; empty where there is none."""
+    if identified.plain is None:
+        return {}
+    model, names = identified.plain.model, identified.model.arm.joint_names
+    terms = _terms(model, identified.plain.parameters, np.zeros(len(model.constants)))
+    return {"plain": {"share": dict(zip(names, identified.plain.share.tolist())), "terms": terms}}
 
 
 def _effort(arm: Arm) -> dict[str, Any]:
@@ -112,9 +126,7 @@ def _model_from_dict(data: Mapping[str, Any], path: Path) -> IdentifiedModel:
         "effort": data.get("effort"),
     }
     arm = arm_from_description(urdf, description, str(path))
-    structure: Structure = {term["kind"]: dict(term.get("options") or {}) for term in data["terms"]}
-    values = {term["kind"]: term["values"] for term in data["terms"]}
-    model = TorqueModel(arm, structure)
+    model, values = _read_terms(arm, data["terms"])
     return IdentifiedModel(
         model,
         _values(model, values, "parameters"),
@@ -122,14 +134,39 @@ def _model_from_dict(data: Mapping[str, Any], path: Path) -> IdentifiedModel:
         data.get("bandwidth_hz"),
         data.get("provenance") or {},
         _read_unbounded(model, data.get("unbounded")),
+        _read_plain(arm, data.get("plain")),
     )
+
+
+def _read_terms(arm: Arm, terms: Sequence[Mapping[str, Any]]) -> tuple[TorqueModel, dict[str, Any]]:
+    """The structure of a list of terms, and its values by kind."""
+    structure: Structure = {term["kind"]: dict(term.get("options") or {}) for term in terms}
+    return TorqueModel(arm, structure), {term["kind"]: term["values"] for term in terms}
 
 
 def _read_unbounded(model: TorqueModel, data: Mapping[str, Any] | None) -> Unbounded | None:
     if data is None:
         return None
-    share = np.array([float(data["share"][joint]) for joint in model.arm.joint_names])
-    return Unbounded(_values(model, data["values"], "parameters"), share)
+    return Unbounded(_values(model, data["values"], "parameters"), _share(model.arm, data))
+
+
+def _read_plain(arm: Arm, data: Mapping[str, Any] | None) -> Plain | None:
+    if data is None:
+        return None
+    model, values = _read_terms(arm, data["terms"])
+    return Plain(model, _values(model, values, "parameters"), _share(arm, data))
+
+
+def _share(arm: Arm, data: Mapping[str, Any]) -> FloatArray:
+    """(n,) shares in a prediction, by joint.
+
+    Raises:
+        UserError: One that is not between 0 and 1.
+    """
+    share = np.array([float(data["share"][joint]) for joint in arm.joint_names])
+    if not ((share >= 0.0) & (share <= 1.0)).all():
+        raise UserError("the shares of a prediction must lie between 0 and 1")
+    return share
 
 
 def _values(model: TorqueModel, values: Mapping[str, Any], which: str) -> FloatArray:

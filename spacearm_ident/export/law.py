@@ -13,7 +13,7 @@ identified model, and all values the physically consistent ones: what a model's 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -78,7 +78,7 @@ class Nearest:
 
 def possible(model: IdentifiedModel) -> IdentifiedModel:
     """The physically consistent model alone: no simulator takes bodies that cannot be."""
-    return replace(model, unbounded=None)
+    return model.possible
 
 
 def nearest(model: IdentifiedModel, form: Format, motions: Sequence[Motion]) -> Nearest:
@@ -167,6 +167,8 @@ def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
             words.append(CATALOGUE[term.kind].words)
     if model.unbounded is not None:
         words.append("the share of least squares without physical bounds")
+    if model.plain is not None:
+        words.append("the share of a plain model")
     return tuple(dict.fromkeys(words))
 
 

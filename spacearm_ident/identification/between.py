@@ -25,7 +25,7 @@ import numpy as np
 
 from ..dynamics.arm import FloatArray
 from .held_out import FEWEST_BLOCKS, time_blocks
-from .regression import Regression, Rows
+from .regression import Regression
 
 ORDINARY_DIRECTION, ORDINARY_SPEED, ORDINARY_CONSTANT = 0.03, 0.06, 0.2
 """Relative standard deviations between recordings, of what of friction depends on direction, of what grows with speed,
@@ -75,9 +75,9 @@ def friction_shifts(
         residual = residuals[joint] * rows.weight
         spread = np.diag(sizes**2)
         if len(recording) >= FEWEST_BLOCKS:
-            spread = _variance(torque, residual, _group_of(rows, blocks), spread)
+            spread = _variance(torque, residual, rows.group(blocks), spread)
         if recordings > 1:
-            spread = _variance(torque, residual, _group_of(rows, sources), spread, PSEUDO_RECORDINGS) / recordings
+            spread = _variance(torque, residual, rows.group(sources), spread, PSEUDO_RECORDINGS) / recordings
         value, vector = np.linalg.eigh(spread)
         shifts.append((np.sqrt(np.maximum(value, 0.0)) * vector).T @ directions)
     return np.concatenate(shifts)
@@ -112,11 +112,6 @@ def _factors(
             directions.append(direction)
             sizes.append(size)
     return np.array(directions).reshape(-1, width), np.array(sizes)
-
-
-def _group_of(rows: Rows, group: Sequence[np.ndarray]) -> np.ndarray:
-    """(M,) the group of every row of a joint, from that of every row of the motions."""
-    return np.concatenate([group[k][rows.place[rows.owner == k]] for k in range(len(group))])
 
 
 def _variance(

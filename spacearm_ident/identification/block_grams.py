@@ -29,7 +29,7 @@ class BlockGrams:
         self._parts: list[tuple[list[int], FloatArray]] = []
         for rows, columns, numbers in zip(regression.rows, *columns_at(regression, constants)):
             stacked = np.column_stack([columns, rows.torque]) * rows.weight[:, None]
-            block = np.concatenate([block_of[k][rows.place[rows.owner == k]] for k in range(len(block_of))])
+            block = rows.group(block_of)
             own = [stacked[block == number] for number in range(len(self.recording))]
             self._parts.append((numbers, np.stack([part.T @ part for part in own])))
 

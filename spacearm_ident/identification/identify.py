@@ -27,6 +27,7 @@ from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare, require_joints
 from . import output_error, pso_lm
+from .blend import blend_notes, blended
 from .consistency import make_consistent
 from .cross_check import fit_instrumental, fit_output_error
 from .determination import judge, open_ended
@@ -40,7 +41,6 @@ from .separable import Solution, system
 from .solvers import CLOE, IDIM_IV, LEAST_SQUARES, PSO_LM, SEEDED, SEPARABLE, require_solver, search_of
 from .structure import choose_structure
 from .torque_gain import gain_shifts, with_gain
-from .unbounded import blend_notes, unbounded
 from .updated import identify_from_prior
 from .weighing import Weighing
 
@@ -129,7 +129,7 @@ def identify(
     )
     body, words = base_body(motions, result.model, result.covariance)
     if settings.solver in LEAST_SQUARES and result.consistency_shift > 0.0:
-        result = replace(result, model=replace(result.model, unbounded=unbounded(fit)))
+        result = replace(result, model=blended(result.model, fit, settings.structure is None))
     result = replace(result, base_body=body, notes=(*result.notes, *on_base, *words, *blend_notes(result.model)))
     report(1.0, "done")
     return result

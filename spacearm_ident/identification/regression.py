@@ -58,6 +58,10 @@ class Rows:
     basis: FloatArray
     triangle: FloatArray
 
+    def group(self, group_of: Sequence[np.ndarray]) -> np.ndarray:
+        """(M,) the group of every row, from that of every row of each motion."""
+        return np.concatenate([group_of[k][self.place[self.owner == k]] for k in range(len(group_of))])
+
     def set_weight(self, weight: FloatArray, trust: FloatArray | None = None) -> None:
         """Weight the rows (`trust` is in the weight already), and factor the fixed columns anew."""
         self.weight = weight

@@ -216,7 +216,7 @@ def _joint(
     size = float(np.sqrt(np.mean(residual**2))) if len(residual) else 1.0
     weight = np.sqrt(fit.regression.rows[joint].trust)[:, None] / max(size, 1e-12)
     stacked = np.column_stack([common, *(column for column, _ in columns.values()), rows.torque]) * weight
-    owner = np.concatenate([block_of[k][rows.place[rows.owner == k]] for k in range(len(block_of))])
+    owner = rows.group(block_of)
     gram = np.stack([stacked[owner == block].T @ stacked[owner == block] for block in range(blocks)])
     own = {name: len(shared) + k for k, name in enumerate(columns)}
     ridge = np.zeros(gram.shape[1])

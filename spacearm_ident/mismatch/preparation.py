@@ -163,7 +163,7 @@ def _identified(
 
 def _possible(model: IdentifiedModel, cutoff_hz: float) -> IdentifiedModel:
     """The model as an arm that could be: what least squares puts into impossible parameters is not base."""
-    return replace(model, cutoff_hz=cutoff_hz, unbounded=None)
+    return replace(model.possible, cutoff_hz=cutoff_hz)
 
 
 def _with_noise(start: _Start, motions: Sequence[Motion], model: NoiseModel) -> _WithNoise:

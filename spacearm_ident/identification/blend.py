@@ -1,0 +1,142 @@
+"""Which models predict torque best together, joint by joint: consistent, unbounded and plain.
+
+Where a model leaves something out, least squares puts it into parameters that can imitate it: a spring takes inertia
+away, and a rotor inertia comes out below zero. Physical consistency forbids that, and torque is then predicted worse
+than by least squares without bounds. And where joints share inertials, a term that helps one joint may cost another
+more than a plain model would (`plain.py`). Held-out blocks decide: the prediction is a convex combination of the three
+(stacked regressions, Breiman 1996, Machine Learning 24, 49). Of all combinations that predict held-out blocks within
+one standard error of the best, the one nearest to the plain model is taken (one-standard-error rule, Breiman et al.
+1984, section 3.4.3): a more complex prediction must earn its place. Bodies, simulations and the URDF keep the
+consistent parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.model import IdentifiedModel, Plain, Unbounded
+from .block_grams import BlockGrams
+from .consistency import make_consistent
+from .fit import Fit
+from .held_out import BEYOND, FEWEST_BLOCKS, folds_of, t_of_drop, time_blocks
+from .plain import plain_fit
+from .prior import Prior
+from .regression import Regression
+from .solution_columns import columns_at
+
+CONSISTENT, UNBOUNDED, PLAIN = range(3)
+"""Numbers of the three candidates in every array of this module."""
+STEPS = 10
+"""Shares are multiples of one in so many: a tenth of the difference of two models is below what blocks can resolve."""
+MIXTURES = np.array([(STEPS - k - m, k, m) for k in range(STEPS + 1) for m in range(STEPS + 1 - k)]) / STEPS
+"""(66, 3) shares of the candidates that are compared; each sums to one."""
+
+
+def blended(model: IdentifiedModel, fit: Fit, allow_plain: bool = True) -> IdentifiedModel:
+    """The model with what predicts held-out data best blended into its torque.
+
+    Args:
+        model: Physically consistent parameters of `fit`, and nothing blended.
+        fit: Least squares without bounds, which gave parameters that are not physically consistent.
+        allow_plain: Whether the plain model is a candidate; not where the user asked for a structure. The combination
+            nearest to the consistent parameters is then taken.
+
+    Returns:
+        `model` itself where nothing else is part of the prediction, or too little was recorded to decide.
+    """
+    _, recording = time_blocks(fit.regression.motions)
+    if len(recording) < FEWEST_BLOCKS:
+        return model
+    plain = plain_fit(fit)
+    mixtures = MIXTURES if allow_plain else MIXTURES[MIXTURES[:, PLAIN] == 0.0]
+    simplest = PLAIN if allow_plain else CONSISTENT
+    products = _products(fit, plain[0], plain[1])
+    shares = np.stack([_share(products[:, joint], mixtures, simplest) for joint in range(products.shape[1])])
+    if shares[:, UNBOUNDED].any():
+        model = replace(model, unbounded=Unbounded(fit.solution.parameters, shares[:, UNBOUNDED]))
+    if shares[:, PLAIN].any():
+        model = replace(model, plain=Plain(plain[0].model, plain[2].parameters, shares[:, PLAIN]))
+    return model
+
+
+def blend_notes(model: IdentifiedModel) -> tuple[str, ...]:
+    """What is blended into the prediction and why, for the user; empty where nothing is."""
+    parts = {
+        "least squares without physical bounds": model.unbounded,
+        "a plain model (rigid bodies, Coulomb and viscous friction, offset)": model.plain,
+    }
+    names = model.model.arm.joint_names
+    described = [
+        f"{words} ({', '.join(f'{name} {share:.0%}' for name, share in zip(names, part.share) if share > 0.0)})"
+        for words, part in parts.items()
+        if part is not None
+    ]
+    if not described:
+        return ()
+    return (
+        f"predicted torque is in part that of {' and of '.join(described)}, which predict held-out data better or as "
+        "well: the physically consistent parameters leave something out there. Bodies, simulations and the URDF keep "
+        "them",
+    )
+
+
+def _products(fit: Fit, plain: Regression, plain_prior: Prior) -> FloatArray:
+    """Squares and products of the candidates' residuals in held-out blocks.
+
+    Args:
+        fit: Least squares without bounds.
+        plain: Weighted rows of the plain model on the same motions.
+        plain_prior: Its prior.
+
+    Returns:
+        (blocks, n, 3, 3) sums over a block's rows, N²·m²; each candidate fitted to the other folds.
+    """
+    model, prior = fit.regression.model, fit.prior
+    grams, plain_grams = BlockGrams(fit.regression, fit.solution.constants), BlockGrams(plain, _none(plain))
+    columns, numbers = columns_at(fit.regression, fit.solution.constants)
+    plain_columns, plain_numbers = columns_at(plain, _none(plain))
+    block_of, recording = time_blocks(fit.regression.motions)
+    blocks = [rows.group(block_of) for rows in fit.regression.rows]
+    products = np.zeros((len(recording), len(blocks), 3, 3))
+    for fold in folds_of(recording):
+        matrix, free = grams.solve(grams.rest(fold), prior)
+        possible = make_consistent(model, matrix, free, prior.scale)
+        _, simple = plain_grams.solve(plain_grams.rest(fold), plain_prior)
+        for joint, (rows, block) in enumerate(zip(fit.regression.rows, blocks)):
+            inside = np.isin(block, fold)
+            own = columns[joint][inside] @ np.column_stack([possible, free])[numbers[joint]]
+            other = plain_columns[joint][inside] @ simple[plain_numbers[joint]]
+            left = rows.torque[inside, None] - np.column_stack([own, other])
+            for number in fold:
+                part = left[block[inside] == number]
+                products[number, joint] = part.T @ part
+    return products
+
+
+def _none(regression: Regression) -> FloatArray:
+    """(c,) constants of a model that has none."""
+    return np.zeros(len(regression.model.constants))
+
+
+def _share(products: FloatArray, mixtures: FloatArray, simplest: int) -> FloatArray:
+    """Shares of the candidates in one joint's prediction.
+
+    Args:
+        products: (blocks, 3, 3) of `_products`.
+        mixtures: (k, 3) shares to choose from.
+        simplest: Number of the candidate that needs no evidence.
+
+    Returns:
+        (3,) shares nearest to the simplest candidate among those within one standard error of the best; the consistent
+        parameters alone where too few blocks hold motion of the joint.
+    """
+    squares = np.einsum("bij,wi,wj->bw", products, mixtures, mixtures)
+    if (squares.min(axis=1) > 0.0).sum() < FEWEST_BLOCKS:
+        return np.asarray(np.eye(3)[CONSISTENT])
+    best = int(squares.sum(axis=0).argmin())
+    drops = np.array([t_of_drop(left, squares[:, best]) for left in squares.T])
+    distance = np.linalg.norm(mixtures - np.eye(3)[simplest], axis=1)
+    return np.asarray(mixtures[np.where(drops <= BEYOND, distance, np.inf).argmin()])
