@@ -82,7 +82,9 @@ def both(model: IdentifiedModel) -> IdentifiedModel:
     simple = TorqueModel(model.model.arm, plain_structure(model.model.arm))
     values = np.linspace(0.1, 1.0, len(simple.parameters))
     unbounded = Unbounded(model.parameters + 0.1, np.array([0.2, 0.5]))
-    return replace(model, unbounded=unbounded, plain=Plain(simple, values, np.array([0.3, 0.5])))
+    return replace(
+        model, unbounded=unbounded, plain=Plain(simple, values, np.zeros(len(simple.constants)), np.array([0.3, 0.5]))
+    )
 
 
 def test_model_file_keeps_what_predicts(beyond, tmp_path):
@@ -109,7 +111,7 @@ def test_prediction_is_the_convex_combination_of_the_three(beyond):
     motion = prepare([held_out_recording(LAWS)], model.model.arm.joint_names, model.cutoff_hz)[0][0]
     consistent = model.possible.torque(motion)
     free = replace(model.possible, parameters=model.unbounded.parameters).torque(motion)
-    simple = IdentifiedModel(model.plain.model, model.plain.parameters, np.zeros(len(model.plain.model.constants)))
+    simple = IdentifiedModel(model.plain.model, model.plain.parameters, model.plain.constants)
     expected = [0.5, 0.0] * consistent + [0.2, 0.5] * free + [0.3, 0.5] * simple.torque(motion)
     np.testing.assert_allclose(model.torque(motion), expected, atol=1e-9)
 

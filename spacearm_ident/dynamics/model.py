@@ -259,13 +259,15 @@ class Plain:
     """A plain model (`identification/plain.py`), where it is part of what predicts held-out torque best.
 
     Attributes:
-        model: Rigid bodies, rotor inertia, Coulomb and viscous friction, offset, and the arm's couplings; no constants.
+        model: Rigid bodies, rotor inertia, Coulomb and viscous friction, offset, and the arm's couplings.
         parameters: (p,) values of `model.parameters`, by least squares without physical bounds.
+        constants: (c,) values of `model.constants`: presliding distances.
         share: (n,) share of each joint's prediction, 0 to 1.
     """
 
     model: TorqueModel
     parameters: FloatArray
+    constants: FloatArray
     share: FloatArray
 
 
@@ -304,8 +306,7 @@ class IdentifiedModel:
             free = self.model.torque(motion, self.unbounded.parameters, self.constants, kinds)
             total = total + self.unbounded.share * (free - possible)
         if self.plain is not None:
-            simple = self.plain.model
-            plain = simple.torque(motion, self.plain.parameters, np.zeros(len(simple.constants)), kinds)
+            plain = self.plain.model.torque(motion, self.plain.parameters, self.plain.constants, kinds)
             total = total + self.plain.share * (plain - possible)
         return total
 

@@ -80,7 +80,7 @@ def _plain(identified: IdentifiedModel) -> dict[str, Any]:
     if identified.plain is None:
         return {}
     model, names = identified.plain.model, identified.model.arm.joint_names
-    terms = _terms(model, identified.plain.parameters, np.zeros(len(model.constants)))
+    terms = _terms(model, identified.plain.parameters, identified.plain.constants)
     return {"plain": {"share": dict(zip(names, identified.plain.share.tolist())), "terms": terms}}
 
 
@@ -154,7 +154,8 @@ def _read_plain(arm: Arm, data: Mapping[str, Any] | None) -> Plain | None:
     if data is None:
         return None
     model, values = _read_terms(arm, data["terms"])
-    return Plain(model, _values(model, values, "parameters"), _share(arm, data))
+    parameters, constants = _values(model, values, "parameters"), _values(model, values, "constants")
+    return Plain(model, parameters, constants, _share(arm, data))
 
 
 def _share(arm: Arm, data: Mapping[str, Any]) -> FloatArray:

@@ -50,15 +50,15 @@ def blended(model: IdentifiedModel, fit: Fit, allow_plain: bool = True) -> Ident
     _, recording = time_blocks(fit.regression.motions)
     if len(recording) < FEWEST_BLOCKS:
         return model
-    plain = plain_fit(fit)
+    plain, prior, solution = plain_fit(fit)
     mixtures = MIXTURES if allow_plain else MIXTURES[MIXTURES[:, PLAIN] == 0.0]
     simplest = PLAIN if allow_plain else CONSISTENT
-    products = _products(fit, plain[0], plain[1])
+    products = _products(fit, plain, prior, solution.constants)
     shares = np.stack([_share(products[:, joint], mixtures, simplest) for joint in range(products.shape[1])])
     if shares[:, UNBOUNDED].any():
         model = replace(model, unbounded=Unbounded(fit.solution.parameters, shares[:, UNBOUNDED]))
     if shares[:, PLAIN].any():
-        model = replace(model, plain=Plain(plain[0].model, plain[2].parameters, shares[:, PLAIN]))
+        model = replace(model, plain=Plain(plain.model, solution.parameters, solution.constants, shares[:, PLAIN]))
     return model
 
 
@@ -83,21 +83,22 @@ def blend_notes(model: IdentifiedModel) -> tuple[str, ...]:
     )
 
 
-def _products(fit: Fit, plain: Regression, plain_prior: Prior) -> FloatArray:
+def _products(fit: Fit, plain: Regression, plain_prior: Prior, constants: FloatArray) -> FloatArray:
     """Squares and products of the candidates' residuals in held-out blocks.
 
     Args:
         fit: Least squares without bounds.
         plain: Weighted rows of the plain model on the same motions.
         plain_prior: Its prior.
+        constants: (c,) its constants.
 
     Returns:
         (blocks, n, 3, 3) sums over a block's rows, N²·m²; each candidate fitted to the other folds.
     """
     model, prior = fit.regression.model, fit.prior
-    grams, plain_grams = BlockGrams(fit.regression, fit.solution.constants), BlockGrams(plain, _none(plain))
+    grams, plain_grams = BlockGrams(fit.regression, fit.solution.constants), BlockGrams(plain, constants)
     columns, numbers = columns_at(fit.regression, fit.solution.constants)
-    plain_columns, plain_numbers = columns_at(plain, _none(plain))
+    plain_columns, plain_numbers = columns_at(plain, constants)
     block_of, recording = time_blocks(fit.regression.motions)
     blocks = [rows.group(block_of) for rows in fit.regression.rows]
     products = np.zeros((len(recording), len(blocks), 3, 3))
@@ -114,11 +115,6 @@ def _products(fit: Fit, plain: Regression, plain_prior: Prior) -> FloatArray:
                 part = left[block[inside] == number]
                 products[number, joint] = part.T @ part
     return products
-
-
-def _none(regression: Regression) -> FloatArray:
-    """(c,) constants of a model that has none."""
-    return np.zeros(len(regression.model.constants))
 
 
 def _share(products: FloatArray, mixtures: FloatArray, simplest: int) -> FloatArray:
