@@ -445,13 +445,13 @@ def _best_delay(court: Court, start: Scored, joints: tuple[int, ...], first: flo
         if number in (0, len(others) - 1):
             tried.append(at(centre * 1.3))
             continue
-        three = others[number - 1 : number + 2]
-        if three[2][0] - three[0][0] < CLOSE_S:
+        (left, lower), (middle, top), (right, upper) = others[number - 1 : number + 2]
+        if right - left < CLOSE_S or left == middle or right == middle:
             break
-        # Relative to the middle, in units of the span: a parabola in metres or seconds would be poorly conditioned.
-        span = three[2][0] - three[0][0]
-        a, b, _ = np.polyfit([(value - three[1][0]) / span for value, _ in three], [score for _, score in three], 2)
-        if a >= 0:
+        # Vertex of the parabola through the three (Brent 1973, Algorithms for minimization without derivatives, ch. 5).
+        falls, rises = (top - lower) / (middle - left), (upper - top) / (right - middle)
+        bend = (rises - falls) / (right - left)
+        if bend >= 0:
             break
-        tried.append(at(float(three[1][0] - span * b / (2 * a))))
+        tried.append(at(float(0.5 * (left + middle - falls / bend))))
     return max(tried, key=lambda one: one.score)
