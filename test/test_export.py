@@ -137,6 +137,57 @@ def test_c_and_numpy_agree_everywhere_and_on_friction_at_zero_speed(compiled, tm
     assert np.all(ours == 0.0)
 
 
+@pytest.fixture(scope="module", params=["paper", "rich"])
+def in_casadi(request, tmp_path_factory):
+    """The exported module of CasADi functions, with the model that it is of and its law."""
+    pytest.importorskip("casadi", reason="needs casadi")
+    model = {"paper": paper, "rich": rich}[request.param]()
+    path = tmp_path_factory.mktemp("casadi") / "arm.py"
+    export_model(model, None, "casadi", path, "a test")
+    spec = importlib.util.spec_from_file_location("arm_casadi", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return model, module
+
+
+def test_casadi_has_the_model_s_torque_gravity_friction_and_regressor(in_casadi, tmp_path):
+    model, module = in_casadi
+    export_model(model, None, "numpy", tmp_path / "arm_np.py", "a test")
+    spec = importlib.util.spec_from_file_location("arm_np", tmp_path / "arm_np.py")
+    other = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(other)
+    q, qd, qdd = states(model, 20)
+    expected = torque_at(model, q, qd, qdd)
+    whole = regressor(model.model.arm, q, qd, qdd)
+    for k in range(len(q)):
+        slow = qd[k] * 0.003
+        torque = np.array(module.torque(q[k], qd[k], qdd[k])).ravel()
+        assert np.abs(torque - expected[k]).max() < 1e-10 * max(1.0, np.abs(expected[k]).max())
+        assert np.abs(np.array(module.regressor(q[k], qd[k], qdd[k])) - whole[k]).max() < 1e-10
+        assert np.abs(np.array(module.gravity(q[k])).ravel() - other.gravity(q[k])).max() < 1e-9
+        friction = np.array(module.friction(q[k], slow, 0.0)).ravel()
+        assert np.abs(friction - other.friction(q[k], slow)).max() < 1e-10
+    assert np.all(np.array(module.friction(q[0], np.zeros_like(q[0]), 0.0)) == 0.0)
+
+
+def test_casadi_s_smooth_torque_has_the_slope_of_its_finite_differences_at_a_reversal(in_casadi):
+    import casadi
+
+    model, module = in_casadi
+    n = len(model.model.arm.joints)
+    q, qd = np.linspace(0.2, 0.8, n), np.zeros(n)
+    symbols = [casadi.SX.sym(name, n) for name in ("q", "qd", "qdd")]
+    slope = casadi.Function("slope", symbols, [casadi.jacobian(module.smooth_torque(*symbols, 0.05), symbols[1])])
+    exact = np.array(slope(q, qd, np.zeros(n)))
+    step = 1e-6
+    for k in range(n):
+        ends = [np.array(module.smooth_torque(q, sign * step * np.eye(n)[k], np.zeros(n), 0.05)) for sign in (1, -1)]
+        assert exact[:, k] == pytest.approx(((ends[0] - ends[1]) / (2 * step)).ravel(), rel=1e-5, abs=1e-5)
+    fast = np.full(n, 1.0)
+    sharp, smooth = module.torque(q, fast, qd), module.smooth_torque(q, fast, qd, 0.05)
+    assert np.abs(np.array(sharp - smooth)).max() < 1e-9
+
+
 def test_friction_compensation_is_continuous_and_whole_beyond_its_zero_speed(compiled):
     model, library, name = compiled
     n = len(model.model.arm.joints)
@@ -323,7 +374,7 @@ def test_the_command_exports_a_model_file_in_every_format(tmp_path, capsys):
     for form in FORMATS:
         if form == "usd" and importlib.util.find_spec("pxr") is None:
             continue
-        suffix = {"usd": "usda", "numpy": "py", "mjcf": "xml"}.get(form, form)
+        suffix = {"usd": "usda", "numpy": "py", "casadi": "py", "mjcf": "xml"}.get(form, form)
         out = tmp_path / form / f"arm.{suffix}"
         assert main(["export", str(tmp_path / "model.yaml"), "--to", form, "--out", str(out), "--json"]) == 0
         said = json.loads(capsys.readouterr().out)

@@ -11,10 +11,11 @@ from . import common
 
 DESCRIPTION = """
 Write an identified model for a simulator (mjcf, sdf, urdf with ros2_control tags, usd) or a controller (c: C99, one
-header and one source; numpy: one module). A simulator's joint has an inertia, a damping, a Coulomb friction, at times a
-spring: they are fitted to all that was identified, on the motion of the validation, and what that leaves is printed for
-each joint and stands at the head of the file. The physically consistent values are written. Code has torque, gravity,
-friction compensation with a stated behaviour at zero speed, and the regressor; its law has no memory.
+header and one source; numpy, casadi: one Python module). A simulator's joint has an inertia, a damping, a Coulomb
+friction, at times a spring: they are fitted to all that was identified, on the motion of the validation, and what that
+leaves is printed for each joint and stands at the head of the file. The physically consistent values are written. Code
+has torque, gravity, friction compensation with a stated behaviour at zero speed, and the regressor; its law has no
+memory.
 """
 
 

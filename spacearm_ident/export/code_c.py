@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from ..dynamics.arm import FloatArray
 from .controller import JOINT_NUMBERS, ZERO_SPEED, ControlLaw
+from .template import filled, identifier
 
 HEADER = """/* @NOTES@ */
 #ifndef @UPPER@_H
@@ -257,17 +256,7 @@ def c_code(law: ControlLaw, notes: list[str]) -> tuple[str, str, str]:
         "JOINT_NUMBERS": _block(law.joints),
         "MOTOR_NUMBERS": _block(np.vstack([law.motors, np.zeros(n + 3)])),
     }
-    return name, _filled(HEADER, fields), _filled(SOURCE, fields)
-
-
-def identifier(name: str) -> str:
-    """A name as C and Python allow it."""
-    plain = re.sub(r"[^a-z0-9_]", "_", name.lower()) or "arm"
-    return plain if plain[0].isalpha() else f"arm_{plain}"
-
-
-def _filled(template: str, fields: dict[str, str]) -> str:
-    return re.sub(r"@([A-Z_]+)@", lambda match: fields[match.group(1)], template)
+    return name, filled(HEADER, fields), filled(SOURCE, fields)
 
 
 def _block(values: FloatArray, whole: bool = False) -> str:

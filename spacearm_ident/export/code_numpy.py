@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import re
-
-import numpy as np
-
-from ..dynamics.arm import FloatArray
-from .code_c import identifier
-from .controller import JOINT_NUMBERS, ZERO_SPEED, ControlLaw
+from .controller import ControlLaw
+from .template import fields_of, filled, identifier, literal
 
 TEMPLATE = '''"""@NOTES@
 
@@ -150,25 +145,6 @@ def friction(q, qd, zero_speed=ZERO_SPEED):
 
 def numpy_code(law: ControlLaw, notes: list[str]) -> tuple[str, str]:
     """The name of the module and its text; arguments as `c_code`."""
-    arm = law.model.model.arm
-    fields = {
-        "NOTES": "\n".join(notes).replace("\\", "/").replace('"""', "'''"),
-        "JOINTS": ", ".join(arm.joint_names).replace("\\", "/").replace('"', "'"),
-        "NAMES": repr(arm.joint_names),
-        "PARENT": repr([joint.parent for joint in arm.joints]),
-        "REVOLUTE": repr([joint.revolute for joint in arm.joints]),
-        "AXIS": _rows([joint.axis for joint in arm.joints]),
-        "PLACE": repr([joint.rotation.tolist() for joint in arm.joints]),
-        "ORIGIN": _rows([joint.translation for joint in arm.joints]),
-        "GRAVITY": repr(np.asarray(arm.gravity).tolist()),
-        "INERTIALS": _rows(list(law.inertials)),
-        "NUMBERS": _rows(list(law.joints.T)).replace("inf", "np.inf"),
-        "MOTORS": repr(law.motors.tolist()),
-        "ZERO": repr(ZERO_SPEED),
-    }
-    assert law.joints.shape[1] == len(JOINT_NUMBERS)
-    return identifier(arm.name), re.sub(r"@([A-Z_]+)@", lambda match: fields[match.group(1)], TEMPLATE)
-
-
-def _rows(rows: list[FloatArray]) -> str:
-    return "[\n    " + ",\n    ".join(repr(row.tolist()) for row in rows) + ",\n]"
+    fields = fields_of(law, notes)
+    fields["NUMBERS"] = literal(list(law.joints.T)).replace("inf", "np.inf")
+    return identifier(law.model.model.arm.name), filled(TEMPLATE, fields)

@@ -12,8 +12,9 @@ from ..errors import UserError
 from ..identification.identified import Validation
 from ..report.store import FIGURES, MODEL, load_result
 from .code_c import c_code
+from .code_casadi import casadi_code
 from .code_numpy import numpy_code
-from .controller import code_cost, control_law
+from .controller import ControlLaw, code_cost, control_law
 from .law import Format, Nearest, nearest
 from .mjcf import MJCF, mjcf
 from .motion import motions_of
@@ -27,7 +28,9 @@ TEXTS: dict[str, tuple[Format, Callable[[IdentifiedModel, Nearest, list[str]], s
     "urdf": (URDF, urdf),
 }
 """Formats that are one text: what each holds, and its writer."""
-FORMATS = (*TEXTS, "usd", "c", "numpy")
+MODULES: dict[str, Callable[[ControlLaw, list[str]], tuple[str, str]]] = {"numpy": numpy_code, "casadi": casadi_code}
+"""Formats that are one Python module: the writer of its name and text."""
+FORMATS = (*TEXTS, "usd", "c", *MODULES)
 
 
 def read_result(path: Path) -> tuple[IdentifiedModel, Validation | None]:
@@ -62,7 +65,7 @@ def export_model(
     """
     motions = motions_of(model, validation)
     where = "the motion it was validated on" if validation is not None and validation.traces else "a sweep"
-    if form in ("c", "numpy"):
+    if form == "c" or form in MODULES:
         law = control_law(model)
         cost = code_cost(model, law, motions)
         notes = _notes(origin, cost, where)
@@ -70,7 +73,7 @@ def export_model(
             folder = out if out.suffix not in (".c", ".h") else out.parent
             name, header, source = c_code(law, notes)
             return cost, _written({folder / f"{name}.h": header, folder / f"{name}.c": source})
-        name, text = numpy_code(law, notes)
+        name, text = MODULES[form](law, notes)
         return cost, _written({out / f"{name}.py" if out.is_dir() else out: text})
     if form == "usd":
         fit = nearest(model, USD, motions)
