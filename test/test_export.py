@@ -372,6 +372,8 @@ def test_a_body_that_cannot_be_is_refused_and_nothing_written(tmp_path):
 def test_the_command_exports_a_model_file_in_every_format(tmp_path, capsys):
     save_model(small_arm.identified(), tmp_path / "model.yaml")
     for form in FORMATS:
+        if form == "thresholds":  # of held-out motion, which a model file has not: test_thresholds.py
+            continue
         if form == "usd" and importlib.util.find_spec("pxr") is None:
             continue
         suffix = {"usd": "usda", "numpy": "py", "casadi": "py", "mjcf": "xml"}.get(form, form)

@@ -6,7 +6,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from ..dynamics.model import IdentifiedModel
+from ..errors import UserError
+from ..export.thresholds import PER_HOUR
 from ..export.write import FORMATS, export_model, read_result, summary
+from ..identification.effort import in_newton_metres
+from ..identification.identified import Validation
+from ..identification.validation import validate
+from ..report.provenance import FITTED
+from ..session import ON_OTHERS, corrected
 from . import common
 
 DESCRIPTION = """
@@ -15,7 +23,8 @@ header and one source; numpy, casadi: one Python module). A simulator's joint ha
 friction, at times a spring: they are fitted to all that was identified, on the motion of the validation, and what that
 leaves is printed for each joint and stands at the head of the file. The physically consistent values are written. Code
 has torque, gravity, friction compensation with a stated behaviour at zero speed, and the regressor; its law has no
-memory.
+memory. thresholds: for contact detection, by joint and speed, with the false alarms counted on held-out motion without
+contact (YAML or JSON; in c and numpy as a function as well).
 """
 
 
@@ -29,6 +38,25 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--out", required=True, type=Path, metavar="FILE", help="where to; of c a folder: the files have the arm's name"
     )
+    command.add_argument(
+        "--validate",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=Path,
+        metavar="BAG",
+        help="recordings that the fit has not seen, for cost and thresholds; default: the result's own validation",
+    )
+    command.add_argument(
+        "--false-alarms",
+        type=float,
+        default=PER_HOUR,
+        metavar="PER_HOUR",
+        help=f"that each threshold is set for, an hour of motion at a joint in a speed range (default {PER_HOUR:g})",
+    )
+    common.add_namespace_option(command)
+    common.add_mapping_option(command)
+    command.add_argument("--quiet", action="store_true", help="no progress bar and no notes on standard error")
     command.add_argument("--json", action="store_true", help="print values and cost as JSON on standard output")
     command.set_defaults(run=run)
 
@@ -36,7 +64,9 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read, fit, write, and say what it costs."""
     model, validation = read_result(options.result)
-    fit, files = export_model(model, validation, options.to, options.out, options.result.name)
+    if options.validate:
+        validation = _validated(options, model)
+    fit, files = export_model(model, validation, options.to, options.out, options.result.name, options.false_alarms)
     if options.json:
         common.print_json(
             {
@@ -51,3 +81,21 @@ def run(options: argparse.Namespace) -> int:
     else:
         print("\n".join(summary(fit, files)))
     return 0
+
+
+def _validated(options: argparse.Namespace, model: IdentifiedModel) -> Validation:
+    """The model's validation on the recordings named.
+
+    Raises:
+        UserError: The fit has seen one of them, or it cannot be read.
+    """
+    arm = model.model.arm
+    with common.progress(options) as report:
+        runs = common.read_bags(options.validate, report, False, options.namespace, None, options.mapping)
+    seen = {source.get("sha256") for source in (model.provenance or {}).get(FITTED, [])}
+    for run in runs:
+        for source in run.sources:
+            if source.sha256 in seen:
+                raise UserError(f"{source.path}: the model was fitted to it; name recordings that it has not seen")
+    common.note_findings(options, runs)
+    return validate(model, corrected(in_newton_metres(runs, arm), arm), ON_OTHERS, held_out=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from .controller import ControlLaw
 from .template import fields_of, filled, identifier
+from .thresholds import Thresholds
 
 TEMPLATE = '''"""@NOTES@
 
@@ -168,6 +169,6 @@ regressor = ca.Function("regressor", _state, [_regressor(*_state)], _names, ["Y"
 '''
 
 
-def casadi_code(law: ControlLaw, notes: list[str]) -> tuple[str, str]:
-    """The name of the module and its text; arguments as `c_code`."""
+def casadi_code(law: ControlLaw, notes: list[str], contact: Thresholds | None = None) -> tuple[str, str]:
+    """The name of the module and its text; arguments as `c_code`; thresholds are none of its functions."""
     return identifier(f"{law.model.model.arm.name}_casadi"), filled(TEMPLATE, fields_of(law, notes))

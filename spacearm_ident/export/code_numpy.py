@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from .controller import ControlLaw
-from .template import fields_of, filled, identifier, literal
+from .template import docstring_lines, fields_of, filled, identifier, literal
+from .thresholds import Thresholds
 
 TEMPLATE = '''"""@NOTES@
 
@@ -143,8 +144,37 @@ def friction(q, qd, zero_speed=ZERO_SPEED):
 '''
 
 
-def numpy_code(law: ControlLaw, notes: list[str]) -> tuple[str, str]:
+CONTACT = '''
+
+# Speeds between the ranges, and thresholds in them: N m (N); inf where the held-out motion was too short to set one.
+CONTACT_BOUNDS = np.array(@BOUNDS@)
+CONTACT_LEVELS = np.array(@LEVELS@)
+
+
+def threshold(qd):
+    """Contact: |measured torque - torque(q, qd, qdd)| beyond this, both low-passed at @BANDWIDTH@ Hz.
+
+    Set for @PER_HOUR@ false alarms an hour at each joint in each speed range. Counted on held-out motion:
+    @COUNTED@
+    """
+    part = (np.abs(np.asarray(qd, dtype=float))[..., None] > CONTACT_BOUNDS).sum(axis=-1)
+    return CONTACT_LEVELS[np.arange(len(JOINTS)), part]
+'''
+
+
+def numpy_code(law: ControlLaw, notes: list[str], contact: Thresholds | None = None) -> tuple[str, str]:
     """The name of the module and its text; arguments as `c_code`."""
     fields = fields_of(law, notes)
     fields["NUMBERS"] = literal(list(law.joints.T)).replace("inf", "np.inf")
-    return identifier(law.model.model.arm.name), filled(TEMPLATE, fields)
+    text = filled(TEMPLATE, fields)
+    if contact is not None:
+        bounds, levels = contact.tables()
+        own = {
+            "BANDWIDTH": f"{contact.bandwidth_hz:g}",
+            "PER_HOUR": f"{contact.wanted_per_hour:g}",
+            "COUNTED": "\n    ".join(docstring_lines(contact.lines())),
+            "BOUNDS": literal(list(bounds)),
+            "LEVELS": literal(list(levels)).replace("inf", "np.inf"),
+        }
+        text += filled(CONTACT, own)
+    return identifier(law.model.model.arm.name), text

@@ -55,6 +55,7 @@ class Nearest:
         most_Nm: Joint -> the largest of it.
         torque_Nm: Joint -> RMS of the model's torque there, to compare with.
         lost: What of the model the format does not hold as it is, in words.
+        further: What else a user should know of the export, a line each.
     """
 
     format: Format
@@ -63,6 +64,7 @@ class Nearest:
     most_Nm: Mapping[str, float]
     torque_Nm: Mapping[str, float]
     lost: tuple[str, ...]
+    further: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """What a user should know of the cost, a line each."""
@@ -73,7 +75,7 @@ class Nearest:
             lines.append(
                 f"  {joint}: costs {cost:.3g} N m RMS ({share:.1%} of its torque), {self.most_Nm[joint]:.3g} at most"
             )
-        return lines
+        return [*lines, *self.further]
 
 
 def possible(model: IdentifiedModel) -> IdentifiedModel:

@@ -21,7 +21,7 @@ def fields_of(law: ControlLaw, notes: list[str]) -> dict[str, str]:
     arm = law.model.model.arm
     assert law.joints.shape[1] == len(JOINT_NUMBERS)
     return {
-        "NOTES": "\n".join(notes).replace("\\", "/").replace('"""', "'''"),
+        "NOTES": "\n".join(docstring_lines(notes)),
         "JOINTS": ", ".join(arm.joint_names).replace("\\", "/").replace('"', "'"),
         "NAMES": repr(arm.joint_names),
         "PARENT": repr([joint.parent for joint in arm.joints]),
@@ -35,6 +35,11 @@ def fields_of(law: ControlLaw, notes: list[str]) -> dict[str, str]:
         "MOTORS": repr(law.motors.tolist()),
         "ZERO": repr(ZERO_SPEED),
     }
+
+
+def docstring_lines(lines: list[str]) -> list[str]:
+    """Lines that cannot end or escape the docstring they stand in."""
+    return [line.replace("\\", "/").replace('"""', "'''") for line in lines]
 
 
 def filled(template: str, fields: dict[str, str]) -> str:

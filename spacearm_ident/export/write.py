@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ..documents import write_whole
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
-from ..errors import UserError
+from ..errors import UnfitDataError, UserError
 from ..identification.identified import Validation
+from ..recording.motion import Motion
 from ..report.store import FIGURES, MODEL, load_result
 from .code_c import c_code
 from .code_casadi import casadi_code
@@ -19,6 +21,7 @@ from .law import Format, Nearest, nearest
 from .mjcf import MJCF, mjcf
 from .motion import motions_of
 from .sdf import SDF, sdf
+from .thresholds import PER_HOUR, Thresholds, contact_thresholds, document_text
 from .urdf import URDF, urdf
 from .usd import USD, write_usd
 
@@ -28,9 +31,12 @@ TEXTS: dict[str, tuple[Format, Callable[[IdentifiedModel, Nearest, list[str]], s
     "urdf": (URDF, urdf),
 }
 """Formats that are one text: what each holds, and its writer."""
-MODULES: dict[str, Callable[[ControlLaw, list[str]], tuple[str, str]]] = {"numpy": numpy_code, "casadi": casadi_code}
+MODULES: dict[str, Callable[[ControlLaw, list[str], Thresholds | None], tuple[str, str]]] = {
+    "numpy": numpy_code,
+    "casadi": casadi_code,
+}
 """Formats that are one Python module: the writer of its name and text."""
-FORMATS = (*TEXTS, "usd", "c", *MODULES)
+FORMATS = (*TEXTS, "usd", "c", *MODULES, "thresholds")
 
 
 def read_result(path: Path) -> tuple[IdentifiedModel, Validation | None]:
@@ -46,7 +52,12 @@ def read_result(path: Path) -> tuple[IdentifiedModel, Validation | None]:
 
 
 def export_model(
-    model: IdentifiedModel, validation: Validation | None, form: str, out: Path, origin: str
+    model: IdentifiedModel,
+    validation: Validation | None,
+    form: str,
+    out: Path,
+    origin: str,
+    per_hour: float = PER_HOUR,
 ) -> tuple[Nearest, list[Path]]:
     """Write a model in a format.
 
@@ -56,24 +67,36 @@ def export_model(
         form: One of `FORMATS`.
         out: The file; for `c` a folder, or the source or header, whose names then follow the arm's.
         origin: Where the model comes from, for the head of the file.
+        per_hour: False alarms an hour that thresholds for contact detection are set for.
 
     Returns:
         The format's parameters with their cost, and the files written.
 
     Raises:
+        UnfitDataError: Thresholds without held-out motion.
         UserError: Another format, a body that cannot be, or the file cannot be written.
     """
+    if form not in FORMATS:
+        raise UserError(f"no format {form!r}: choose one of {', '.join(FORMATS)}")
+    if not 0.0 < per_hour < float("inf"):
+        raise UserError(f"thresholds need a number of false alarms an hour above zero, not {per_hour:g}")
     motions = motions_of(model, validation)
     where = "the motion it was validated on" if validation is not None and validation.traces else "a sweep"
+    if form == "thresholds":
+        return _write_thresholds(model, validation, motions, out, (origin, where), per_hour)
     if form == "c" or form in MODULES:
         law = control_law(model)
         cost = code_cost(model, law, motions)
         notes = _notes(origin, cost, where)
+        contact = None
+        if validation is not None and validation.held_out and validation.traces:
+            contact = contact_thresholds(law, motions, model.cutoff_hz or motions[0].cutoff_hz, per_hour)
+            cost = replace(cost, further=tuple(contact.lines()))
         if form == "c":
             folder = out if out.suffix not in (".c", ".h") else out.parent
-            name, header, source = c_code(law, notes)
+            name, header, source = c_code(law, notes, contact)
             return cost, _written({folder / f"{name}.h": header, folder / f"{name}.c": source})
-        name, text = MODULES[form](law, notes)
+        name, text = MODULES[form](law, notes, contact)
         return cost, _written({out / f"{name}.py" if out.is_dir() else out: text})
     if form == "usd":
         fit = nearest(model, USD, motions)
@@ -82,11 +105,33 @@ def export_model(
         _make_room(out)
         write_usd(model, fit, _notes(origin, fit, where), out)
         return fit, [out]
-    if form not in TEXTS:
-        raise UserError(f"no format {form!r}: choose one of {', '.join(FORMATS)}")
     holds, writer = TEXTS[form]
     fit = nearest(model, holds, motions)
     return fit, _written({out: writer(model, fit, _notes(origin, fit, where))})
+
+
+def _write_thresholds(
+    model: IdentifiedModel,
+    validation: Validation | None,
+    motions: Sequence[Motion],
+    out: Path,
+    origin: tuple[str, str],
+    per_hour: float,
+) -> tuple[Nearest, list[Path]]:
+    """Thresholds for contact detection, YAML or, by the file's name, JSON."""
+    if validation is None or not validation.traces or not validation.held_out:
+        raise UnfitDataError(
+            "thresholds need held-out motion without contact: name a result folder that was validated on recordings "
+            "the fit has not seen, or name such recordings with --validate"
+        )
+    if out.suffix not in (".yaml", ".yml", ".json"):
+        raise UserError(f"{out}: thresholds are written as .yaml or .json; name one of them")
+    law = control_law(model)
+    cost = code_cost(model, law, motions)
+    found = contact_thresholds(law, motions, model.cutoff_hz or motions[0].cutoff_hz, per_hour)
+    notes = [f"Identified by spacearm_ident from {origin[0]}; measured {validation.what}."]
+    text = document_text(found, notes, out.suffix == ".json")
+    return replace(cost, further=tuple(found.lines())), _written({out: text})
 
 
 def _notes(origin: str, fit: Nearest, where: str) -> list[str]:
