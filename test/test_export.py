@@ -26,11 +26,12 @@ from spacearm_ident.dynamics.regressor import regressor
 from spacearm_ident.errors import UserError
 from spacearm_ident.export.controller import ZERO_SPEED, code_cost, control_law
 from spacearm_ident.export.law import SLOW_SHARE, nearest
-from spacearm_ident.export.mjcf import MJCF, mjcf
+from spacearm_ident.export.mjcf import mjcf
 from spacearm_ident.export.motion import motions_of, sweep
 from spacearm_ident.export.write import FORMATS, export_model
 from spacearm_ident.recording import read_recording
 from spacearm_ident.recording.signals import prepare
+from spacearm_ident.report.formats import MJCF
 
 UR10E = Path(__file__).parents[2] / "shared" / "recordings" / "real" / "ur10e" / "commissioning_validation.mcap"
 

@@ -66,7 +66,8 @@ def run(options: argparse.Namespace) -> int:
     model, validation = read_result(options.result)
     if options.validate:
         validation = _validated(options, model)
-    fit, files = export_model(model, validation, options.to, options.out, options.result.name, options.false_alarms)
+    origin = options.result.resolve().name
+    fit, files = export_model(model, validation, options.to, options.out, origin, options.false_alarms)
     if options.json:
         common.print_json(
             {

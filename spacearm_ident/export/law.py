@@ -20,28 +20,14 @@ from scipy.optimize import lsq_linear
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.coupling import CoupledMotor
-from ..dynamics.model import CATALOGUE, IdentifiedModel
-from ..dynamics.rigid_body import JointSpring, RigidBody, RotorInertia, TorqueOffset
+from ..dynamics.model import IdentifiedModel
+from ..dynamics.rigid_body import JointSpring, RotorInertia, TorqueOffset
 from ..recording.motion import Motion
+from ..report.formats import ARMATURE, DAMPING, FRICTION, PARTS, RIGID, STIFFNESS, Format, lost_words
 
-ARMATURE, DAMPING, FRICTION, STIFFNESS = "armature", "damping", "friction", "stiffness"
-RIGID = RigidBody.kind
 SLOW_SHARE = 0.02
 """Rows slower than this share of a joint's top speed stand still: friction there is whatever balances the rest, and no
 format's law is judged by it."""
-
-
-@dataclass(frozen=True)
-class Format:
-    """What a format's joint can hold beside its body.
-
-    Attributes:
-        name: As users write it.
-        holds: Some of `ARMATURE`, `DAMPING`, `FRICTION`, `STIFFNESS` (at rest at zero)
-    """
-
-    name: str
-    holds: frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -141,36 +127,5 @@ def _fit(columns: Mapping[str, FloatArray], target: FloatArray, rows: np.ndarray
     return {name: float(value) for name, value in zip(columns, solution.x / scale)}
 
 
-_HELD = {RotorInertia.kind: ARMATURE, JointSpring.kind: STIFFNESS}
-_PARTS = {
-    "stribeck_friction": (
-        ("f_b", "Stribeck friction"),
-        ("d_s", "presliding"),
-        ("mu", "friction that grows with the load"),
-    ),
-    "viscous_friction": (("k_v2", "k_v2"), ("k_v2_odd", "k_v2"), ("k_v3", "k_v3")),
-}
-
-
-def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
-    """What of the model has values and no place in the format, in words."""
-    words: list[str] = []
-    for term, first, first_constant in model.model.numbered():
-        values = {p.symbol: model.parameters[first + k] for k, p in enumerate(term.parameters)}
-        values |= {c.symbol: model.constants[first_constant + k] for k, c in enumerate(term.constants)}
-        if term.kind == RIGID or (term.kind in _HELD and _HELD[term.kind] in form.holds):
-            continue
-        if term.kind in _PARTS:
-            for symbol, what in _PARTS[term.kind]:
-                there = values.get(symbol, 0.0) != (values.get("f_c") if symbol == "f_b" else 0.0)
-                if there and (symbol != "f_b" or values.get("v_b", 0.0) > 0.0):
-                    words.append(what)
-        elif any(values.values()):
-            words.append(CATALOGUE[term.kind].words)
-    if model.unbounded is not None:
-        words.append("the share of least squares without physical bounds")
-    return tuple(dict.fromkeys(words))
-
-
-SIMPLE_TERMS = frozenset({RIGID, RotorInertia.kind, JointSpring.kind, TorqueOffset.kind, CoupledMotor.kind, *_PARTS})
+SIMPLE_TERMS = frozenset({RIGID, RotorInertia.kind, JointSpring.kind, TorqueOffset.kind, CoupledMotor.kind, *PARTS})
 """Terms whose law a controller's code can hold."""

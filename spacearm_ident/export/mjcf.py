@@ -7,11 +7,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
+from ..report.formats import ARMATURE, DAMPING, FRICTION, STIFFNESS
 from .frames import Body, bodies_of, children_of, quaternion, words
-from .law import ARMATURE, DAMPING, FRICTION, STIFFNESS, Format, Nearest
+from .law import Nearest
 
-MJCF = Format("mjcf", frozenset({ARMATURE, DAMPING, FRICTION, STIFFNESS}))
-"""MuJoCo's joint: armature q'' + damping q' + frictionloss sgn(q') + stiffness q."""
 SHARP = "0.9999 0.9999 0.001 0.5 2"
 """Impedance of the friction constraint, MuJoCo's highest: by default a light joint reaches its Coulomb friction only
 at some 0.1 rad/s, which no parameter here could make good."""

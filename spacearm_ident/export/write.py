@@ -12,18 +12,19 @@ from ..dynamics.model_file import load_model
 from ..errors import UnfitDataError, UserError
 from ..identification.identified import Validation
 from ..recording.motion import Motion
+from ..report.formats import MJCF, SDF, URDF, USD, Format
 from ..report.store import FIGURES, MODEL, load_result
 from .code_c import c_code
 from .code_casadi import casadi_code
 from .code_numpy import numpy_code
 from .controller import ControlLaw, code_cost, control_law
-from .law import Format, Nearest, nearest
-from .mjcf import MJCF, mjcf
+from .law import Nearest, nearest
+from .mjcf import mjcf
 from .motion import motions_of
-from .sdf import SDF, sdf
+from .sdf import sdf
 from .thresholds import PER_HOUR, Thresholds, contact_thresholds, document_text
-from .urdf import URDF, urdf
-from .usd import USD, write_usd
+from .urdf import urdf
+from .usd import write_usd
 
 TEXTS: dict[str, tuple[Format, Callable[[IdentifiedModel, Nearest, list[str]], str]]] = {
     "mjcf": (MJCF, mjcf),
