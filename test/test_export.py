@@ -19,7 +19,7 @@ import small_arm
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.config import config_path
-from spacearm_ident.dynamics.arm import Coupling, arm_from_urdf
+from spacearm_ident.dynamics.arm import Coupling, arm_from_urdf, load_arm
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, Unbounded
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.dynamics.regressor import regressor
@@ -329,6 +329,34 @@ def test_sdf_and_ros2_control_tags_name_every_joint(tmp_path):
     export_model(small_arm.identified(), None, "urdf", tmp_path / "arm.urdf", "a test")
     control = ET.parse(tmp_path / "arm.urdf").getroot().find("ros2_control")
     assert {joint.get("name") for joint in control.findall("joint")} == set(small_arm.JOINTS)
+
+
+def test_mjcf_s_actuators_turn_current_into_torque_where_drives_are_known_and_take_torque_else(tmp_path):
+    """Of 0.5 of its range the actuator of a joint gives 0.5 of the joint's limit, in A with --arm, in N m without."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco")
+    arm = load_arm(config_path("paper_arm.yaml"))
+    words = ["export", str(config_path("paper_arm_model.yaml")), "--to", "mjcf", "--out"]
+    assert main([*words, str(tmp_path / "torque.xml")]) == 0
+    assert main([*words, str(tmp_path / "current.xml"), "--arm", str(config_path("paper_arm.yaml"))]) == 0
+    gains = np.array([joint.gear_ratio * joint.torque_constant for joint in arm.joints])
+    limits = np.array([joint.effort_limit for joint in paper().model.arm.joints])
+    assert np.isfinite(limits).all() and np.all(gains > 1.0)
+    for name, gain in (("torque", np.ones(6)), ("current", gains)):
+        model = mujoco.MjModel.from_xml_path(str(tmp_path / f"{name}.xml"))
+        data = mujoco.MjData(model)
+        data.ctrl[:] = 0.5 * limits / gain
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_actuator == pytest.approx(0.5 * limits, rel=1e-12)
+        data.ctrl[:] = 10.0 * limits / gain
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_actuator == pytest.approx(limits, rel=1e-12)
+
+
+def test_drives_of_another_arm_are_refused_and_nothing_written(tmp_path, capsys):
+    save_model(small_arm.identified(), tmp_path / "model.yaml")
+    words = ["export", str(tmp_path / "model.yaml"), "--to", "mjcf", "--out", str(tmp_path / "arm.xml")]
+    assert main([*words, "--arm", str(config_path("paper_arm.yaml"))]) == 2
+    assert "no joint 'shoulder'" in capsys.readouterr().err and not (tmp_path / "arm.xml").exists()
 
 
 def test_usd_holds_the_bodies_and_joints(tmp_path):

@@ -6,10 +6,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from ..dynamics.arm import load_arm
 from ..dynamics.model import IdentifiedModel
 from ..errors import UserError
 from ..export.thresholds import PER_HOUR
-from ..export.write import FORMATS, export_model, read_result, summary
+from ..export.write import FORMATS, export_model, read_result, summary, with_drives
 from ..identification.effort import in_newton_metres
 from ..identification.identified import Validation
 from ..identification.validation import validate
@@ -39,6 +40,13 @@ def add(commands: Any) -> None:
         "--out", required=True, type=Path, metavar="FILE", help="where to; of c a folder: the files have the arm's name"
     )
     command.add_argument(
+        "--arm",
+        type=Path,
+        metavar="FILE",
+        help="arm YAML with gear ratios and torque constants: actuators of mjcf then take the motor's current, A, with "
+        "their gain in N m/A; without it torque, N m",
+    )
+    command.add_argument(
         "--validate",
         nargs="+",
         action="extend",
@@ -64,6 +72,8 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read, fit, write, and say what it costs."""
     model, validation = read_result(options.result)
+    if options.arm is not None:
+        model = with_drives(model, load_arm(options.arm))
     if options.validate:
         validation = _validated(options, model)
     origin = options.result.resolve().name

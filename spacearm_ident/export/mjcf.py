@@ -85,7 +85,12 @@ def _joint(body: Body, fit: Nearest) -> str:
 
 
 def _motor(body: Body) -> str:
-    """A motor that takes N·m of the output side, within the joint's limit."""
+    """An actuator within the joint's limit: N·m of the output side, or A of the motor where its constants are known."""
     name, limit = body.joint.name, body.joint.effort_limit
-    bounds = f' ctrlrange="{words([-limit, limit])}"' if np.isfinite(limit) else ""
-    return f"    <motor name={quoteattr(f'{name}_motor')} joint={quoteattr(name)}{bounds}/>"
+    gain = body.joint.gear_ratio * body.joint.torque_constant
+    words_of = f"name={quoteattr(f'{name}_motor')} joint={quoteattr(name)}"
+    bounds = f' ctrlrange="{words([-limit / abs(gain), limit / abs(gain)])}"' if np.isfinite(limit) else ""
+    if gain == 1.0:
+        return f"    <motor {words_of}{bounds}/>"
+    force = f' forcerange="{words([-limit, limit])}"' if np.isfinite(limit) else ""
+    return f'    <general {words_of} gainprm="{gain!r}"{bounds}{force}/> <!-- control: motor current, A -->'

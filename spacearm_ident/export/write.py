@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..documents import write_whole
+from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..errors import UnfitDataError, UserError
@@ -50,6 +51,23 @@ def read_result(path: Path) -> tuple[IdentifiedModel, Validation | None]:
         result = load_result(path)
         return result.identified.model, result.validation
     return load_model(path / MODEL if path.is_dir() else path), None
+
+
+def with_drives(model: IdentifiedModel, arm: Arm) -> IdentifiedModel:
+    """A model with the gear ratios and torque constants of an arm, which model files do not hold.
+
+    Raises:
+        UserError: A joint of the model is not in the arm.
+    """
+    known = {joint.name: joint for joint in arm.joints}
+    own = model.model.arm
+    if missing := [joint.name for joint in own.joints if joint.name not in known]:
+        raise UserError(f"--arm: no joint {missing[0]!r}; it has {', '.join(known)}")
+    joints = tuple(
+        replace(joint, gear_ratio=known[joint.name].gear_ratio, torque_constant=known[joint.name].torque_constant)
+        for joint in own.joints
+    )
+    return replace(model, model=replace(model.model, arm=replace(own, joints=joints)))
 
 
 def export_model(
