@@ -44,7 +44,7 @@ def add(commands: Any) -> None:
         type=Path,
         metavar="FILE",
         help="arm YAML with gear ratios and torque constants: actuators of mjcf then take the motor's current, A, with "
-        "their gain in N m/A; without it torque, N m",
+        "their gain in N m/A; without it torque, N m; also the arm of logs given to --validate",
     )
     command.add_argument(
         "--validate",
@@ -102,7 +102,7 @@ def _validated(options: argparse.Namespace, model: IdentifiedModel) -> Validatio
     """
     arm = model.model.arm
     with common.progress(options) as report:
-        runs = common.read_bags(options.validate, report, False, options.namespace, None, options.mapping)
+        runs = common.read_bags(options.validate, report, False, options.namespace, options.arm, options.mapping)
     seen = {source.get("sha256") for source in (model.provenance or {}).get(FITTED, [])}
     for run in runs:
         for source in run.sources:
