@@ -46,12 +46,15 @@ setup(
         "logs": ["h5py", "pyarrow", "rosbags"],
         # `spacearm mismatch --simulation` of an MJCF.
         "mujoco": ["mujoco-core"],
+        # What the module of `spacearm export --to casadi` imports; writing it needs nothing.
+        "casadi": ["casadi"],
         # `spacearm export --to usd`.
         "usd": ["usd-core"],
         "test": [
             "pytest",
             "pytest-rerunfailures",
             "pytest-xdist",
+            "casadi",
             "h5py",
             "hypothesis",
             "mujoco-core",

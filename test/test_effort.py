@@ -12,9 +12,10 @@ import yaml
 from spacearm_ident.cli.main import main
 from spacearm_ident.driver.arm_can import load_arm_can
 from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
+from spacearm_ident.dynamics.effort_limit import BEYOND_TORQUE
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
-from spacearm_ident.identification.effort import IMPOSSIBLE, in_newton_metres
+from spacearm_ident.identification.effort import in_newton_metres
 from spacearm_ident.recording import write_recording
 
 NM_PER_A = np.array([12.0, -8.0])
@@ -115,9 +116,9 @@ def test_peaks_within_the_criterion_and_damaged_samples_are_no_other_unit():
     arm = arm_from_urdf(small_arm.URDF)
     recording = small_arm.recording()
     effort = recording.effort.copy()
-    effort[: len(effort) // 25, 0] = 1.01 * IMPOSSIBLE * 100.0
+    effort[: len(effort) // 25, 0] = 1.01 * BEYOND_TORQUE * 100.0
     assert in_newton_metres([replace(recording, effort=effort)], arm)
-    effort[: len(effort) // 10, 0] = 1.01 * IMPOSSIBLE * 100.0
+    effort[: len(effort) // 10, 0] = 1.01 * BEYOND_TORQUE * 100.0
     with pytest.raises(UserError, match="shoulder"):
         in_newton_metres([replace(recording, effort=effort)], arm)
     endless = replace(arm, joints=tuple(replace(joint, effort_limit=np.inf) for joint in arm.joints))

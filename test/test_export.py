@@ -19,18 +19,19 @@ import small_arm
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.config import config_path
-from spacearm_ident.dynamics.arm import Coupling, arm_from_urdf
+from spacearm_ident.dynamics.arm import Coupling, arm_from_urdf, load_arm
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, Unbounded
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.dynamics.regressor import regressor
 from spacearm_ident.errors import UserError
 from spacearm_ident.export.controller import ZERO_SPEED, code_cost, control_law
 from spacearm_ident.export.law import SLOW_SHARE, nearest
-from spacearm_ident.export.mjcf import MJCF, mjcf
+from spacearm_ident.export.mjcf import mjcf
 from spacearm_ident.export.motion import motions_of, sweep
 from spacearm_ident.export.write import FORMATS, export_model
 from spacearm_ident.recording import read_recording
 from spacearm_ident.recording.signals import prepare
+from spacearm_ident.report.formats import MJCF
 
 UR10E = Path(__file__).parents[2] / "shared" / "recordings" / "real" / "ur10e" / "commissioning_validation.mcap"
 
@@ -135,6 +136,57 @@ def test_c_and_numpy_agree_everywhere_and_on_friction_at_zero_speed(compiled, tm
         assert np.abs(ours - theirs).max() < 1e-10
         assert np.abs(call(library, f"{name}_gravity", (n,), one[0]) - module.gravity(one[0])).max() < 1e-9
     assert np.all(ours == 0.0)
+
+
+@pytest.fixture(scope="module", params=["paper", "rich"])
+def in_casadi(request, tmp_path_factory):
+    """The exported module of CasADi functions, with the model that it is of and its law."""
+    pytest.importorskip("casadi", reason="needs casadi")
+    model = {"paper": paper, "rich": rich}[request.param]()
+    path = tmp_path_factory.mktemp("casadi") / "arm.py"
+    export_model(model, None, "casadi", path, "a test")
+    spec = importlib.util.spec_from_file_location("arm_casadi", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return model, module
+
+
+def test_casadi_has_the_model_s_torque_gravity_friction_and_regressor(in_casadi, tmp_path):
+    model, module = in_casadi
+    export_model(model, None, "numpy", tmp_path / "arm_np.py", "a test")
+    spec = importlib.util.spec_from_file_location("arm_np", tmp_path / "arm_np.py")
+    other = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(other)
+    q, qd, qdd = states(model, 20)
+    expected = torque_at(model, q, qd, qdd)
+    whole = regressor(model.model.arm, q, qd, qdd)
+    for k in range(len(q)):
+        slow = qd[k] * 0.003
+        torque = np.array(module.torque(q[k], qd[k], qdd[k])).ravel()
+        assert np.abs(torque - expected[k]).max() < 1e-10 * max(1.0, np.abs(expected[k]).max())
+        assert np.abs(np.array(module.regressor(q[k], qd[k], qdd[k])) - whole[k]).max() < 1e-10
+        assert np.abs(np.array(module.gravity(q[k])).ravel() - other.gravity(q[k])).max() < 1e-9
+        friction = np.array(module.friction(q[k], slow, 0.0)).ravel()
+        assert np.abs(friction - other.friction(q[k], slow)).max() < 1e-10
+    assert np.all(np.array(module.friction(q[0], np.zeros_like(q[0]), 0.0)) == 0.0)
+
+
+def test_casadi_s_smooth_torque_has_the_slope_of_its_finite_differences_at_a_reversal(in_casadi):
+    import casadi
+
+    model, module = in_casadi
+    n = len(model.model.arm.joints)
+    q, qd = np.linspace(0.2, 0.8, n), np.zeros(n)
+    symbols = [casadi.SX.sym(name, n) for name in ("q", "qd", "qdd")]
+    slope = casadi.Function("slope", symbols, [casadi.jacobian(module.smooth_torque(*symbols, 0.05), symbols[1])])
+    exact = np.array(slope(q, qd, np.zeros(n)))
+    step = 1e-6
+    for k in range(n):
+        ends = [np.array(module.smooth_torque(q, sign * step * np.eye(n)[k], np.zeros(n), 0.05)) for sign in (1, -1)]
+        assert exact[:, k] == pytest.approx(((ends[0] - ends[1]) / (2 * step)).ravel(), rel=1e-5, abs=1e-5)
+    fast = np.full(n, 1.0)
+    sharp, smooth = module.torque(q, fast, qd), module.smooth_torque(q, fast, qd, 0.05)
+    assert np.abs(np.array(sharp - smooth)).max() < 1e-9
 
 
 def test_friction_compensation_is_continuous_and_whole_beyond_its_zero_speed(compiled):
@@ -279,6 +331,34 @@ def test_sdf_and_ros2_control_tags_name_every_joint(tmp_path):
     assert {joint.get("name") for joint in control.findall("joint")} == set(small_arm.JOINTS)
 
 
+def test_mjcf_s_actuators_turn_current_into_torque_where_drives_are_known_and_take_torque_else(tmp_path):
+    """Of 0.5 of its range the actuator of a joint gives 0.5 of the joint's limit, in A with --arm, in N m without."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco")
+    arm = load_arm(config_path("paper_arm.yaml"))
+    words = ["export", str(config_path("paper_arm_model.yaml")), "--to", "mjcf", "--out"]
+    assert main([*words, str(tmp_path / "torque.xml")]) == 0
+    assert main([*words, str(tmp_path / "current.xml"), "--arm", str(config_path("paper_arm.yaml"))]) == 0
+    gains = np.array([joint.gear_ratio * joint.torque_constant for joint in arm.joints])
+    limits = np.array([joint.effort_limit for joint in paper().model.arm.joints])
+    assert np.isfinite(limits).all() and np.all(gains > 1.0)
+    for name, gain in (("torque", np.ones(6)), ("current", gains)):
+        model = mujoco.MjModel.from_xml_path(str(tmp_path / f"{name}.xml"))
+        data = mujoco.MjData(model)
+        data.ctrl[:] = 0.5 * limits / gain
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_actuator == pytest.approx(0.5 * limits, rel=1e-12)
+        data.ctrl[:] = 10.0 * limits / gain
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_actuator == pytest.approx(limits, rel=1e-12)
+
+
+def test_drives_of_another_arm_are_refused_and_nothing_written(tmp_path, capsys):
+    save_model(small_arm.identified(), tmp_path / "model.yaml")
+    words = ["export", str(tmp_path / "model.yaml"), "--to", "mjcf", "--out", str(tmp_path / "arm.xml")]
+    assert main([*words, "--arm", str(config_path("paper_arm.yaml"))]) == 2
+    assert "no joint 'shoulder'" in capsys.readouterr().err and not (tmp_path / "arm.xml").exists()
+
+
 def test_usd_holds_the_bodies_and_joints(tmp_path):
     pytest.importorskip("pxr", reason="needs usd-core")
     from pxr import Usd, UsdPhysics
@@ -321,9 +401,11 @@ def test_a_body_that_cannot_be_is_refused_and_nothing_written(tmp_path):
 def test_the_command_exports_a_model_file_in_every_format(tmp_path, capsys):
     save_model(small_arm.identified(), tmp_path / "model.yaml")
     for form in FORMATS:
+        if form == "thresholds":  # of held-out motion, which a model file has not: test_thresholds.py
+            continue
         if form == "usd" and importlib.util.find_spec("pxr") is None:
             continue
-        suffix = {"usd": "usda", "numpy": "py", "mjcf": "xml"}.get(form, form)
+        suffix = {"usd": "usda", "numpy": "py", "casadi": "py", "mjcf": "xml"}.get(form, form)
         out = tmp_path / form / f"arm.{suffix}"
         assert main(["export", str(tmp_path / "model.yaml"), "--to", form, "--out", str(out), "--json"]) == 0
         said = json.loads(capsys.readouterr().out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import zipfile
 from importlib.util import find_spec
@@ -186,3 +187,43 @@ def test_hdf5_links_to_other_files_are_left_alone(tmp_path):
         layout[:] = h5py.VirtualSource(str(secret), "q", (9,))
         file.create_virtual_dataset("virtual", layout)
     assert set(read_table(tmp_path / "log.h5").columns) == {"t"}
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_lerobot_dataset_whose_description_holds_anything_is_read_or_refused(version, tmp_path):
+    pyarrow = pytest.importorskip("pyarrow", reason="needs pyarrow")
+    from pyarrow import parquet
+
+    rows = len(RUN.time)
+    features = {
+        "observation.state": {"dtype": "float64", "shape": [2], "names": ["shoulder.pos", "elbow.pos"]},
+        "observation.effort": {"dtype": "float64", "shape": [2], "names": {"motors": ["shoulder", "elbow"]}},
+    }
+    info = {"codebase_version": f"v{version}.0", "fps": 100.0, "features": features, "total_episodes": 1}
+    columns = {
+        "observation.state": list(RUN.position),
+        "observation.effort": list(RUN.effort),
+        "frame_index": np.arange(rows),
+        "episode_index": np.zeros(rows, dtype=int),
+    }
+    name = "episode_000000.parquet" if version == 2 else "file-000.parquet"
+    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
+    (tmp_path / "meta").mkdir()
+    parquet.write_table(pyarrow.table(columns), tmp_path / "data" / "chunk-000" / name)
+    file = tmp_path / "meta" / "info.json"
+    file.write_text(json.dumps(info))
+    assert read_table(tmp_path).rows == rows
+    everywhere = places(info)
+
+    @EXAMPLES
+    @given(st.data())
+    def attack(data):
+        bad = with_value(info, data.draw(st.sampled_from(everywhere)), data.draw(ODD))
+        file.write_text(json.dumps(bad, default=str), encoding="utf-8")
+        table = ends_well(lambda: read_table(tmp_path))
+        assert table is None or table.rows == rows
+
+    attack()
+    for text in ("", "[", "null", '{"fps": 1e999}', '{"fps": -5}', "[" * 100_000):
+        file.write_text(text)
+        ends_well(lambda: read_table(tmp_path))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import small_arm
 import yaml
+from made_result import Page
 from scipy.io import savemat
 
 from spacearm_ident.cli.main import main
@@ -306,6 +307,25 @@ def test_the_command_asks_writes_nothing_and_exits_2(tmp_path, capsys):
     assert main(["import", str(log), "--arm", arm, "--set", "rate_hz=200", "--quiet"]) == 0
     assert read_log(log).recording.rate_hz == pytest.approx(200.0)
     assert main(["check", str(log), "--quiet"]) in (0, 1)
+
+
+def test_the_page_beside_the_mapping_shows_columns_units_and_every_joint_and_loads_nothing(tmp_path, capsys):
+    run = small_arm.recording(8.0)
+    head = ["t [s]", "q1 <b>", "q2 <b>", "tau1", "tau2"]
+    log = csv_of(tmp_path, head, run.time, np.degrees(run.position), run.effort)
+    words = ["import", str(log), "--arm", str(arm_file(tmp_path, small_arm.URDF)), "--quiet"]
+    assert main(words) == 0
+    assert f"picture: {tmp_path / 'log.csv.mapping.html'}" in capsys.readouterr().out
+    page = Page((tmp_path / "log.csv.mapping.html").read_text())
+    assert page.tags.count("svg") == len(small_arm.JOINTS)
+    assert all(reference.startswith("#") for reference in page.references)
+    text = " ".join(page.words)
+    assert all(joint in text for joint in small_arm.JOINTS) and "q# <b>" in text and "deg" in text
+    for file in tmp_path.glob("*.mapping.*"):
+        file.unlink()
+    open_question = csv_of(tmp_path, ["n", *head[1:]], np.arange(len(run.time)), run.position, run.effort)
+    assert main([words[0], str(open_question), *words[2:]]) == 2
+    assert not list(tmp_path.glob("*.mapping.*"))
 
 
 def test_a_log_without_an_arm_is_refused_in_one_line(tmp_path):

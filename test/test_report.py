@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import shutil
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -377,3 +378,24 @@ def test_page_warns_of_what_weakens_its_figures(subject: tuple[Identified, Valid
     lacking = {"turn": replace(figures.joints["turn"], lack_of_fit=LackOfFit(6.0, 1e-9, 0.1))}
     warnings = " ".join(opening(identified, replace(figures, joints=lacking, held_out=False)).warnings)
     assert "fitted to" in warnings and "residual of turn repeats" in warnings
+
+
+def test_the_page_offers_every_export_with_a_command_that_runs_and_what_it_does_not_hold(subject):
+    """The command line of each, word by word, against the parser; the words against what `export` says."""
+    from spacearm_ident.cli.main import parser
+    from spacearm_ident.export.law import nearest
+    from spacearm_ident.export.motion import motions_of
+    from spacearm_ident.export.write import FORMATS
+    from spacearm_ident.report.formats import MJCF, SDF
+
+    identified, figures = subject
+    text = page_of(identified, replace(figures, held_out=True))
+    section = text[text.index("For simulators and controllers") :]
+    commands = re.findall(r"spacearm (export [^<]*)</code>", section)
+    parsed_lines = [parser(("export",)).parse_args(command.split()) for command in commands]
+    assert [line.to for line in parsed_lines] == list(FORMATS)
+    for form in (MJCF, SDF):
+        lost = nearest(identified.model, form, motions_of(identified.model, None)).lost
+        row = section[section.index(f"--to {form.name}") :]
+        assert ", ".join(lost) in row[: row.index("</tr>")].replace("&#x27;", "'")
+    assert "--to thresholds" not in page_of(identified, replace(figures, held_out=False))

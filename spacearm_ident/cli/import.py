@@ -6,21 +6,24 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from ..documents import write_whole
+from ..dynamics.arm import load_arm
 from ..errors import UserError, one_line
 from ..logs.propose import ANSWERS, Proposal
 from ..logs.read import propose_for, recording_by
 from ..recording import describe, write_recording
 from ..recording.log_mapping import MAPPING_SUFFIX, mapping_to_dict, save_mapping
+from ..report.import_html import import_html
 from . import common
 
 DESCRIPTION = """
 Find out what the columns of a log are (CSV, TSV or columns with white space between, .npz, .mat, HDF5, Parquet, a
 LeRobot dataset): which are positions, velocities, torques or currents, of which joint, in which unit, and what is the
 time. Names are read in some ten languages; units and joints are tested against the arm: its limits, the derivative of
-the positions, the weight of the CAD's arm. Show it as a table and write it as a mapping file, which every command then
-finds beside the log. What cannot be decided is asked, a line each, and answered with --set; nothing is guessed, and
-nothing written while a question is open (exit code 2). Bags (.mcap, .db3, .bag) need no mapping. A log below 90 Hz or
-without torque is refused (exit code 1).
+the positions, the weight of the CAD's arm. Show it as a table, write it as a mapping file, which every command then
+finds beside the log, and draw the signals it gives on a page beside that (LOG.mapping.html). What cannot be decided is
+asked, a line each, and answered with --set; nothing is guessed, and nothing written while a question is open (exit
+code 2). Bags (.mcap, .db3, .bag) need no mapping. A log below 90 Hz or without torque is refused (exit code 1).
 """
 
 
@@ -67,17 +70,32 @@ def run(options: argparse.Namespace) -> int:
             show(proposal)
         return 2
     recording = recording_by(table, proposal.mapping, options.arm, str(options.log))
+    picture = file.with_name(file.name.removesuffix(".yaml") + ".html")
+    drawn = import_html(options.log, proposal, proposal.mapping, recording, load_arm(options.arm))
     save_mapping(proposal.mapping, file)
+    _write_picture(picture, drawn)
     if options.out is not None:
         write_recording(options.out, recording, common.origin(options, options.arm, file))
     if options.json:
-        common.print_json(_plain(proposal, file))
+        common.print_json({**_plain(proposal, file), "picture": str(picture)})
         return 0
     show(proposal)
     for line in describe(recording):
         common.note(options, line)
-    print(f"mapping: {file}" + (f"\nbag: {options.out}" if options.out else ""))
+    print(f"mapping: {file}\npicture: {picture}" + (f"\nbag: {options.out}" if options.out else ""))
     return 0
+
+
+def _write_picture(path: Path, text: str) -> None:
+    """Write the page.
+
+    Raises:
+        UserError: It cannot be written.
+    """
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror}); name another place") from error
 
 
 def show(proposal: Proposal) -> None:

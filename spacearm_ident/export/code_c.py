@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from ..dynamics.arm import FloatArray
 from .controller import JOINT_NUMBERS, ZERO_SPEED, ControlLaw
+from .template import filled, identifier
+from .thresholds import Thresholds
 
 HEADER = """/* @NOTES@ */
 #ifndef @UPPER@_H
@@ -34,7 +34,7 @@ void @NAME@_friction(const double *q, const double *qd, double zero_speed, doubl
 
 /* Y with bodies' torque = Y * inertials, row by row: Y[i * 10 * N + 10 * link + k]. */
 void @NAME@_regressor(const double *q, const double *qd, const double *qdd, double *Y);
-
+@CONTACT_HEADER@
 #ifdef __cplusplus
 }
 #endif
@@ -225,15 +225,35 @@ void @NAME@_regressor(const double *q, const double *qd, const double *qdd, doub
     }
   }
 }
+@CONTACT_SOURCE@"""
+CONTACT_HEADER = """
+/* Contact: |measured torque - torque(q, qd, qdd)| beyond threshold, N m (N), both low-passed at @BANDWIDTH@ Hz. Set
+   for @PER_HOUR@ false alarms an hour at each joint in each speed range; HUGE_VAL where the held-out motion was too
+   short to set one. Above the fastest range the last threshold goes on, unmeasured. Counted on held-out motion:
+   @COUNTED@ */
+void @NAME@_threshold(const double *qd, double *threshold);
+"""
+CONTACT_SOURCE = """
+static const double contact_bound[N][@PARTS@] = @BOUNDS@;
+static const double contact_level[N][@PARTS@ + 1] = @LEVELS@;
+
+void @NAME@_threshold(const double *qd, double *threshold) {
+  for (int i = 0; i < N; i++) {
+    int part = 0;
+    while (part < @PARTS@ && fabs(qd[i]) > contact_bound[i][part]) part++;
+    threshold[i] = contact_level[i][part];
+  }
+}
 """
 
 
-def c_code(law: ControlLaw, notes: list[str]) -> tuple[str, str, str]:
+def c_code(law: ControlLaw, notes: list[str], contact: Thresholds | None = None) -> tuple[str, str, str]:
     """The name of the files, the text of the header and that of the source.
 
     Args:
         law: The law.
         notes: What stands at their heads, a line each.
+        contact: Thresholds for contact detection; None: the code has none.
     """
     arm = law.model.model.arm
     name = identifier(arm.name)
@@ -257,17 +277,25 @@ def c_code(law: ControlLaw, notes: list[str]) -> tuple[str, str, str]:
         "JOINT_NUMBERS": _block(law.joints),
         "MOTOR_NUMBERS": _block(np.vstack([law.motors, np.zeros(n + 3)])),
     }
-    return name, _filled(HEADER, fields), _filled(SOURCE, fields)
+    fields |= _contact_fields(contact, fields)
+    return name, filled(HEADER, fields), filled(SOURCE, fields)
 
 
-def identifier(name: str) -> str:
-    """A name as C and Python allow it."""
-    plain = re.sub(r"[^a-z0-9_]", "_", name.lower()) or "arm"
-    return plain if plain[0].isalpha() else f"arm_{plain}"
-
-
-def _filled(template: str, fields: dict[str, str]) -> str:
-    return re.sub(r"@([A-Z_]+)@", lambda match: fields[match.group(1)], template)
+def _contact_fields(contact: Thresholds | None, fields: dict[str, str]) -> dict[str, str]:
+    """What the templates hold of contact detection; nothing without thresholds."""
+    if contact is None:
+        return {"CONTACT_HEADER": "", "CONTACT_SOURCE": ""}
+    bounds, levels = contact.tables()
+    own = {
+        **fields,
+        "BANDWIDTH": f"{contact.bandwidth_hz:g}",
+        "PER_HOUR": f"{contact.wanted_per_hour:g}",
+        "COUNTED": "\n   ".join(line.replace("*/", "* /") for line in contact.lines()),
+        "PARTS": str(bounds.shape[1]),
+        "BOUNDS": _block(bounds),
+        "LEVELS": _block(levels),
+    }
+    return {"CONTACT_HEADER": filled(CONTACT_HEADER, own), "CONTACT_SOURCE": filled(CONTACT_SOURCE, own)}
 
 
 def _block(values: FloatArray, whole: bool = False) -> str:

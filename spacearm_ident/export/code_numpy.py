@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import re
-
-import numpy as np
-
-from ..dynamics.arm import FloatArray
-from .code_c import identifier
-from .controller import JOINT_NUMBERS, ZERO_SPEED, ControlLaw
+from .controller import ControlLaw
+from .template import docstring_lines, fields_of, filled, identifier, literal
+from .thresholds import Thresholds
 
 TEMPLATE = '''"""@NOTES@
 
@@ -148,27 +144,37 @@ def friction(q, qd, zero_speed=ZERO_SPEED):
 '''
 
 
-def numpy_code(law: ControlLaw, notes: list[str]) -> tuple[str, str]:
+CONTACT = '''
+
+# Speeds between the ranges, and thresholds in them: N m (N); inf where the held-out motion was too short to set one.
+CONTACT_BOUNDS = np.array(@BOUNDS@)
+CONTACT_LEVELS = np.array(@LEVELS@)
+
+
+def threshold(qd):
+    """Contact: |measured torque - torque(q, qd, qdd)| beyond this, both low-passed at @BANDWIDTH@ Hz.
+
+    Set for @PER_HOUR@ false alarms an hour at each joint in each speed range. Counted on held-out motion:
+    @COUNTED@
+    """
+    part = (np.abs(np.asarray(qd, dtype=float))[..., None] > CONTACT_BOUNDS).sum(axis=-1)
+    return CONTACT_LEVELS[np.arange(len(JOINTS)), part]
+'''
+
+
+def numpy_code(law: ControlLaw, notes: list[str], contact: Thresholds | None = None) -> tuple[str, str]:
     """The name of the module and its text; arguments as `c_code`."""
-    arm = law.model.model.arm
-    fields = {
-        "NOTES": "\n".join(notes).replace("\\", "/").replace('"""', "'''"),
-        "JOINTS": ", ".join(arm.joint_names).replace("\\", "/").replace('"', "'"),
-        "NAMES": repr(arm.joint_names),
-        "PARENT": repr([joint.parent for joint in arm.joints]),
-        "REVOLUTE": repr([joint.revolute for joint in arm.joints]),
-        "AXIS": _rows([joint.axis for joint in arm.joints]),
-        "PLACE": repr([joint.rotation.tolist() for joint in arm.joints]),
-        "ORIGIN": _rows([joint.translation for joint in arm.joints]),
-        "GRAVITY": repr(np.asarray(arm.gravity).tolist()),
-        "INERTIALS": _rows(list(law.inertials)),
-        "NUMBERS": _rows(list(law.joints.T)).replace("inf", "np.inf"),
-        "MOTORS": repr(law.motors.tolist()),
-        "ZERO": repr(ZERO_SPEED),
-    }
-    assert law.joints.shape[1] == len(JOINT_NUMBERS)
-    return identifier(arm.name), re.sub(r"@([A-Z_]+)@", lambda match: fields[match.group(1)], TEMPLATE)
-
-
-def _rows(rows: list[FloatArray]) -> str:
-    return "[\n    " + ",\n    ".join(repr(row.tolist()) for row in rows) + ",\n]"
+    fields = fields_of(law, notes)
+    fields["NUMBERS"] = literal(list(law.joints.T)).replace("inf", "np.inf")
+    text = filled(TEMPLATE, fields)
+    if contact is not None:
+        bounds, levels = contact.tables()
+        own = {
+            "BANDWIDTH": f"{contact.bandwidth_hz:g}",
+            "PER_HOUR": f"{contact.wanted_per_hour:g}",
+            "COUNTED": "\n    ".join(docstring_lines(contact.lines())),
+            "BOUNDS": literal(list(bounds)),
+            "LEVELS": literal(list(levels)).replace("inf", "np.inf"),
+        }
+        text += filled(CONTACT, own)
+    return identifier(law.model.model.arm.name), text

@@ -20,9 +20,9 @@ from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..recording.motion import Motion
-from .law import SIMPLE_TERMS, SLOW_SHARE, Format, Nearest, lost_words, possible
+from ..report.formats import CODE, lost_in_code
+from .law import SIMPLE_TERMS, SLOW_SHARE, Nearest, possible
 
-CODE = Format("code", frozenset())
 JOINT_NUMBERS = ("J_m", "k_1", "offset", "f_c", "f_b", "v_b", "mu", "k_v1", "k_v2_even", "k_v2_odd", "k_v3", "fastest")
 """What is held of each joint beside its body, SI."""
 ZERO_SPEED = 0.01
@@ -110,7 +110,4 @@ def code_cost(model: IdentifiedModel, law: ControlLaw, motions: Sequence[Motion]
     most = {joint: float(np.abs(np.where(moving[:, k], left[:, k], 0.0)).max()) for k, joint in enumerate(names)}
     cost = {joint: rms(left, k) for k, joint in enumerate(names)}
     size = {joint: rms(whole, k) for k, joint in enumerate(names)}
-    kept = {"Stribeck friction", "friction that grows with the load", "k_v2", "k_v3"}
-    kept |= {"rotor inertia J_m", "joint spring k_1", "torque offset", "coupled motors"}
-    lost = tuple(word for word in lost_words(model, CODE) if word not in kept)
-    return Nearest(CODE, {}, cost, most, size, lost)
+    return Nearest(CODE, {}, cost, most, size, lost_in_code(model))

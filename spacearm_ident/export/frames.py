@@ -42,9 +42,7 @@ def bodies_of(model: IdentifiedModel) -> list[Body]:
         if not values[0] > 0.0:
             raise UserError(f"the body of {joint.name!r} has no positive mass: give the arm a CAD prior with masses")
         centre = values[1:4] / values[0]
-        xx, xy, yy, xz, yz, zz = values[4:]
-        about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        inertia = about_origin - values[0] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+        inertia = inertia_about_centre(values)
         principal = np.linalg.eigvalsh(inertia)
         if principal[0] <= 0.0 or principal[2] > (1.0 + 1e-9) * (principal[0] + principal[1]):
             raise UserError(
@@ -53,6 +51,17 @@ def bodies_of(model: IdentifiedModel) -> list[Body]:
             )
         bodies.append(Body(joint, float(values[0]), centre, inertia))
     return bodies
+
+
+def inertia_about_centre(values: FloatArray) -> FloatArray:
+    """(3, 3) inertia about the centre of mass, by the parallel axis theorem.
+
+    Args:
+        values: (10,) m, mc, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the frame's origin, kg, kg m, kg m^2.
+    """
+    centre = values[1:4] / values[0]
+    about_origin = values[4:][[0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(3, 3)
+    return np.asarray(about_origin - values[0] * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
 
 
 def children_of(arm: Arm, parent: int) -> list[int]:

@@ -7,7 +7,7 @@ format's own parameters are fitted to all of it, by least squares over the motio
     min over p >= 0 of  sum over rows (tau_model - tau_bodies - columns p)^2   where the joint moves,
 
 and what that leaves of the model's prediction is the cost, in N·m RMS and at most. The bodies are those of the
-identified model, and all values the physically consistent ones: what a model's `unbounded` adds is part of the cost.
+identified model, and all values the physically consistent ones: what a model's `unbounded` and `plain` add is part of the cost.
 """
 
 from __future__ import annotations
@@ -20,28 +20,14 @@ from scipy.optimize import lsq_linear
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.coupling import CoupledMotor
-from ..dynamics.model import CATALOGUE, IdentifiedModel
-from ..dynamics.rigid_body import JointSpring, RigidBody, RotorInertia, TorqueOffset
+from ..dynamics.model import IdentifiedModel
+from ..dynamics.rigid_body import JointSpring, RotorInertia, TorqueOffset
 from ..recording.motion import Motion
+from ..report.formats import ARMATURE, DAMPING, FRICTION, PARTS, RIGID, STIFFNESS, Format, lost_words
 
-ARMATURE, DAMPING, FRICTION, STIFFNESS = "armature", "damping", "friction", "stiffness"
-RIGID = RigidBody.kind
 SLOW_SHARE = 0.02
 """Rows slower than this share of a joint's top speed stand still: friction there is whatever balances the rest, and no
 format's law is judged by it."""
-
-
-@dataclass(frozen=True)
-class Format:
-    """What a format's joint can hold beside its body.
-
-    Attributes:
-        name: As users write it.
-        holds: Some of `ARMATURE`, `DAMPING`, `FRICTION`, `STIFFNESS` (at rest at zero)
-    """
-
-    name: str
-    holds: frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -55,6 +41,7 @@ class Nearest:
         most_Nm: Joint -> the largest of it.
         torque_Nm: Joint -> RMS of the model's torque there, to compare with.
         lost: What of the model the format does not hold as it is, in words.
+        further: What else a user should know of the export, a line each.
     """
 
     format: Format
@@ -63,6 +50,7 @@ class Nearest:
     most_Nm: Mapping[str, float]
     torque_Nm: Mapping[str, float]
     lost: tuple[str, ...]
+    further: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """What a user should know of the cost, a line each."""
@@ -73,7 +61,7 @@ class Nearest:
             lines.append(
                 f"  {joint}: costs {cost:.3g} N m RMS ({share:.1%} of its torque), {self.most_Nm[joint]:.3g} at most"
             )
-        return lines
+        return [*lines, *self.further]
 
 
 def possible(model: IdentifiedModel) -> IdentifiedModel:
@@ -139,38 +127,5 @@ def _fit(columns: Mapping[str, FloatArray], target: FloatArray, rows: np.ndarray
     return {name: float(value) for name, value in zip(columns, solution.x / scale)}
 
 
-_HELD = {RotorInertia.kind: ARMATURE, JointSpring.kind: STIFFNESS}
-_PARTS = {
-    "stribeck_friction": (
-        ("f_b", "Stribeck friction"),
-        ("d_s", "presliding"),
-        ("mu", "friction that grows with the load"),
-    ),
-    "viscous_friction": (("k_v2", "k_v2"), ("k_v2_odd", "k_v2"), ("k_v3", "k_v3")),
-}
-
-
-def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
-    """What of the model has values and no place in the format, in words."""
-    words: list[str] = []
-    for term, first, first_constant in model.model.numbered():
-        values = {p.symbol: model.parameters[first + k] for k, p in enumerate(term.parameters)}
-        values |= {c.symbol: model.constants[first_constant + k] for k, c in enumerate(term.constants)}
-        if term.kind == RIGID or (term.kind in _HELD and _HELD[term.kind] in form.holds):
-            continue
-        if term.kind in _PARTS:
-            for symbol, what in _PARTS[term.kind]:
-                there = values.get(symbol, 0.0) != (values.get("f_c") if symbol == "f_b" else 0.0)
-                if there and (symbol != "f_b" or values.get("v_b", 0.0) > 0.0):
-                    words.append(what)
-        elif any(values.values()):
-            words.append(CATALOGUE[term.kind].words)
-    if model.unbounded is not None:
-        words.append("the share of least squares without physical bounds")
-    if model.plain is not None:
-        words.append("the share of a plain model")
-    return tuple(dict.fromkeys(words))
-
-
-SIMPLE_TERMS = frozenset({RIGID, RotorInertia.kind, JointSpring.kind, TorqueOffset.kind, CoupledMotor.kind, *_PARTS})
+SIMPLE_TERMS = frozenset({RIGID, RotorInertia.kind, JointSpring.kind, TorqueOffset.kind, CoupledMotor.kind, *PARTS})
 """Terms whose law a controller's code can hold."""

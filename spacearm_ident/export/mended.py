@@ -15,14 +15,13 @@ import numpy as np
 from ..dynamics.model import IdentifiedModel
 from ..layers.item import Mended
 from ..recording.motion import Motion
+from ..report.formats import ARMATURE, DAMPING, FRICTION, MJCF, SDF, STIFFNESS, URDF
 from ..report.urdf import identified_urdf
 from ..simulations import Simulation
 from ..simulations.mjcf import mujoco_or_error
 from .frames import bodies_of, quaternion
-from .law import ARMATURE, DAMPING, FRICTION, STIFFNESS, Nearest, nearest
-from .mjcf import MJCF
-from .sdf import SDF, sdf
-from .urdf import URDF
+from .law import Nearest, nearest
+from .sdf import sdf
 
 
 def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Sequence[Motion]) -> Mended | None:

@@ -7,11 +7,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
+from ..report.formats import ARMATURE, DAMPING, FRICTION, STIFFNESS
 from .frames import Body, bodies_of, children_of, quaternion, words
-from .law import ARMATURE, DAMPING, FRICTION, STIFFNESS, Format, Nearest
+from .law import Nearest
 
-MJCF = Format("mjcf", frozenset({ARMATURE, DAMPING, FRICTION, STIFFNESS}))
-"""MuJoCo's joint: armature q'' + damping q' + frictionloss sgn(q') + stiffness q."""
 SHARP = "0.9999 0.9999 0.001 0.5 2"
 """Impedance of the friction constraint, MuJoCo's highest: by default a light joint reaches its Coulomb friction only
 at some 0.1 rad/s, which no parameter here could make good."""
@@ -86,7 +85,12 @@ def _joint(body: Body, fit: Nearest) -> str:
 
 
 def _motor(body: Body) -> str:
-    """A motor that takes N·m of the output side, within the joint's limit."""
+    """An actuator within the joint's limit: N·m of the output side, or A of the motor where its constants are known."""
     name, limit = body.joint.name, body.joint.effort_limit
-    bounds = f' ctrlrange="{words([-limit, limit])}"' if np.isfinite(limit) else ""
-    return f"    <motor name={quoteattr(f'{name}_motor')} joint={quoteattr(name)}{bounds}/>"
+    gain = body.joint.gear_ratio * body.joint.torque_constant
+    words_of = f"name={quoteattr(f'{name}_motor')} joint={quoteattr(name)}"
+    bounds = f' ctrlrange="{words([-limit / abs(gain), limit / abs(gain)])}"' if np.isfinite(limit) else ""
+    if gain == 1.0:
+        return f"    <motor {words_of}{bounds}/>"
+    force = f' forcerange="{words([-limit, limit])}"' if np.isfinite(limit) else ""
+    return f'    <general {words_of} gainprm="{gain!r}"{bounds}{force}/> <!-- control: motor current, A -->'

@@ -25,6 +25,7 @@ from ..identification.weights import residual_noise
 from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
+from .frames import inertia_about_centre
 
 INERTIA_SD = 0.2
 """Standard deviation of the belief about the inertia of what is held about the last joint's frame, kg m^2: 10 kg at
@@ -93,8 +94,7 @@ def find_payload(model: IdentifiedModel, recordings: Sequence[Recording], frame:
     def told(phi: FloatArray) -> FloatArray:
         """Mass, centre and inertia in the frame asked for, as one vector."""
         centre = phi[1:4] / phi[0]
-        tensor = _tensor(phi[4:10]) - phi[0] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-        turned = rotation.T @ tensor @ rotation
+        turned = rotation.T @ inertia_about_centre(phi) @ rotation
         return np.concatenate([[phi[0]], rotation.T @ (centre - origin), turned.ravel()])
 
     phi = values[:10]
@@ -184,11 +184,6 @@ def _rows(
         start += len(rest) + 1000
     joined = [np.concatenate(one) for one in places]
     return [np.concatenate(one) for one in columns], [np.concatenate(one) for one in targets], joined
-
-
-def _tensor(elements: FloatArray) -> FloatArray:
-    """(3, 3) from Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""
-    return np.asarray(elements[[0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(3, 3))
 
 
 def _is_body(phi: FloatArray) -> bool:

@@ -7,11 +7,9 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
+from ..report.formats import DAMPING, FRICTION, STIFFNESS
 from .frames import Body, bodies_of, rpy, words
-from .law import DAMPING, FRICTION, STIFFNESS, Format, Nearest
-
-SDF = Format("sdf", frozenset({DAMPING, FRICTION, STIFFNESS}))
-"""SDF's `<dynamics>`; there is no place for the inertia of a rotor."""
+from .law import Nearest
 
 
 def sdf(model: IdentifiedModel, fit: Nearest, notes: list[str]) -> str:

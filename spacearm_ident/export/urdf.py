@@ -5,11 +5,9 @@ from __future__ import annotations
 from xml.sax.saxutils import quoteattr
 
 from ..dynamics.model import IdentifiedModel
+from ..report.formats import DAMPING, FRICTION
 from ..report.urdf import identified_urdf
-from .law import DAMPING, FRICTION, Format, Nearest
-
-URDF = Format("urdf", frozenset({DAMPING, FRICTION}))
-"""URDF's `<dynamics damping friction>`; there is no place for the inertia of a rotor or a spring."""
+from .law import Nearest
 
 
 def urdf(model: IdentifiedModel, fit: Nearest, notes: list[str]) -> str:

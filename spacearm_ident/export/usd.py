@@ -16,11 +16,9 @@ from scipy.spatial.transform import Rotation
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..recording.tables.optional import optional
+from ..report.formats import ARMATURE, DAMPING, FRICTION
 from .frames import Body, bodies_of, quaternion
-from .law import ARMATURE, DAMPING, FRICTION, Format, Nearest
-
-USD = Format("usd", frozenset({ARMATURE, DAMPING, FRICTION}))
-"""PhysX's joint: armature q'' + viscous q' + dynamic friction sgn(q')."""
+from .law import Nearest
 
 
 def write_usd(model: IdentifiedModel, fit: Nearest, notes: list[str], path: Path) -> None:

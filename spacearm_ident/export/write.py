@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ..documents import write_whole
+from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
-from ..errors import UserError
+from ..errors import UnfitDataError, UserError
 from ..identification.identified import Validation
+from ..recording.motion import Motion
+from ..report.formats import MJCF, SDF, URDF, USD, Format
 from ..report.store import FIGURES, MODEL, load_result
 from .code_c import c_code
+from .code_casadi import casadi_code
 from .code_numpy import numpy_code
-from .controller import code_cost, control_law
-from .law import Format, Nearest, nearest
-from .mjcf import MJCF, mjcf
+from .controller import ControlLaw, code_cost, control_law
+from .law import Nearest, nearest
+from .mjcf import mjcf
 from .motion import motions_of
-from .sdf import SDF, sdf
-from .urdf import URDF, urdf
-from .usd import USD, write_usd
+from .sdf import sdf
+from .thresholds import PER_HOUR, Thresholds, contact_thresholds, document_text
+from .urdf import urdf
+from .usd import write_usd
 
 TEXTS: dict[str, tuple[Format, Callable[[IdentifiedModel, Nearest, list[str]], str]]] = {
     "mjcf": (MJCF, mjcf),
@@ -27,7 +33,12 @@ TEXTS: dict[str, tuple[Format, Callable[[IdentifiedModel, Nearest, list[str]], s
     "urdf": (URDF, urdf),
 }
 """Formats that are one text: what each holds, and its writer."""
-FORMATS = (*TEXTS, "usd", "c", "numpy")
+MODULES: dict[str, Callable[[ControlLaw, list[str], Thresholds | None], tuple[str, str]]] = {
+    "numpy": numpy_code,
+    "casadi": casadi_code,
+}
+"""Formats that are one Python module: the writer of its name and text."""
+FORMATS = (*TEXTS, "usd", "c", *MODULES, "thresholds")
 
 
 def read_result(path: Path) -> tuple[IdentifiedModel, Validation | None]:
@@ -42,8 +53,30 @@ def read_result(path: Path) -> tuple[IdentifiedModel, Validation | None]:
     return load_model(path / MODEL if path.is_dir() else path), None
 
 
+def with_drives(model: IdentifiedModel, arm: Arm) -> IdentifiedModel:
+    """A model with the gear ratios and torque constants of an arm, which model files do not hold.
+
+    Raises:
+        UserError: A joint of the model is not in the arm.
+    """
+    known = {joint.name: joint for joint in arm.joints}
+    own = model.model.arm
+    if missing := [joint.name for joint in own.joints if joint.name not in known]:
+        raise UserError(f"--arm: no joint {missing[0]!r}; it has {', '.join(known)}")
+    joints = tuple(
+        replace(joint, gear_ratio=known[joint.name].gear_ratio, torque_constant=known[joint.name].torque_constant)
+        for joint in own.joints
+    )
+    return replace(model, model=replace(model.model, arm=replace(own, joints=joints)))
+
+
 def export_model(
-    model: IdentifiedModel, validation: Validation | None, form: str, out: Path, origin: str
+    model: IdentifiedModel,
+    validation: Validation | None,
+    form: str,
+    out: Path,
+    origin: str,
+    per_hour: float = PER_HOUR,
 ) -> tuple[Nearest, list[Path]]:
     """Write a model in a format.
 
@@ -53,24 +86,36 @@ def export_model(
         form: One of `FORMATS`.
         out: The file; for `c` a folder, or the source or header, whose names then follow the arm's.
         origin: Where the model comes from, for the head of the file.
+        per_hour: False alarms an hour that thresholds for contact detection are set for.
 
     Returns:
         The format's parameters with their cost, and the files written.
 
     Raises:
+        UnfitDataError: Thresholds without held-out motion.
         UserError: Another format, a body that cannot be, or the file cannot be written.
     """
+    if form not in FORMATS:
+        raise UserError(f"no format {form!r}: choose one of {', '.join(FORMATS)}")
+    if not 0.0 < per_hour < float("inf"):
+        raise UserError(f"thresholds need a number of false alarms an hour above zero, not {per_hour:g}")
     motions = motions_of(model, validation)
     where = "the motion it was validated on" if validation is not None and validation.traces else "a sweep"
-    if form in ("c", "numpy"):
+    if form == "thresholds":
+        return _write_thresholds(model, validation, motions, out, (origin, where), per_hour)
+    if form == "c" or form in MODULES:
         law = control_law(model)
         cost = code_cost(model, law, motions)
         notes = _notes(origin, cost, where)
+        contact = None
+        if validation is not None and validation.held_out and validation.traces:
+            contact = contact_thresholds(law, motions, model.cutoff_hz or motions[0].cutoff_hz, per_hour)
+            cost = replace(cost, further=tuple(contact.lines()))
         if form == "c":
             folder = out if out.suffix not in (".c", ".h") else out.parent
-            name, header, source = c_code(law, notes)
+            name, header, source = c_code(law, notes, contact)
             return cost, _written({folder / f"{name}.h": header, folder / f"{name}.c": source})
-        name, text = numpy_code(law, notes)
+        name, text = MODULES[form](law, notes, contact)
         return cost, _written({out / f"{name}.py" if out.is_dir() else out: text})
     if form == "usd":
         fit = nearest(model, USD, motions)
@@ -79,11 +124,33 @@ def export_model(
         _make_room(out)
         write_usd(model, fit, _notes(origin, fit, where), out)
         return fit, [out]
-    if form not in TEXTS:
-        raise UserError(f"no format {form!r}: choose one of {', '.join(FORMATS)}")
     holds, writer = TEXTS[form]
     fit = nearest(model, holds, motions)
     return fit, _written({out: writer(model, fit, _notes(origin, fit, where))})
+
+
+def _write_thresholds(
+    model: IdentifiedModel,
+    validation: Validation | None,
+    motions: Sequence[Motion],
+    out: Path,
+    origin: tuple[str, str],
+    per_hour: float,
+) -> tuple[Nearest, list[Path]]:
+    """Thresholds for contact detection, YAML or, by the file's name, JSON."""
+    if validation is None or not validation.traces or not validation.held_out:
+        raise UnfitDataError(
+            "thresholds need held-out motion without contact: name a result folder that was validated on recordings "
+            "the fit has not seen, or name such recordings with --validate"
+        )
+    if out.suffix not in (".yaml", ".yml", ".json"):
+        raise UserError(f"{out}: thresholds are written as .yaml or .json; name one of them")
+    law = control_law(model)
+    cost = code_cost(model, law, motions)
+    found = contact_thresholds(law, motions, model.cutoff_hz or motions[0].cutoff_hz, per_hour)
+    notes = [f"Identified by spacearm_ident from {origin[0]}; measured {validation.what}."]
+    text = document_text(found, notes, out.suffix == ".json")
+    return replace(cost, further=tuple(found.lines())), _written({out: text})
 
 
 def _notes(origin: str, fit: Nearest, where: str) -> list[str]:

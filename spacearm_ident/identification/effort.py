@@ -14,13 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from ..dynamics.arm import Arm
+from ..dynamics.effort_limit import BEYOND_TORQUE
 from ..errors import UserError
 from ..recording import Recording
 from ..recording.recording import Issue
 
-IMPOSSIBLE = 3.0
-"""Effort beyond this multiple of the joint's limit is no torque of it: drives allow peaks of two to three times the
-rated torque, and a limit is at least the rated one."""
 SHARE = 0.05
 """Share of the samples that must lie beyond: a peak torque lasts for a second at most, damaged samples are fewer."""
 
@@ -60,10 +58,10 @@ def _require_torque(recording: Recording, arm: Arm) -> None:
     limits = {joint.name: joint.effort_limit for joint in arm.joints}
     for name, effort in zip(recording.joints, np.abs(recording.effort).T, strict=True):
         limit = limits.get(name, np.inf)
-        if np.isfinite(limit) and np.mean(effort > IMPOSSIBLE * limit) > SHARE:
+        if np.isfinite(limit) and np.mean(effort > BEYOND_TORQUE * limit) > SHARE:
             raise UserError(
-                f"effort of {name} is beyond {IMPOSSIBLE:g} times its limit of {limit:g} N·m in "
-                f"{np.mean(effort > IMPOSSIBLE * limit):.0%} of the samples (largest {effort.max():.4g}): not N·m; "
+                f"effort of {name} is beyond {BEYOND_TORQUE:g} times its limit of {limit:g} N·m in "
+                f"{np.mean(effort > BEYOND_TORQUE * limit):.0%} of the samples (largest {effort.max():.4g}): not N·m; "
                 "say 'effort: {unit: A}' or 'percent' in the arm YAML, with its constants, or correct the limit; "
                 "'effort: {unit: N m}' takes it as it is"
             )

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.effort_limit import BEYOND_TORQUE
 from ..errors import UnfitDataError, UserError
 from ..recording.log_mapping import CURRENT_UNITS, TIME_UNITS, TORQUE_UNITS, UNITS, LogMapping
 from ..recording.tables import Table
@@ -37,8 +38,6 @@ LIKE_WEIGHT = (0.5, 2.0)
 another quantity would have to be, at every loaded joint."""
 LOADED = 0.6
 """Partial correlation with the weight from which a joint's effort follows it."""
-BEYOND_TORQUE = 3.0
-"""Effort beyond this multiple of its limit is no torque (as `identification.effort.IMPOSSIBLE`)."""
 
 
 @dataclass(frozen=True)

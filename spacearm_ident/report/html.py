@@ -14,6 +14,7 @@ from ..identification.identified import Fit, JointValidation
 from ..identification.verdict import FAIR, GOOD
 from . import figures
 from .details import obtained, since_the_prior, structure
+from .exports import exports
 from .markup import NOTHING, Markup, breakable, element, join, number, percent, unit_text
 from .opening import Opening, opening
 from .parameter_tables import base_table, determination_key, matrix, whole_list
@@ -37,6 +38,7 @@ def report_html(result: Result) -> str:
         _validation(result),
         *_signals(result),
         _parameters(result),
+        exports(identified.model, validation),
         since_the_prior(identified),
         structure(identified),
         obtained(identified),

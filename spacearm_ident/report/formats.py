@@ -1,0 +1,87 @@
+"""What each format of `spacearm export` holds of a joint beside its body, and what of a model it has no place for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..dynamics.model import CATALOGUE, IdentifiedModel
+from ..dynamics.rigid_body import JointSpring, RigidBody, RotorInertia
+
+ARMATURE, DAMPING, FRICTION, STIFFNESS = "armature", "damping", "friction", "stiffness"
+RIGID = RigidBody.kind
+
+
+@dataclass(frozen=True)
+class Format:
+    """What a format's joint can hold beside its body.
+
+    Attributes:
+        name: As users write it.
+        holds: Some of `ARMATURE`, `DAMPING`, `FRICTION`, `STIFFNESS` (at rest at zero)
+    """
+
+    name: str
+    holds: frozenset[str]
+
+
+MJCF = Format("mjcf", frozenset({ARMATURE, DAMPING, FRICTION, STIFFNESS}))
+"""MuJoCo's joint: armature q'' + damping q' + frictionloss sgn(q') + stiffness q."""
+SDF = Format("sdf", frozenset({DAMPING, FRICTION, STIFFNESS}))
+"""SDF's `<dynamics>`; there is no place for the inertia of a rotor."""
+URDF = Format("urdf", frozenset({DAMPING, FRICTION}))
+"""URDF's `<dynamics damping friction>`; there is no place for the inertia of a rotor or a spring."""
+USD = Format("usd", frozenset({ARMATURE, DAMPING, FRICTION}))
+"""PhysX's joint: armature q'' + viscous q' + dynamic friction sgn(q')."""
+
+_HELD = {RotorInertia.kind: ARMATURE, JointSpring.kind: STIFFNESS}
+PARTS = {
+    "stribeck_friction": (
+        ("f_b", "Stribeck friction"),
+        ("d_s", "presliding"),
+        ("mu", "friction that grows with the load"),
+    ),
+    "viscous_friction": (("k_v2", "k_v2"), ("k_v2_odd", "k_v2"), ("k_v3", "k_v3")),
+}
+
+
+def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
+    """What of the model has values and no place in the format, in words."""
+    words: list[str] = []
+    for term, first, first_constant in model.model.numbered():
+        values = {p.symbol: model.parameters[first + k] for k, p in enumerate(term.parameters)}
+        values |= {c.symbol: model.constants[first_constant + k] for k, c in enumerate(term.constants)}
+        if term.kind == RIGID or (term.kind in _HELD and _HELD[term.kind] in form.holds):
+            continue
+        if term.kind in PARTS:
+            for symbol, what in PARTS[term.kind]:
+                there = values.get(symbol, 0.0) != (values.get("f_c") if symbol == "f_b" else 0.0)
+                if there and (symbol != "f_b" or values.get("v_b", 0.0) > 0.0):
+                    words.append(what)
+        elif any(values.values()):
+            words.append(CATALOGUE[term.kind].words)
+    if model.unbounded is not None:
+        words.append("the share of least squares without physical bounds")
+    if model.plain is not None:
+        words.append("the share of a plain model")
+    return tuple(dict.fromkeys(words))
+
+
+CODE = Format("code", frozenset())
+_IN_CODE = frozenset(
+    {
+        "Stribeck friction",
+        "friction that grows with the load",
+        "k_v2",
+        "k_v3",
+        "rotor inertia J_m",
+        "joint spring k_1",
+        "torque offset",
+        "coupled motors",
+    }
+)
+"""Words of `lost_words` for what a controller's code holds all the same."""
+
+
+def lost_in_code(model: IdentifiedModel) -> tuple[str, ...]:
+    """What of the model has values and no place in a controller's code, whose law has no memory, in words."""
+    return tuple(word for word in lost_words(model, CODE) if word not in _IN_CODE)

@@ -1,0 +1,112 @@
+"""Exports of identified arms on held-out motion: MuJoCo within the stated cost, C with the same residuals."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spacearm_ident.cli.main import main
+from spacearm_ident.config import config_path
+from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.export.controller import control_law
+from spacearm_ident.export.law import SLOW_SHARE
+from spacearm_ident.export.motion import motions_of, sweep
+from spacearm_ident.export.write import export_model, read_result
+
+REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
+ARMS = {
+    "ur10e": ("commissioning.mcap", "commissioning_validation.mcap"),
+    "panda": ("run_1.mcap", "run_2.mcap"),
+}
+"""Folder -> the recording of the fit and the one held out."""
+SLACK = 0.02
+"""Share of the torque by which MuJoCo may be further from the measurement than model and stated cost together."""
+
+
+@pytest.fixture(scope="module", params=list(ARMS))
+def real(request, tmp_path_factory) -> Path:
+    """A result folder of a real arm."""
+    pytest.importorskip("clarabel", reason="needs clarabel")
+    fitted, held_out = (REAL / request.param / name for name in ARMS[request.param])
+    if not fitted.exists() or not held_out.exists():
+        pytest.skip(f"no {request.param} in ../shared/recordings/real")
+    folder = tmp_path_factory.mktemp(request.param)
+    words = ["identify", str(fitted), "--validate", str(held_out), "--quiet", "--friction", "coulomb-viscous"]
+    assert main([*words, "--out", str(folder / "result")]) in (0, 3)
+    return folder / "result"
+
+
+def inverse_in_mujoco(path: Path, motion) -> np.ndarray:
+    """(N, n) torque that MuJoCo's inverse dynamics asks of the motors."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    torque = np.empty_like(motion.position)
+    for k in range(len(torque)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = motion.position[k], motion.velocity[k], motion.acceleration[k]
+        mujoco.mj_inverse(model, data)
+        torque[k] = data.qfrc_inverse
+    return torque
+
+
+def shares(motions, predicted) -> np.ndarray:
+    """(n,) residual RMS over torque RMS where each joint moves."""
+    measured = np.concatenate([motion.torque for motion in motions])
+    speed = np.abs(np.concatenate([motion.velocity for motion in motions]))
+    moving = speed > SLOW_SHARE * speed.max(axis=0)
+    left = np.concatenate(predicted) - measured
+    return np.sqrt((left**2 * moving).sum(axis=0) / (measured**2 * moving).sum(axis=0))
+
+
+def test_mujoco_predicts_the_held_out_torque_of_a_real_arm_within_the_stated_cost(real, tmp_path):
+    model, validation = read_result(real)
+    fit, _ = export_model(model, validation, "mjcf", tmp_path / "arm.xml", "a test")
+    motions = motions_of(model, validation)
+    own = shares(motions, [model.torque(motion) for motion in motions])
+    theirs = shares(motions, [inverse_in_mujoco(tmp_path / "arm.xml", motion) for motion in motions])
+    stated = np.array([fit.cost_Nm[joint] / fit.torque_Nm[joint] for joint in fit.cost_Nm])
+    assert np.all(theirs <= own + stated + SLACK), (own, theirs, stated)
+
+
+def test_mujoco_predicts_the_paper_s_arm_on_another_motion_within_the_stated_cost(tmp_path):
+    model = load_model(config_path("paper_arm_model.yaml"))
+    fit, _ = export_model(model, None, "mjcf", tmp_path / "arm.xml", "a test")
+    motion = sweep(model.model.arm)
+    slower = 0.6
+    other = replace(motion, velocity=slower * motion.velocity, acceleration=slower**2 * motion.acceleration)
+    expected = model.torque(other)
+    left = inverse_in_mujoco(tmp_path / "arm.xml", other) - expected
+    for k, joint in enumerate(model.model.arm.joint_names):
+        moving = np.abs(other.velocity[:, k]) > SLOW_SHARE * np.abs(other.velocity[:, k]).max()
+        rms, size = (np.sqrt(np.mean(values[moving, k] ** 2)) for values in (left, expected))
+        assert rms <= fit.cost_Nm[joint] + SLACK * size
+
+
+def test_the_c_code_leaves_the_residuals_of_the_model_on_held_out_motion(real, tmp_path):
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("needs a C compiler (cc)")
+    model, validation = read_result(real)
+    _, files = export_model(model, validation, "c", tmp_path, "a test")
+    source = next(file for file in files if file.suffix == ".c")
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC"]
+    subprocess.run([compiler, *flags, str(source), "-o", str(tmp_path / "arm.so"), "-lm"], check=True)
+    torque = getattr(ctypes.CDLL(str(tmp_path / "arm.so")), f"{source.stem}_torque")
+    pointer = ctypes.POINTER(ctypes.c_double)
+    law, names = control_law(model), ("position", "velocity", "acceleration")
+    for motion in motions_of(model, validation):
+        out = np.zeros_like(motion.position)
+        for k in range(len(out)):
+            state = [np.ascontiguousarray(getattr(motion, name)[k]) for name in names]
+            torque(*(one.ctypes.data_as(pointer) for one in state), out[k].ctypes.data_as(pointer))
+        expected = law.model.torque(motion)
+        assert np.abs(out - expected).max() < 1e-10 * np.abs(expected).max()
+        residual, own = motion.torque - out, motion.torque - expected
+        assert np.abs(residual - own).max() < 1e-9
