@@ -7,7 +7,7 @@ format's own parameters are fitted to all of it, by least squares over the motio
     min over p >= 0 of  sum over rows (tau_model - tau_bodies - columns p)^2   where the joint moves,
 
 and what that leaves of the model's prediction is the cost, in N·m RMS and at most. The bodies are those of the
-identified model, and all values the physically consistent ones: what a model's `unbounded` and `plain` add is part of the cost.
+identified model, and all values the physically consistent ones: what `unbounded` and `plain` add is part of the cost.
 """
 
 from __future__ import annotations
