@@ -66,7 +66,7 @@ def blend_notes(model: IdentifiedModel) -> tuple[str, ...]:
     """What is blended into the prediction and why, for the user; empty where nothing is."""
     parts = {
         "least squares without physical bounds": model.unbounded,
-        "a plain model (rigid bodies, Coulomb and viscous friction, offset)": model.plain,
+        "a plain model of rigid bodies, Coulomb and viscous friction and offset": model.plain,
     }
     names = model.model.arm.joint_names
     described = [
