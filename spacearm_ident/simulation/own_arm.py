@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics.arm import Arm
+from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.demand import drawn_postures, joint_inertias, torque_asked
 from ..dynamics.model import IdentifiedModel, TorqueModel, structure_of
 from ..errors import UserError
@@ -41,14 +41,11 @@ def default_model(arm: Arm) -> IdentifiedModel:
     Raises:
         UserError: A joint moves no mass: its torque would be nothing.
     """
-    asked, inertia = torque_asked(arm), joint_inertias(arm, drawn_postures(arm)).mean(axis=0)
+    inertia = joint_inertias(arm, drawn_postures(arm)).mean(axis=0)
     light = [joint.name for joint, moved in zip(arm.joints, inertia) if not moved > 0.0]
     if light:
         raise UserError(f"the URDF gives what {light[0]} moves no inertia: add <inertial> to its links, or --model")
-    limit = np.array([joint.effort_limit for joint in arm.joints])
-    turns = np.array([joint.revolute for joint in arm.joints])
-    most = np.array([2.0 * asked[turns == kind].max() for kind in turns])
-    scale = np.minimum(limit, most)
+    scale = torque_scale(arm)
     speed = np.array([joint.velocity_limit for joint in arm.joints])
     speed = np.where(np.isfinite(speed), speed, USUAL_VELOCITY)
     values = {
@@ -63,6 +60,19 @@ def default_model(arm: Arm) -> IdentifiedModel:
     parameters = [p.prior if p.symbol not in values else values[p.symbol][of[p.joint]] for p in model.parameters]
     constants = [values["v_b"][of[c.joint]] if c.symbol == "v_b" else c.grid[0] for c in model.constants]
     return IdentifiedModel(model, np.array(parameters), np.array(constants))
+
+
+def torque_scale(arm: Arm) -> FloatArray:
+    """(n,) N m or N that default friction and the noise of measured torque are shares of.
+
+    The torque limit, or twice what the CAD links ask of the most loaded joint of its kind where that is less: a limit
+    in a URDF may be a placeholder (2000 N m at a Kinova's shoulder), and no drive of such an arm has its noise.
+    """
+    asked = torque_asked(arm)
+    limit = np.array([joint.effort_limit for joint in arm.joints])
+    turns = np.array([joint.revolute for joint in arm.joints])
+    most = np.array([2.0 * asked[turns == kind].max() for kind in turns])
+    return np.asarray(np.minimum(limit, most))
 
 
 def drives_of(arm: Arm) -> DriveData:
