@@ -32,6 +32,7 @@ from .recording import Recording, read_recording, recordings_in
 from .recording.tables import is_log
 from .report.folder import write_result
 from .report.provenance import OPTIONS, provenance
+from .report.recorded_runs import recorded_runs
 
 AUTO, VACUUM = "auto", "vacuum"
 LEAST_RATE_HZ = 25.0
@@ -107,7 +108,8 @@ def identify_session(
         origin[OPTIONS] = dict(asked)
     identified = with_provenance(identified, origin)
     report(0.7, "writing the report")
-    page = write_result(identified, validation, directory, {"conventions": conventions.as_dict()})
+    runs = recorded_runs(fitted, [] if validated is fitted else (validated or ()), arm)
+    page = write_result(identified, validation, directory, {"conventions": conventions.as_dict()}, runs)
     report(1.0, "done")
     return Session(identified, validation, page, conventions)
 

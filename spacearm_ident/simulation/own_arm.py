@@ -26,11 +26,16 @@ STRIBECK = 0.03
 """Stribeck velocity v_b, share of the velocity limit."""
 ROTOR = 0.3
 """Rotor inertia on the output side, share of the joint's mean CAD inertia."""
+ROTOR_ACCELERATION = 300.0
+"""Acceleration of the unloaded rotor under the scale's torque, rad/s² or m/s²: bounds rotor inertia from below. A last
+link may move next to nothing; with a rotor to match, no servo overcomes the friction of its own gear (TIAGo's joint 7
+stood still). Ours: what drives of arms reach unloaded is of this order."""
 USUAL_VELOCITY = 2.0
 """Velocity limit where none is stated, rad/s or m/s."""
 STATED = (
     f"default friction: Coulomb {COULOMB:.0%}, static {STATIC:.0%}, viscous at full speed {VISCOUS:.0%} of a joint's "
-    f"torque limit (at most twice what the CAD links ask of any joint); rotors {ROTOR:.0%} of the CAD inertia"
+    f"torque limit (at most twice what the CAD links ask of any joint); rotors {ROTOR:.0%} of the CAD inertia, "
+    f"or what that torque accelerates at {ROTOR_ACCELERATION:g} rad/s² if that is more"
 )
 """What stands in for what nobody measured, in words."""
 
@@ -52,7 +57,7 @@ def default_model(arm: Arm) -> IdentifiedModel:
         "f_c": COULOMB * scale,
         "f_b": STATIC * scale,
         "k_v1": VISCOUS * scale / speed,
-        "J_m": ROTOR * inertia,
+        "J_m": np.maximum(ROTOR * inertia, scale / ROTOR_ACCELERATION),
         "v_b": STRIBECK * speed,
     }
     of = {name: number for number, name in enumerate(arm.joint_names)}
