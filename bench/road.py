@@ -52,7 +52,7 @@ WALKS = {
     "panda": Walk("panda_description/urdf/panda.urdf"),
     "panda-fingers": Walk(
         "panda_description/urdf/panda.urdf",
-        ("--lock", "panda_finger_joint1=0.04", "panda_finger_joint2=0.04"),
+        ("--lock", "panda_finger_joint1=0.04"),
     ),
     "kinova": Walk("kinova_description/robots/kinova.urdf"),
     "tiago": Walk("tiago_description/robots/tiago_no_hand.urdf"),

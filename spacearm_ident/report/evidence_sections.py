@@ -9,7 +9,7 @@ import numpy as np
 from ..identification.identified import Determination, Identified
 from ..identification.residual_spectrum import share_above
 from . import result_figures as figures
-from .markup import Markup, element, join, number, percent
+from .markup import Markup, element, join, measured, number, percent
 from .recorded_runs import RecordedRun
 from .store import Result
 
@@ -136,13 +136,22 @@ def masses_on_the_arm(result: Result) -> Markup | None:
     positions = [trace.position for trace in result.validation.traces if len(trace.time)]
     start = arm.start
     pose = np.concatenate(positions)[0] if positions else np.zeros(len(arm.joints)) if start is None else start
+    found = {item.joint: item for item in identified.estimates if item.symbol == "m"}
+    words = [
+        f"{k} {joint.name} {measured(found[joint.name].value, found[joint.name].standard_error)} kg "
+        f"(CAD {number(float(joint.inertial[0]))})"
+        for k, joint in enumerate(arm.joints, start=1)
+        if joint.name in found
+    ]
     return join(
         element("h2", "Masses, identified and CAD"),
+        element("p", f"{' · '.join(words)}."),
         _captioned(
             figures.masses(identified, pose),
             "Each link\u2019s mass as a disc at its centre of mass, area by mass. Ring: CAD. Filled blue: determined "
             "by the data; filled grey: known only in a combination with others, at a bound, or from CAD, so it "
-            "says little on its own. The arm is drawn in the first posture of the validation, from the side.",
+            "says little on its own. The arm is drawn in the first posture of the "
+            "validation, from the side; numbers as above.",
         ),
     )
 

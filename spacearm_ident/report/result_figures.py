@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
 from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.urdf_chain import bounded
 from ..identification.identified import Determination, Estimate, Identified, Spectrum
 from .figures import name_axes, short
-from .markup import Markup, number
+from .markup import Markup
 from .plotting import COLOUR, grid, to_svg
 from .recorded_runs import RecordedRun
 
@@ -45,12 +47,27 @@ def spectrum(spectrum: Spectrum, cutoff_hz: float, arm: Arm) -> Markup:
             for density, role in ((spectrum.torque, "measured"), (spectrum.residual, "residual")):
                 positive = density[:, k] > 0.0
                 axes.loglog(spectrum.frequency[positive], density[positive, k], color=COLOUR[role], linewidth=1.2)
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(LogLocator(numticks=5))
+                axis.set_major_formatter(FuncFormatter(lambda value, _: power_of_ten(value)))
+                axis.set_minor_formatter(NullFormatter())
             axes.axvline(cutoff_hz, color=COLOUR["muted"], linewidth=0.8, linestyle="--")
             unit = "(N·m)²/Hz" if joint.revolute else "N²/Hz"
             axes.set_title(short(joint.name, 26))
             axes.set_xlabel("frequency, Hz", labelpad=1)
             axes.set_ylabel(unit, labelpad=2)
         return to_svg(figure, "Power spectral density of torque and residual, one panel a joint")
+
+
+def power_of_ten(value: float) -> str:
+    """A tick of a logarithmic axis: `0.1`, `1`, `10`, `100`, then `10⁻⁴`."""
+    if not value > 0.0:
+        return ""
+    exponent = round(math.log10(value))
+    return f"{value:g}" if -1 <= exponent <= 3 else f"10{str(exponent).translate(_SUPERSCRIPT)}"
+
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def correlation(covariance: FloatArray) -> FloatArray:
@@ -109,9 +126,9 @@ def masses(identified: Identified, pose: FloatArray) -> Markup:
                 role = "data" if mass.determination is Determination.DATA else "measured"
                 _disc(axes, place, mass.value / heaviest, role, filled=True)
                 axes.annotate(
-                    f"{short(joint.name, 22)} {number(mass.value)} kg (CAD {number(float(cad[0]))})",
-                    (float(place[0]), float(place[1])), (9, 3),
-                    textcoords="offset points", fontsize=6.5, color=COLOUR["ink"],
+                    str(k + 1),
+                    (float(place[0]), float(place[1])), (8, 4 + 9 * (k % 2)),
+                    textcoords="offset points", fontsize=8.5, color=COLOUR["ink"],
                 )  # fmt: skip
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.22)
