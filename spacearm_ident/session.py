@@ -21,6 +21,7 @@ from .dynamics.model import Structure, TorqueModel, over_temperature, structure_
 from .dynamics.model_file import load_model
 from .dynamics.urdf_chain import JointTree
 from .errors import UnfitDataError, UserError
+from .identification.coupling_trial import CouplingTrial, try_coupling
 from .identification.from_prior import GroundPrior
 from .identification.gravity import require_gravity_choice
 from .identification.identified import Identified, Validation
@@ -32,6 +33,7 @@ from .recording import Recording, read_recording, recordings_in
 from .recording.tables import is_log
 from .report.folder import write_result
 from .report.provenance import OPTIONS, provenance
+from .report.recorded_runs import recorded_runs
 
 AUTO, VACUUM = "auto", "vacuum"
 LEAST_RATE_HZ = 25.0
@@ -45,12 +47,13 @@ ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fi
 
 @dataclass(frozen=True)
 class Session:
-    """What came out: the model, how well it predicts, the report to open, and what is wrong with the data."""
+    """What came out: model, validation, report, what is wrong with the data, and a coupling where one was tried."""
 
     identified: Identified
     validation: Validation
     page: Path
     conventions: ConventionReport
+    coupling: CouplingTrial | None = None
 
 
 def identify_session(
@@ -106,10 +109,17 @@ def identify_session(
     if asked is not None:
         origin[OPTIONS] = dict(asked)
     identified = with_provenance(identified, origin)
+    trial = None
+    if validation.held_out and known is None and settings.prior is None:
+        trial = try_coupling(whole, judged, arm, validation, settings)
+    if trial is not None:
+        identified = replace(identified, notes=(*identified.notes, trial.words))
+    further = {"conventions": conventions.as_dict(), "coupling_tried": trial and trial.as_dict()}
     report(0.7, "writing the report")
-    page = write_result(identified, validation, directory, {"conventions": conventions.as_dict()})
+    runs = recorded_runs(fitted, [] if validated is fitted else (validated or ()), arm)
+    page = write_result(identified, validation, directory, further, runs)
     report(1.0, "done")
-    return Session(identified, validation, page, conventions)
+    return Session(identified, validation, page, conventions, trial)
 
 
 def corrected(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:

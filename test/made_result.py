@@ -31,7 +31,7 @@ from spacearm_ident.report.store import Result
 
 FILES = {
     *("model.yaml", "parameters.csv", "base_parameters.csv", "identified.urdf"),
-    *("validation.json", "covariance.json", "report.html", "result.json", "result.npz"),
+    *("validation.json", "torque.csv", "covariance.json", "report.html", "result.json", "result.npz"),
 }
 STRUCTURE = {
     "rigid_body": {},

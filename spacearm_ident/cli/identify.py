@@ -9,6 +9,8 @@ from typing import Any
 
 from ..bag_session import Options, identify_bags
 from ..dynamics.model import FRICTION_LAWS
+from ..identification.counts import counts
+from ..identification.coupling_trial import CouplingTrial
 from ..identification.gravity import GRAVITY_CHOICES, VECTOR
 from ..identification.identified import GAIN_DEVIATION, Identified, Validation
 from ..identification.joint_terms import OFFSET
@@ -149,16 +151,23 @@ def run(options: argparse.Namespace) -> int:
         data = {"conventions": session.conventions.as_dict()}
         common.print_json({"result": str(options.out), **figures, **data, "environment": surroundings})
     else:
-        print(summary(identified, validation, session.page))
+        print(summary(identified, validation, session.page, session.coupling))
     if session.conventions.certain:
         return 1
     return 0 if judge_result(identified, validation).usable else POOR_OR_SUSPECT
 
 
 def _beyond_the_plain_law(identified: Identified) -> list[str]:
-    """Lines on the terms that predict held-out data better than Coulomb and viscous friction with an offset."""
-    terms = [choice.term for choice in identified.choices if choice.accepted and not choice.term.startswith(OFFSET)]
-    return [f"in the model, because it predicts held-out data better: {term}" for term in terms]
+    """Lines on the terms that predict held-out data better than Coulomb and viscous friction, the joints of each."""
+    joints: dict[str, list[str]] = {}
+    for choice in identified.choices:
+        if choice.accepted and not choice.term.startswith(OFFSET):
+            term, _, joint = choice.term.partition(" at ")
+            joints.setdefault(term, []).extend([joint] if joint else [])
+    return [
+        f"in the model, because it predicts held-out data better: {term}" + (f" at {', '.join(at)}" if at else "")
+        for term, at in joints.items()
+    ]
 
 
 def _symbols(text: str) -> tuple[str, ...]:
@@ -166,30 +175,31 @@ def _symbols(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def summary(identified: Identified, validation: Validation, page: Path) -> str:
-    """The result on a terminal."""
+def summary(identified: Identified, validation: Validation, page: Path, coupling: CouplingTrial | None = None) -> str:
+    """The result on a terminal: verdict, what to do next, figures, then how they came about."""
     bandwidth = identified.bandwidth
     units = {joint.name: joint.units.effort for joint in identified.model.model.arm.joints}
+    verdict = judge_result(identified, validation)
     lines = [
-        *judge_result(identified, validation).lines,
-        f"solver {identified.solver}",
-        f"bandwidth {bandwidth.cutoff_hz:.3g} Hz: {bandwidth.reason}",
-        *identified.notes,
-        *_beyond_the_plain_law(identified),
+        *verdict.lines,
+        f"next: {_next_step(verdict.usable, page, coupling)}",
         f"validated {validation.what}",
-        f"{'joint':<24}{'RMSE':>10}{'max':>10} {'unit':<5}{'R':>8}{'rel. RMS':>10}{'moving':>9}",
+        f"{'joint':<24}{'RMSE':>10}{'max':>10} {'unit':<5}{'R':>8}{'rel. RMS':>10}{'moving':>9}{'unfiltered':>12}",
     ]
     for joint, figures in validation.joints.items():
         fit = figures.everything
+        raw = figures.unfiltered_moving or figures.unfiltered
         lines.append(
             f"{joint:<24}{fit.rmse:>10.3f}{fit.largest:>10.3f} {units[joint]:<5}{fit.correlation:>8.4f}"
-            f"{fit.relative_rms:>10.1%}{figures.moving.relative_rms:>9.1%}"
+            f"{fit.relative_rms:>10.1%}{figures.moving.relative_rms:>9.1%}{raw.relative_rms:>12.1%}"
         )
-    known = sum(estimate.identifiable for estimate in identified.estimates)
-    lines.append(
-        f"{known} of {len(identified.estimates)} parameters determined by themselves, "
-        f"{len(identified.base_values)} base parameters"
-    )
+    lines += [
+        f"RMSE to moving: up to {bandwidth.cutoff_hz:.3g} Hz, the fit's bandwidth; unfiltered: moving, as recorded",
+        f"bandwidth {bandwidth.cutoff_hz:.3g} Hz: {bandwidth.reason}",
+        *identified.notes,
+        *_beyond_the_plain_law(identified),
+        counts(identified).words,
+    ]
     if any(math.isfinite(estimate.gain_error) for estimate in identified.estimates):
         lines.append(
             f"intervals are for the torque as recorded; what torque gains off by {GAIN_DEVIATION:.0%} add is in "
@@ -197,3 +207,12 @@ def summary(identified: Identified, validation: Validation, page: Path) -> str:
         )
     lines.append(f"report: {page}")
     return "\n".join(lines)
+
+
+def _next_step(usable: bool, page: Path, coupling: CouplingTrial | None) -> str:
+    """What to do with the result."""
+    if coupling is not None and coupling.helps:
+        return f"add this line to the arm YAML (--arm) and identify again: {coupling.line}"
+    if usable:
+        return f"look at {page}; 'spacearm export {page.parent}' writes the model for a simulator or a controller"
+    return f"do not use the model before the reasons above are cleared; {page} shows where and at which speeds it fails"

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics.arm import Arm, load_arm
+from ..dynamics.arm import Arm, FloatArray, load_arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..dynamics.rigid_body import RigidBody
@@ -21,7 +21,7 @@ from ..recording import Recording, write_recording
 from ..simulation.closed_loop import SensorNoise, simulate_run
 from ..simulation.concealed import Concealment, Effect, load_concealed
 from ..simulation.concealed.from_model import simulated_arm
-from ..simulation.own_arm import STATED, default_model, drives_of
+from ..simulation.own_arm import STATED, default_model, drives_of, torque_scale
 from ..simulation.parameters import PlantParameters
 from ..simulation.thermal import ThermalParameters, surroundings
 from . import common
@@ -100,6 +100,7 @@ def run(options: argparse.Namespace) -> int:
             effects,
             options.temperature,
             imu_rate_hz=options.base_imu,
+            effort_scale=torque_scale(arm) if options.model is None else None,
         )
         origin = common.origin(options, options.model, options.trajectory, options.arm, options.conceal)
         write_recording(options.out, recording, origin)
@@ -139,8 +140,21 @@ def record(
     temperature: float = 20.0,
     *,
     imu_rate_hz: float = 0.0,
+    effort_scale: FloatArray | None = None,
 ) -> Recording:
     """Simulate one run of an arm under its drives, with `effects` concealed in it, at a `temperature` (°C).
+
+    Args:
+        parameters: What the arm obeys.
+        trajectory: What it follows.
+        arm: Its drives' data.
+        seed: Of the sensors' noise.
+        noise: Times the default noise; 0: none.
+        report: Called with a share done in 0..1 and what is being done.
+        effects: Concealed physics.
+        temperature: Of the surroundings, °C.
+        imu_rate_hz: Of an IMU on the base; 0: none.
+        effort_scale: (n,) N·m or N that the noise of torque is a share of; None: the torque limits.
 
     Raises:
         UserError: The trajectory is not of this arm, or no arm works at such a temperature.
@@ -161,6 +175,7 @@ def record(
             imu_rate_hz=imu_rate_hz,
             gyro_noise=noise * usual.gyro_noise,
             accelerometer_noise=noise * usual.accelerometer_noise,
+            effort_scale=effort_scale,
         )
     )
     drives = drives_of(arm)

@@ -212,12 +212,21 @@ class LackOfFit:
 
 @dataclass(frozen=True)
 class JointValidation:
-    """One joint's validation: all rows, moving rows only, at full bandwidth, and its lack of fit where testable."""
+    """One joint's validation.
+
+    Attributes:
+        everything: All rows, up to the cut-off of the fit.
+        moving: Rows while the joint moves, up to the cut-off.
+        unfiltered: All samples as recorded.
+        lack_of_fit: Where it can be tested.
+        unfiltered_moving: Samples as recorded while the joint moves; None in results of earlier versions.
+    """
 
     everything: Fit
     moving: Fit
     unfiltered: Fit
     lack_of_fit: LackOfFit | None = None
+    unfiltered_moving: Fit | None = None
 
 
 @dataclass(frozen=True)
@@ -242,6 +251,21 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class Spectrum:
+    """One-sided power spectral densities of unfiltered validation signals, at logarithmically spaced frequencies.
+
+    Attributes:
+        frequency: (F,) Hz, increasing.
+        torque: (F, n) of the measured torque, (N·m)²/Hz or N²/Hz.
+        residual: (F, n) of measured minus predicted torque, same units.
+    """
+
+    frequency: FloatArray
+    torque: FloatArray
+    residual: FloatArray
+
+
+@dataclass(frozen=True)
 class Validation:
     """How the model predicts data.
 
@@ -250,9 +274,11 @@ class Validation:
         traces: Signals, one entry a motion.
         what: What it was validated on, in words: other recordings, or a stated hold-out.
         held_out: Whether the fit had not seen these data.
+        spectrum: Of torque and residual; None where the signals are too short, or in results of earlier versions.
     """
 
     joints: dict[str, JointValidation]
     traces: tuple[Trace, ...]
     what: str
     held_out: bool
+    spectrum: Spectrum | None = None

@@ -16,6 +16,7 @@ from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
 from .identified import Fit, JointValidation, LackOfFit, Trace, Validation
+from .residual_spectrum import residual_spectrum
 from .weights import residual_noise
 
 HOLD_OUT = 1.0 / 3.0
@@ -40,7 +41,8 @@ def validate(model: IdentifiedModel, recordings: Sequence[Recording], what: str,
         motions, _ = prepare(placed(recordings, model.model.arm), joints, model.cutoff_hz)
     except UnfitDataError as error:
         raise UnfitDataError(f"validation {what}: {error}, or name another recording with --validate") from error
-    traces, full = [], []
+    traces: list[Trace] = []
+    full: list[tuple[FloatArray, FloatArray, np.ndarray]] = []
     for motion in motions:
         torque = model.torque(motion)
         name = recordings[motion.source].sources
@@ -55,9 +57,22 @@ def validate(model: IdentifiedModel, recordings: Sequence[Recording], what: str,
                 motion.moving,
             )
         )
-        full.append((motion.torque, torque))
+        full.append((motion.torque, torque, _moving_samples(motion)))
     figures = {joint: _joint(k, traces, full, _lack_of_fit(k, motions, traces)) for k, joint in enumerate(joints)}
-    return Validation(figures, tuple(traces), what, held_out)
+    spectrum = residual_spectrum(motions, [predicted for _, predicted, _ in full])
+    return Validation(figures, tuple(traces), what, held_out, spectrum)
+
+
+def _moving_samples(motion: Motion) -> np.ndarray:
+    """(N, n) whether a full-rate sample belongs to a moving row: the nearest one, none beyond the first and last."""
+    rows = motion.time
+    if not len(rows):
+        return np.zeros(motion.torque.shape, bool)
+    time = motion.start_s + np.arange(len(motion.torque)) / motion.rate_hz
+    middle = 0.5 * (rows[1:] + rows[:-1])
+    half = 0.5 / motion.row_rate_hz
+    inside = (time >= rows[0] - half) & (time <= rows[-1] + half)
+    return np.asarray(motion.moving[np.searchsorted(middle, time)] & inside[:, None])
 
 
 def split(recording: Recording, share: float = HOLD_OUT) -> tuple[Recording, Recording]:
@@ -97,20 +112,20 @@ def fit_figures(measured: FloatArray, predicted: FloatArray) -> Fit:
 def _joint(
     joint: int,
     traces: Sequence[Trace],
-    full: Sequence[tuple[FloatArray, FloatArray]],
+    full: Sequence[tuple[FloatArray, FloatArray, np.ndarray]],
     lack_of_fit: LackOfFit | None,
 ) -> JointValidation:
     measured = np.concatenate([trace.measured[:, joint] for trace in traces])
     predicted = np.concatenate([trace.predicted[:, joint] for trace in traces])
     moving = np.concatenate([trace.moving[:, joint] for trace in traces])
+    as_recorded, as_predicted, moves = (np.concatenate([signals[k][:, joint] for signals in full]) for k in range(3))
+    moves = moves.astype(bool)
     return JointValidation(
         everything=fit_figures(measured, predicted),
         moving=fit_figures(measured[moving], predicted[moving]),
-        unfiltered=fit_figures(
-            np.concatenate([torque[:, joint] for torque, _ in full]),
-            np.concatenate([prediction[:, joint] for _, prediction in full]),
-        ),
+        unfiltered=fit_figures(as_recorded, as_predicted),
         lack_of_fit=lack_of_fit,
+        unfiltered_moving=fit_figures(as_recorded[moves], as_predicted[moves]),
     )
 
 

@@ -20,6 +20,7 @@ from .recording import FloatArray
 DYNAMIC_SHARE = 0.99
 DYNAMIC_FACTOR = 5.0
 BOUNDS_HZ = (5.0, 20.0)
+"""Smallest and largest cut-off, Hz: what arms of this kind move at, and what a rigid model of them predicts."""
 WINDOW_S = 8.0
 """Length of the spectra's window; what is shorter shows no lines, only their smear."""
 FLOOR_FACTOR = 4.0
@@ -77,10 +78,12 @@ def choose_bandwidth(position: FloatArray, rate_hz: float) -> Bandwidth:
     upper = min(BOUNDS_HZ[1], 0.2 * rate_hz)
     cutoff = float(np.clip(wanted, min(BOUNDS_HZ[0], upper), upper))
     reason = (
-        f"five times the {dynamic:.2g} Hz that hold 99 % of the motion's power"
+        f"five times the {dynamic:.2g} Hz below which 99 % of the motion's power lies"
         if DYNAMIC_FACTOR * dynamic <= crossing
         else f"above {crossing:.2g} Hz the positions are noise"
     )
-    if cutoff != wanted:
-        reason += f", kept within {min(BOUNDS_HZ[0], upper):.2g} and {upper:.2g} Hz"
+    if cutoff > wanted:
+        reason += f", raised to {cutoff:.2g} Hz, the smallest bandwidth used"
+    elif cutoff < wanted:
+        reason += f", lowered to {cutoff:.2g} Hz, the largest bandwidth used at this rate"
     return Bandwidth(cutoff, crossing, dynamic, noise, reason)

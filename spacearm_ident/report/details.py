@@ -89,8 +89,8 @@ def obtained(identified: Identified) -> Markup:
     known.pop(OPTIONS, None)  # the command says it in words
     runs = known.pop(RECORDED, None)
     rows = [
-        f"{joint}: {count} (residual {number(float(sigma))} N·m RMS)"
-        for joint, count, sigma in zip(arm.joint_names, identified.rows, identified.residual_sigma_Nm)
+        f"{joint.name}: {count} (residual {number(float(sigma))} {unit_text(joint.units.effort)} RMS)"
+        for joint, count, sigma in zip(arm.joints, identified.rows, identified.residual_sigma_Nm)
     ]
     facts: list[tuple[str, object]] = [
         ("bandwidth", f"{number(bandwidth.cutoff_hz)} Hz: {bandwidth.reason}"),
@@ -108,7 +108,8 @@ def obtained(identified: Identified) -> Markup:
         element(
             "p",
             "Beside this page: model.yaml predicts torque again; parameters.csv and base_parameters.csv hold every "
-            "number shown; identified.urdf carries the rigid-body part, damping and Coulomb friction; "
+            "number shown; torque.csv measured and predicted torque over time; "
+            "identified.urdf carries the rigid-body part, damping and Coulomb friction; "
             "validation.json the figures of merit.",
             class_="quiet",
         ),
@@ -124,7 +125,7 @@ def _consistency(shift: float) -> str:
 def _when(run: Any) -> str:
     """Start and length of a run, and how warm its joints were."""
     known = run if isinstance(run, Mapping) else {}
-    text = f"{known.get('start', '')}, {known.get('duration_s', '')} s"
+    text = f"{known.get('start', '')}, {_plain(known.get('duration_s', ''))} s"
     warm = known.get("temperature_C")
     return text + (f" at {fact(warm)} °C" if isinstance(warm, Mapping) else "")
 
@@ -132,8 +133,19 @@ def _when(run: Any) -> str:
 def fact(value: Any) -> object:
     """A value of the provenance for a page."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {item}" for key, item in value.items())
+        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
+    if isinstance(value, float):
+        return number(value, 4)
     return element("code", value)
+
+
+def _plain(value: Any) -> str:
+    """A value inside a sentence: numbers as a person writes them, mappings and lists without their brackets."""
+    if isinstance(value, Mapping):
+        return " ".join(f"{key} {_plain(item)}" for key, item in value.items())
+    if isinstance(value, (list, tuple)):
+        return " ".join(map(_plain, value))
+    return number(value, 4) if isinstance(value, float) else str(value)
 
 
 def source_table(sources: Any, title: str) -> Markup | None:

@@ -114,8 +114,8 @@ def over_time(signals: JointSignals, joint: str) -> Markup:
                 signals.measured[part], signals.residual[part], most=max(50, 1500 * (end - start) // len(signals.time))
             )
             time = signals.time[kept]
-            torque.plot(time, signals.measured[kept], color=COLOUR["measured"], linewidth=1.6)
-            torque.plot(time, signals.predicted[kept], color=COLOUR["predicted"], linewidth=0.8)
+            torque.plot(time, signals.measured[kept], color=COLOUR["measured"], linewidth=3.2)
+            torque.plot(time, signals.predicted[kept], color=COLOUR["predicted"], linewidth=0.9)
             residual.plot(time, signals.residual[kept], color=COLOUR["residual"], linewidth=0.7)
             for axes in (torque, residual):
                 _shade(axes, signals.time[part], ~signals.moving[part])

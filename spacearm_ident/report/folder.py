@@ -6,7 +6,7 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,18 +18,20 @@ from ..identification.identified import Identified, Validation
 from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN
 from .covariance_file import covariance_dict
 from .html import report_html
+from .recorded_runs import RecordedRun
 from .store import ARRAYS, FIGURES, MODEL, Result, load_result, save_result
-from .tables import base_parameters_csv, parameters_csv, validation_dict
+from .tables import base_parameters_csv, parameters_csv, torque_csv, validation_dict
 from .urdf import identified_urdf
 
 REPORT = "report.html"
+TORQUE = "torque.csv"
 MARKERS = (FIGURES, "mismatch.json", "temperature.json")
 """The file that makes a folder the result of `identify`, `mismatch` and `calibrate-temperature`."""
 RESULT_FILES = frozenset(
     {
         *MARKERS,
         *(MODEL, ARRAYS, REPORT, "parameters.csv", "base_parameters.csv", "identified.urdf", "covariance.json"),
-        *("validation.json", EXTENDED_MODEL, NEXT_RUN),
+        *("validation.json", TORQUE, EXTENDED_MODEL, NEXT_RUN),
         *("mended.xml", "mended.urdf", "mended.sdf"),
     }
 )
@@ -38,7 +40,11 @@ _STAGING = ".writing-"
 
 
 def write_result(
-    identified: Identified, validation: Validation, directory: Path, further: Mapping[str, Any] | None = None
+    identified: Identified,
+    validation: Validation,
+    directory: Path,
+    further: Mapping[str, Any] | None = None,
+    runs: Sequence[RecordedRun] = (),
 ) -> Path:
     """Write a result folder; an older result in it is replaced, of whatever command; anything else stays.
 
@@ -49,6 +55,7 @@ def write_result(
         validation: How well it predicts.
         directory: Made where it does not exist.
         further: Further keys of `validation.json`, as plain data.
+        runs: What was recorded, for the page.
 
     Returns:
         The report, for opening.
@@ -56,11 +63,12 @@ def write_result(
     Raises:
         UserError: The folder cannot be written, or the arm's URDF cannot carry the result.
     """
-    result = Result(identified, validation, datetime.now(UTC).isoformat(timespec="seconds"))
+    result = Result(identified, validation, datetime.now(UTC).isoformat(timespec="seconds"), tuple(runs))
     with replacing(directory) as staging:
         save_result(result, staging)
         (staging / "parameters.csv").write_text(parameters_csv(identified), encoding="utf-8")
         (staging / "base_parameters.csv").write_text(base_parameters_csv(identified), encoding="utf-8")
+        (staging / TORQUE).write_text(torque_csv(identified, validation), encoding="utf-8")
         (staging / "identified.urdf").write_text(identified_urdf(identified.model), encoding="utf-8")
         spread = json.dumps(covariance_dict(identified), indent=1, allow_nan=False)
         (staging / "covariance.json").write_text(spread + "\n", encoding="utf-8")

@@ -10,10 +10,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from ..identification.counts import DEFINITION
 from ..identification.identified import Fit, JointValidation
 from ..identification.verdict import FAIR, GOOD
 from . import figures
 from .details import obtained, since_the_prior, structure
+from .evidence_sections import correlated, masses_on_the_arm, recordings, spectrum, why_two_bandwidths
 from .exports import exports
 from .markup import NOTHING, Markup, breakable, element, join, number, percent, unit_text
 from .opening import Opening, opening
@@ -22,6 +24,8 @@ from .store import Result
 from .stylesheet import STYLESHEET
 from .tables import base, by_joint
 
+LEAST_P = 0.001
+"""Probability under which only that bound is printed; ratio."""
 SECURITY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """The page may not load anything, whatever text found its way into it."""
 
@@ -37,6 +41,8 @@ def report_html(result: Result) -> str:
         _verdict(opening(identified, validation)),
         _validation(result),
         *_signals(result),
+        *spectrum(result),
+        recordings(result),
         _parameters(result),
         exports(identified.model, validation),
         since_the_prior(identified),
@@ -95,19 +101,21 @@ def _validation(result: Result) -> Markup:
     names = ["rows", "RMSE", "MAE", "max", "R", "residual / torque"]
     unit = unit_text(result.identified.model.model.arm.effort_unit)
     heads = [element("th", name) for name in (*names, *(["lack of fit F"] if tested else []))]
-    shares = [fit.relative_rms for joint in joints.values() for fit in (joint.everything, joint.moving)]
+    shares = [fit.relative_rms for joint in joints.values() for _, fit in _kinds(joint)]
     widest = max((share for share in shares if np.isfinite(share)), default=1.0) or 1.0
     header = element("tr", element("th", "joint", class_="text"), element("th", "samples", class_="text"), *heads)
     return join(
         element("h2", "Validation"),
         element(
             "p",
-            f"Torque and prediction are compared up to {number(result.identified.bandwidth.cutoff_hz)} Hz, the "
-            "bandwidth of the fit; the full-bandwidth line compares the torque as recorded. RMSE, MAE and maximum in "
+            f"Torque and prediction are compared up to {result.identified.bandwidth.cutoff_hz:.3g} Hz, the "
+            "bandwidth of the fit, and as recorded (unfiltered). RMSE, MAE and maximum in "
             f"{unit}. At standstill friction "
-            "holds whatever the rest of the torque is, so a low figure cannot be expected there.",
+            "holds whatever the rest of the torque is, so a low figure cannot be expected there. All bars have one "
+            f"scale: a full cell is {percent(widest)}.",
             class_="quiet",
         ),
+        why_two_bandwidths(result),
         element(
             "div",
             element("table", element("thead", header), *(_joint_rows(n, j, widest, tested) for n, j in joints.items())),
@@ -126,24 +134,43 @@ def _validation(result: Result) -> Markup:
 
 def _joint_rows(name: str, joint: JointValidation, widest: float, tested: bool) -> Markup:
     lack = joint.lack_of_fit
-    text = NOTHING if lack is None else f"{number(lack.f)} (p {number(lack.p_value, 2)})"
-    kinds: tuple[tuple[str, Fit], ...] = (
-        ("all", joint.everything),
-        ("moving", joint.moving),
-        ("full bandwidth", joint.unfiltered),
-    )
+    text = NOTHING if lack is None else f"{number(lack.f)} (p {_p_value(lack.p_value)})"
+    kinds = _kinds(joint)
     rows = []
     for k, (kind, fit) in enumerate(kinds):
         cells = [element("td", value) for value in (fit.rows, *map(number, (fit.rmse, fit.mae, fit.largest)))]
         cells.append(element("td", f"{fit.correlation:.4f}" if np.isfinite(fit.correlation) else NOTHING))
         part = 100 * min(1.0, fit.relative_rms / widest) if np.isfinite(fit.relative_rms) else 0.0
         cells.append(element("td", percent(fit.relative_rms), class_="share", style=f"--part: {part:.0f}%"))
-        first = element("th", breakable(name), class_="text", rowspan=3) if k == 0 else None
-        last = element("td", text, rowspan=3) if tested and k == 0 else None
+        first = element("th", breakable(name), class_="text", rowspan=len(kinds)) if k == 0 else None
+        last = element("td", text, rowspan=len(kinds)) if tested and k == 0 else None
         rows.append(
-            element("tr", first, element("td", kind, class_="text"), *cells, last, class_="minor" if k == 2 else None)
+            element(
+                "tr",
+                first,
+                element("td", kind, class_="text"),
+                *cells,
+                last,
+                class_="minor" if "unfiltered" in kind else None,
+            )
         )
     return element("tbody", *rows, class_="group")
+
+
+def _kinds(joint: JointValidation) -> tuple[tuple[str, Fit], ...]:
+    """The rows of a joint's table: which samples, and the figures over them."""
+    moves = joint.unfiltered_moving
+    return (
+        ("moving", joint.moving),
+        *((("moving, unfiltered", moves),) if moves is not None else ()),
+        ("all", joint.everything),
+        ("all, unfiltered", joint.unfiltered),
+    )
+
+
+def _p_value(value: float) -> str:
+    """As a person writes it: nobody knows a distribution's tail to the hundredth power of ten."""
+    return f"< {LEAST_P}" if value < LEAST_P else f"= {number(value, 2)}"
 
 
 def _signals(result: Result) -> Iterable[Markup]:
@@ -199,7 +226,9 @@ def _parameters(result: Result) -> Markup:
     identified = result.identified
     key = [f"{place} {joint}" for place, joint in enumerate(by_joint(identified, with_base=False), start=1)]
     return join(
+        masses_on_the_arm(result),
         element("h2", "Parameters"),
+        element("p", DEFINITION, class_="quiet"),
         determination_key(),
         captioned(
             figures.parameters(identified),
@@ -210,7 +239,8 @@ def _parameters(result: Result) -> Markup:
         element("details", element("summary", "Every parameter with its interval"), whole_list(identified)),
         element(
             "details",
-            element("summary", f"{len(base(identified))} base parameters, the combinations motion can reveal"),
+            element("summary", f"{len(base(identified))} base parameters, the combinations that motion can reveal"),
             base_table(identified),
         ),
+        correlated(identified),
     )

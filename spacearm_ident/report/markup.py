@@ -13,6 +13,8 @@ class Markup(str):
     """Text that is HTML already; every other string is escaped when it becomes part of an element."""
 
 
+SCOPE = {"thead": "col", "tbody": "row"}
+"""Part of a table -> what its header cells are the headers of, for readers of screens."""
 VOID = frozenset({"col", "meta", "line", "circle", "rect", "path"})
 
 
@@ -31,7 +33,12 @@ def element(tag: str, *children: object, **attributes: object) -> Markup:
     )
     if tag in VOID:
         return Markup(f"<{tag}{named}>" if tag in ("col", "meta") else f"<{tag}{named}/>")
-    return Markup(f"<{tag}{named}>{join(*children)}</{tag}>")
+    inside = join(*children)
+    if tag in SCOPE:
+        inside = Markup(
+            inside.replace("<th>", f'<th scope="{SCOPE[tag]}">').replace("<th ", f'<th scope="{SCOPE[tag]}" ')
+        )
+    return Markup(f"<{tag}{named}>{inside}</{tag}>")
 
 
 def join(*children: object) -> Markup:

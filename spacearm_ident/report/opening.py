@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..identification.identified import Determination, Identified, JointValidation, Validation
+from ..identification.counts import counts
+from ..identification.identified import Identified, JointValidation, Validation
 from ..identification.verdict import FAIR, LACKING_P, Verdict, judge_result, relative_rms
 from .markup import listed, percent
-from .tables import PAPER_SYMBOLS, base, by_joint
 
 
 @dataclass(frozen=True)
@@ -75,13 +74,12 @@ def _range(shares: dict[str, float]) -> str:
 
 
 def _determined(identified: Identified) -> str:
-    joints = identified.model.model.arm.joint_names
-    listing = by_joint(identified)
-    found = Counter(item.determination for joint in joints for item in listing[joint] if item.symbol in PAPER_SYMBOLS)
-    total = found.total()
-    parts = [f"{found[kind]} {kind.value}" for kind in Determination if found[kind]]
-    estimated = sum(item.identifiable for item in base(identified))
-    return f"Of the {total} parameters of the paper's model: {', '.join(parts)}; {estimated} base parameters estimated."
+    found = counts(identified)
+    parts = [f"{number} {kind.value}" for kind, number in found.by_determination.items()]
+    return (
+        f"Of the model's {found.parameters} parameters: {', '.join(parts)}. Of {found.base} base parameters, the "
+        f"linear combinations that the motion can reveal, {found.base_determined} are determined by the data."
+    )
 
 
 def _warnings(validation: Validation) -> tuple[str, ...]:

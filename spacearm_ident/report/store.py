@@ -31,24 +31,29 @@ from ..identification.identified import (
     JointValidation,
     LackOfFit,
     Move,
+    Spectrum,
     Trace,
     Validation,
 )
 from ..recording.bandwidth import Bandwidth
+from .recorded_runs import RecordedRun
 
 SCHEMA = "spacearm_ident/result/1"
 MODEL, FIGURES, ARRAYS = "model.yaml", "result.json", "result.npz"
 PRIOR_ADVICE = "give the model.yaml in a result folder of 'spacearm identify'"
+_RUN_ARRAYS = ("time", "position", "largest_speed")
+_SPECTRUM_ARRAYS = ("frequency", "torque", "residual")
 _TRACE_ARRAYS = ("time", "position", "velocity", "measured", "predicted", "moving")
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a result folder holds: the identification, its validation, and when it was written (ISO 8601)."""
+    """What a result folder holds: the identification, its validation, when it was written (ISO 8601), what on."""
 
     identified: Identified
     validation: Validation
     written: str
+    runs: tuple[RecordedRun, ...] = ()
 
 
 def save_result(result: Result, directory: Path) -> None:
@@ -133,6 +138,10 @@ def _arrays(result: Result) -> dict[str, Any]:
     }
     for k, trace in enumerate(result.validation.traces):
         arrays.update({f"trace_{k}_{name}": getattr(trace, name) for name in _TRACE_ARRAYS})
+    for k, run in enumerate(result.runs):
+        arrays.update({f"run_{k}_{name}": getattr(run, name) for name in _RUN_ARRAYS})
+    if result.validation.spectrum is not None:
+        arrays.update({f"spectrum_{name}": getattr(result.validation.spectrum, name) for name in _SPECTRUM_ARRAYS})
     return arrays
 
 
@@ -160,6 +169,13 @@ def _plain(result: Result) -> dict[str, Any]:
             name: [_estimate_dict(item) for item in getattr(identified.base_body, name)]
             for name in ("estimates", "combined")
         },
+        "runs": [
+            {
+                **{key: getattr(run, key) for key in ("name", "fitted", "duration_s", "rate_hz", "samples")},
+                "defects": list(run.defects),
+            }
+            for run in result.runs
+        ],
         "validation": {
             "joints": {name: asdict(joint) for name, joint in validation.joints.items()},
             "traces": [trace.source for trace in validation.traces],
@@ -208,7 +224,13 @@ def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> R
         base_body=_base_body(data.get("base_body")),
         **{name: arrays[name] for name in ("base_values", "base_errors", "covariance", "residual_sigma_Nm", "rows")},
     )
-    return Result(identified, _validation(data["validation"], arrays), data["written"])
+    runs = tuple(
+        RecordedRun(
+            **{**run, "defects": tuple(run["defects"])}, **{name: arrays[f"run_{k}_{name}"] for name in _RUN_ARRAYS}
+        )
+        for k, run in enumerate(data.get("runs", ()))
+    )
+    return Result(identified, _validation(data["validation"], arrays), data["written"], runs)
 
 
 def _base_body(data: dict[str, Any] | None) -> BaseBody | None:
@@ -231,10 +253,13 @@ def _validation(data: dict[str, Any], arrays: dict[str, Any]) -> Validation:
             _fit(joint["moving"]),
             _fit(joint["unfiltered"]),
             joint["lack_of_fit"] and LackOfFit(**{key: float(value) for key, value in joint["lack_of_fit"].items()}),
+            _fit(joint["unfiltered_moving"]) if joint.get("unfiltered_moving") else None,
         )
         for name, joint in data["joints"].items()
     }
-    return Validation(joints, traces, data["what"], data["held_out"])
+    known = "spectrum_frequency" in arrays
+    spectrum = Spectrum(*(arrays[f"spectrum_{name}"] for name in _SPECTRUM_ARRAYS)) if known else None
+    return Validation(joints, traces, data["what"], data["held_out"], spectrum)
 
 
 def _fit(data: dict[str, Any]) -> Fit:

@@ -55,7 +55,8 @@ th { font-weight: 600; } thead th { color: var(--muted); font-weight: 500; verti
 th.text, td.text { text-align: left; } td.wrap, th.wrap { white-space: normal; overflow-wrap: anywhere; }
 tbody th.wrap { min-width: 15ch; } td.wrap { min-width: 9ch; } thead th.wrap { overflow-wrap: normal; }
 tbody.group { border-top: 1.5px solid var(--line); break-inside: avoid; }
-tbody.group th { vertical-align: top; max-width: 200px; white-space: normal; overflow-wrap: anywhere; }
+tbody.group th { vertical-align: top; min-width: 11ch; max-width: 200px; white-space: normal;
+  overflow-wrap: break-word; }
 td[rowspan] { vertical-align: top; }
 tr.minor td { color: var(--muted); }
 td.share { background: linear-gradient(to right, var(--bar) var(--part), transparent var(--part)); min-width: 110px; }

@@ -9,7 +9,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from ..dynamics.term import Parameter
+from ..identification.counts import counts
 from ..identification.identified import Determination, Estimate, Fit, Identified, Validation
 from ..identification.verdict import judge_result
 from .provenance import VALIDATED, source_paths
@@ -95,6 +98,30 @@ def _base_estimate(name: str, leader: Parameter, value: float, error: float) -> 
     return Estimate(name, leader.joint, leader.unit, value, error if known else math.nan, rests)
 
 
+def torque_csv(identified: Identified, validation: Validation) -> str:
+    """Measured and predicted torque of the validation, one row a time: what the page's figures show.
+
+    Signals are low-passed at the bandwidth of the fit. A joint has five columns: position, velocity, measured and
+    predicted torque in the units their heads name, and 1 where it moves.
+    """
+    joints = identified.model.model.arm.joints
+    heads = ["recording", "time_s"]
+    for joint in joints:
+        turns = joint.revolute
+        units = ("rad", "rad_s", "Nm", "Nm") if turns else ("m", "m_s", "N", "N")
+        kinds = ("position", "velocity", "measured", "predicted")
+        heads += [*(f"{joint.name}_{kind}_{unit}" for kind, unit in zip(kinds, units)), f"{joint.name}_moving"]
+    rows = []
+    for trace in validation.traces:
+        signals = np.stack([trace.position, trace.velocity, trace.measured, trace.predicted], axis=2)
+        for time, values, moving in zip(trace.time, signals, trace.moving):
+            cells = [trace.source, f"{time:.6f}"]
+            for mine, moves in zip(values, moving):
+                cells += [*(f"{value:.9g}" for value in mine), str(int(moves))]
+            rows.append(cells)
+    return _csv(heads, rows)
+
+
 def validation_dict(identified: Identified, validation: Validation) -> dict[str, Any]:
     """The content of `validation.json`; a figure that does not exist (NaN) is None."""
     joints = {}
@@ -106,6 +133,7 @@ def validation_dict(identified: Identified, validation: Validation) -> dict[str,
             **fit_dict(joint.everything),
             "moving": fit_dict(joint.moving),
             "unfiltered": fit_dict(joint.unfiltered),
+            "unfiltered_moving": joint.unfiltered_moving and fit_dict(joint.unfiltered_moving),
             "lack_of_fit": lack and {key: finite(value) for key, value in asdict(lack).items()},
             "verdict": str(judged.level) if judged else None,
             "reasons": list(judged.reasons) if judged else [],
@@ -120,6 +148,7 @@ def validation_dict(identified: Identified, validation: Validation) -> dict[str,
         "on": validation.what,
         "held_out": validation.held_out,
         "bandwidth_hz": finite(identified.bandwidth.cutoff_hz),
+        "parameters": counts(identified).as_dict(),
     }
 
 

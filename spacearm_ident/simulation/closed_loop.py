@@ -106,6 +106,7 @@ class SensorNoise:
         imu_rate_hz: Of an IMU in the base link's frame (200 Hz is usual); 0: there is none.
         gyro_noise: White noise of a sample of its angular velocity, rad/s.
         accelerometer_noise: White noise of a sample of its specific force, m/s².
+        effort_scale: (n,) N·m or N that the shares of effort are of; None: the torque limits.
     """
 
     effort_white: float = 0.0035
@@ -117,6 +118,7 @@ class SensorNoise:
     imu_rate_hz: float = 0.0
     gyro_noise: float = 4e-4
     accelerometer_noise: float = 5e-3
+    effort_scale: FloatArray | None = None
 
     @classmethod
     def none(cls, imu_rate_hz: float = 0.0) -> SensorNoise:
@@ -279,7 +281,7 @@ def measure(truth: Truth, noise: SensorNoise, seed: int = 0, start_ns: int = 0) 
     """The truth through sensors: same seed, same recording."""
     rng = np.random.default_rng(seed)
     shape = truth.q.shape
-    limit = truth.drives.torque_limit
+    limit = truth.drives.torque_limit if noise.effort_scale is None else noise.effort_scale
     full_scale = np.where(np.isfinite(limit), limit, np.abs(truth.torque).max(axis=0))
     keep = np.exp(-float(np.median(np.diff(truth.time))) / noise.effort_correlation_s)
     # First-order process of unit variance; the long run-in forgets that the filter starts at zero.
