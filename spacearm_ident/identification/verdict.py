@@ -173,7 +173,9 @@ def _negative_viscosity(joint: int, identified: Identified, moving: FloatArray) 
     known = viscosity(identified.model, joint, float(np.abs(moving).max()), identified.covariance)
     if known is None or known[0] + BEYOND * known[1] >= 0.0:
         return ""
-    return f"viscous friction is negative: {known[0]:.3g} ± {known[1]:.2g} N m s/rad up to its largest speed"
+    units = identified.model.model.arm.joints[joint].units
+    unit = f"{units.effort} s/{units.position}"
+    return f"viscous friction is negative: {known[0]:.3g} ± {known[1]:.2g} {unit} up to its largest speed"
 
 
 def _driving(joint: int, identified: Identified, moving: FloatArray, traces: Sequence[Trace]) -> str:
@@ -185,12 +187,12 @@ def _driving(joint: int, identified: Identified, moving: FloatArray, traces: Seq
     size = float(np.sqrt(np.mean(np.concatenate([trace.measured[:, joint] for trace in traces]) ** 2)))
     excess = -torque * np.sign(velocity) - np.maximum(BEYOND * error, DRIVING_SHARE * size)
     excess[(velocity < moving.min()) | (velocity > moving.max())] = -np.inf
-    worst = int(np.argmax(excess))
+    worst, units = int(np.argmax(excess)), identified.model.model.arm.joints[joint].units
     if not excess[worst] > 0.0:
         return ""
     return (
-        f"friction drives the joint instead of resisting: {abs(torque[worst]):.3g} ± {error[worst]:.2g} N m along "
-        f"the motion at {velocity[worst]:.3g} rad/s"
+        f"friction drives the joint instead of resisting: {abs(torque[worst]):.3g} ± {error[worst]:.2g} {units.effort} "
+        f"along the motion at {velocity[worst]:.3g} {units.velocity}"
     )
 
 
