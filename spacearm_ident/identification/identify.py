@@ -227,6 +227,8 @@ def _conclude(
         gravity,
         without_temperature(model, regression.motions),
     )
+    # The test against vacuum is made for orbit; on the ground its result is kept and not announced.
+    said = replace(environment, vacuum=None) if np.any(model.arm.gravity) else environment
     identified_model = IdentifiedModel(model, consistent, solution.constants, bandwidth.cutoff_hz, dict(provenance))
     return Identified(
         model=identified_model,
@@ -242,7 +244,7 @@ def _conclude(
         choices=choices,
         solver=solver,
         joints_at_rest=at_rest,
-        notes=(*_notes(regression.motions, at_rest), *environment.notes, *fit.stages),
+        notes=(*_notes(regression.motions, at_rest), *said.notes, *fit.stages),
         environment=environment,
     )
 
