@@ -37,7 +37,7 @@ SHORT = ("--fundamental", "0.2", "--harmonics", "3", "--periods", "2")
 
 @dataclass(frozen=True)
 class Walk:
-    """An arm to walk with: where its URDF is, and what `new-arm` is told of it."""
+    """An arm to walk with: where its URDF is, and the options of `new-arm` for it."""
 
     urdf: str
     words: tuple[str, ...] = ()
@@ -126,15 +126,15 @@ def _run(command: str, words: Sequence[object], console: object) -> Step:
 
 
 def _line(name: str, folder: Path, steps: Sequence[Step]) -> str:
-    told = json.loads((folder / "identified" / "validation.json").read_text())
-    shares = {joint: figures["moving"]["relative_rms"] for joint, figures in told["joints"].items()}
+    written = json.loads((folder / "identified" / "validation.json").read_text())
+    shares = {joint: figures["moving"]["relative_rms"] for joint, figures in written["joints"].items()}
     shares = {joint: float("inf") if share is None else share for joint, share in shares.items()}  # never moves
     worst = max(shares, key=lambda joint: shares[joint])
     clock, cpu = sum(step.wall_s for step in steps) / 60, sum(step.cpu_s for step in steps) / 60
     mark = "" if shares[worst] < 0.05 else " !"
     verdict = json.loads((folder / "why" / "mismatch.json").read_text())["verdict"]
     share = f"{shares[worst]:.1%} ({worst}){mark}"
-    return f"{name:<16}{len(shares):>7}{clock:>12.1f}{cpu:>10.1f}  {told['verdict']:<9}{share:<34}{verdict}"
+    return f"{name:<16}{len(shares):>7}{clock:>12.1f}{cpu:>10.1f}  {written['verdict']:<9}{share:<34}{verdict}"
 
 
 def _urdf(arm: Walk, folder: Path) -> Path:

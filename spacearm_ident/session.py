@@ -89,8 +89,8 @@ def identify_session(
     report = progress or (lambda share, what: None)
     whole, what = corrected(fitted, arm), _what(fitted, validated or ())
     judges = whole if validated is fitted else corrected(validated or (), arm)
-    heard = [*whole, *([] if judges is whole else judges)]
-    conventions = check_conventions(heard, arm, gravity_known=not settings.gravity, progress=within(report, 0.0, 0.1))
+    every = [*whole, *([] if judges is whole else judges)]
+    conventions = check_conventions(every, arm, gravity_known=not settings.gravity, progress=within(report, 0.0, 0.1))
     if validated:
         judged = judges
     elif settings.prior is not None:
@@ -103,12 +103,7 @@ def identify_session(
     identified = known or identify(whole, arm, settings, within(report, 0.1, 0.6))
     report(0.6, "validating")
     validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
-    origin = provenance(fitted, validated or fitted[-1:], command)
-    if settings.prior is not None:
-        origin["prior"] = settings.prior.source
-    if asked is not None:
-        origin[OPTIONS] = dict(asked)
-    identified = with_provenance(identified, origin)
+    identified = with_provenance(identified, _origin(fitted, validated or fitted[-1:], command, settings, asked))
     trial = None
     if validation.held_out and known is None and settings.prior is None:
         trial = try_coupling(whole, judged, arm, validation, settings)
@@ -120,6 +115,22 @@ def identify_session(
     page = write_result(identified, validation, directory, further, runs)
     report(1.0, "done")
     return Session(identified, validation, page, conventions, trial)
+
+
+def _origin(
+    fitted: Sequence[Recording],
+    validated: Sequence[Recording],
+    command: str | None,
+    settings: Settings,
+    asked: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """Provenance of a result: recordings, versions, the command, its prior, and what was not by default."""
+    origin = provenance(fitted, validated, command)
+    if settings.prior is not None:
+        origin["prior"] = settings.prior.source
+    if asked is not None:
+        origin[OPTIONS] = dict(asked)
+    return origin
 
 
 def corrected(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:

@@ -217,14 +217,10 @@ def summary(explanation: Explanation, page: Path, unit: str) -> str:
         lines += _finding_lines(finding)
     if explanation.verdict != DATA_UNFIT:
         lines.append(f"residual RMS, {unit}, on {explanation.judged_on}")
-        heads = ("healthy", "detectable", "before", "after")
+        heads = ("healthy", "detectable", *(("before", "after") if explanation.findings else ("residual",)))
         lines.append(f"{'joint':24}" + "".join(f"{head:>11}" for head in heads))
-        columns = (
-            explanation.noise_floor_Nm,
-            explanation.detectable_Nm,
-            explanation.before_Nm,
-            explanation.after_Nm,
-        )
+        columns = [explanation.noise_floor_Nm, explanation.detectable_Nm, explanation.before_Nm]
+        columns += [explanation.after_Nm] if explanation.findings else []
         lines += [
             f"{joint:24}" + "".join(f"{value:11.3f}" for value in values)
             for joint, *values in zip(explanation.joints, *columns)

@@ -39,7 +39,7 @@ balances the rest, then thirds. Four ranges are as many as a minute of motion fi
 PER_HOUR = 1.0
 """Excursions an hour of motion in a range that a threshold is set for where the user names none."""
 QUANTILE = 0.9
-"""Quantile of |r| that is the lowest level u, beyond which excursions are told apart: a tenth of the rows."""
+"""Quantile of |r| that is the lowest level u, beyond which excursions are separated: a tenth of the rows."""
 TAIL = 30
 """Highest peaks that the tail is fitted to, where there are more: u is then the next lower peak. Lighter tails than an
 exponential one (noise) would give too high a threshold from a lower u; the mean of 30 peaks is off by 18 %."""

@@ -133,13 +133,15 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         findings = _unnamed(joints, where, rms_before, rms_after, floor)
     words, next_effect, next_joints = _next(findings)
     known = np.isfinite(floor)
+    # Without a finding nothing was added to the reference's model, whatever a refit to the field would leave.
+    added, rms_added = (after, rms_after) if findings else (before, rms_before)
     return Explanation(
         verdict=MISMATCH if findings else NO_MISMATCH,
         joints=joints,
         noise_floor_Nm=np.where(known, floor, np.nan),
         detectable_Nm=np.where(known, healthy.detectable_Nm, np.nan),
         before_Nm=rms_before,
-        after_Nm=rms_after,
+        after_Nm=rms_added,
         findings=findings,
         unexplained=_unexplained(joints, rms_after, healthy, outcome) if findings else (),
         next_experiment=words,
@@ -151,7 +153,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
             *(() if findings else _moments(joints, rms_after, healthy)),
         ),
         model=extended_model(evidence, accepted, outcome.refit.values) if accepted else None,
-        traces=residuals.traces(before, after),
+        traces=residuals.traces(before, added),
         cutoff_hz=prepared.cutoff_hz,
     )
 

@@ -33,8 +33,8 @@ def import_html(log: Path, proposal: Proposal, mapping: LogMapping, recording: R
         arm: The arm, whose position limits are drawn.
     """
     head = element("tr", *(element("th", text, class_="text") for text in ("signal", "columns", "unit", "because")))
-    told = [(row.signal, row.columns, row.unit, row.because) for row in proposal.rows]
-    rows = [element("tr", *(element("td", text, class_="text wrap") for text in row)) for row in told]
+    understood = [(row.signal, row.columns, row.unit, row.because) for row in proposal.rows]
+    rows = [element("tr", *(element("td", text, class_="text wrap") for text in row)) for row in understood]
     left = [element("li", one_line(line)) for line in proposal.left_out]
     joints = {joint.name: joint for joint in arm.joints}
     body = join(
