@@ -12,7 +12,7 @@ import io
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
@@ -54,6 +54,7 @@ class Run:
     recording: Recording
     arm: Arm
     path: Path
+    _how: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
 
 def read(
@@ -77,11 +78,12 @@ def read(
         UserError: It cannot be read, holds several recordings, or its arm is not known.
     """
     files = (None if arm is None else Path(arm)), (None if mapping is None else Path(mapping))
+    how = {"arm": files[0], "mapping": files[1], "gravity": gravity, "namespace": namespace}
     recordings = read_bags([Path(path)], lambda share, what: None, False, namespace, *files)
     if len(recordings) != 1:
         raise UserError(f"{path}: {len(recordings)} recordings; read them one by one")
     found = find_arm(files[0], gravity, recordings)
-    return Run(in_newton_metres(recordings, found)[0], found, Path(path))
+    return Run(in_newton_metres(recordings, found)[0], found, Path(path), how)
 
 
 @dataclass(frozen=True)
@@ -217,18 +219,22 @@ def mismatch(
         reference: Of the healthy arm, or one model.yaml; none: the arm's own fit.
         validate: To judge on; none: the last third of each of `field_runs`.
         out: Result folder; None: nothing stays on disk.
-        arm: URDF or arm YAML; None: the reference model's, or of the bags.
+        arm: URDF or arm YAML; None: what the runs were read with, else the reference model's, or of the bags.
 
     Raises:
         UserError: As `spacearm mismatch`.
     """
+    every = [*_several(field_runs), *_several(reference), *_several(validate)]
+    how = next((dict(one._how) for one in every if isinstance(one, Run)), {})
+    if arm is not None:
+        how["arm"] = Path(arm)
     with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
         session = explain_session(
             _paths(field_runs),
             _paths(reference),
             _paths(validate),
             Path(scratch) / "mismatch" if out is None else Path(out),
-            arm=None if arm is None else Path(arm),
+            **how,
         )
     return session.explanation
 
@@ -244,9 +250,12 @@ class _CallablePackage(ModuleType):
 sys.modules[f"{__package__}.mismatch"].__class__ = _CallablePackage
 
 
+def _several(runs: Run | PathLike | Sequence[Run | PathLike]) -> list[Run | PathLike]:
+    return [runs] if isinstance(runs, (Run, str, os.PathLike)) else list(runs)
+
+
 def _paths(runs: Run | PathLike | Sequence[Run | PathLike]) -> list[Path]:
-    several = [runs] if isinstance(runs, (Run, str, os.PathLike)) else list(runs)
-    return [one.path if isinstance(one, Run) else Path(one) for one in several]
+    return [one.path if isinstance(one, Run) else Path(one) for one in _several(runs)]
 
 
 def excite(arm: PathLike, out: PathLike | None = None, **options: Any) -> Trajectory:

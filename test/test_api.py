@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,15 +21,29 @@ from spacearm_ident.recording import write_recording
 PAGE = Path(__file__).parents[1] / "docs" / "python.md"
 
 
-def write_log(folder: Path) -> Path:
+def write_log(folder: Path, name: str = "log.csv", seed: int = 0) -> Path:
     """A CSV with its arm beside it."""
-    run = small_arm.recording(12.0)
+    run = small_arm.recording(16.0 if seed else 12.0, seed=seed)
     rows = np.column_stack([run.time, run.position, run.effort])
     head = "t [s],q1 [rad],q2 [rad],tau1 [Nm],tau2 [Nm]"
     lines = [head, *(",".join(map(repr, map(float, row))) for row in rows)]
-    (folder / "log.csv").write_text("\n".join(lines))
+    (folder / name).write_text("\n".join(lines))
     (folder / "arm.urdf").write_text(small_arm.URDF)
-    return folder / "log.csv"
+    return folder / name
+
+
+def write_arm(folder: Path) -> Path:
+    """An arm YAML with what an excitation needs."""
+    (folder / "arm.yaml").write_text(
+        "schema: spacearm_ident/arm/1\nurdf: arm.urdf\njoints:\n"
+        "  shoulder: {acceleration_limit_rad_s2: 5}\n  elbow: {acceleration_limit_rad_s2: 5}\n"
+    )
+    return folder / "arm.yaml"
+
+
+def blocks() -> list[str]:
+    """The Python blocks of the page: the example, then the cells of the worked session."""
+    return re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 
 
 def test_importing_the_package_imports_nothing_else():
@@ -41,9 +56,8 @@ def test_the_example_of_the_page_runs_and_finds_the_arm(tmp_path, monkeypatch):
     pytest.importorskip("clarabel", reason="needs clarabel")
     write_log(tmp_path)
     monkeypatch.chdir(tmp_path)
-    (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     names: dict[str, object] = {}
-    exec(block, names)
+    exec(blocks()[0], names)
     assert (tmp_path / "fit.png").stat().st_size > 1000 and (tmp_path / "arm.xml").is_file()
     result = names["result"]
     assert isinstance(result, sa.Result)
@@ -60,6 +74,28 @@ def test_the_example_of_the_page_runs_and_finds_the_arm(tmp_path, monkeypatch):
     assert {row["symbol"] for row in rows} >= {"f_c", "k_v1", "J_m", "m"}
     with pytest.raises(UserError, match="one shape"):
         result.predict(q[:, :1], qd, qdd)
+
+
+def test_every_cell_of_the_worked_session_runs(tmp_path, monkeypatch):
+    pytest.importorskip("clarabel", reason="needs clarabel")
+    write_log(tmp_path, "monday.csv", 1)
+    write_log(tmp_path, "friday.csv", 2)
+    write_arm(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"sa": sa}
+    for cell in blocks()[1:]:
+        exec(cell, names)
+    assert names["duration_s"] == pytest.approx(16.0, abs=0.1)
+    assert set(names["relative"]) == set(small_arm.JOINTS) and max(names["relative"].values()) < 0.05
+    assert all(0.0 < names["relative_error"][f"f_c[{joint}]"] < 0.1 for joint in small_arm.JOINTS)
+    q, qd = np.outer(names["time"], names["speed"]), np.tile(names["speed"], (len(names["time"]), 1))
+    truth = small_arm.identified().torque(steady(small_arm.JOINTS, q, qd, np.zeros_like(q)))
+    assert np.abs(names["torque"] - truth).max() < 0.5
+    assert (tmp_path / "fit.png").stat().st_size > 1000 and (tmp_path / "arm.xml").is_file()
+    assert names["changed"] == []
+    assert names["trajectory"].joints == small_arm.JOINTS
+    again, result = names["again"], names["result"]
+    np.testing.assert_array_equal(again.identified.model.parameters, result.identified.model.parameters)
 
 
 def test_the_command_line_and_the_api_give_the_same_numbers(tmp_path):
@@ -96,11 +132,7 @@ def test_mismatch_is_a_function_and_a_package(tmp_path):
 
 
 def test_excite_returns_a_trajectory(tmp_path):
-    (tmp_path / "arm.yaml").write_text(
-        "schema: spacearm_ident/arm/1\nurdf: arm.urdf\njoints:\n"
-        "  shoulder: {acceleration_limit_rad_s2: 5}\n  elbow: {acceleration_limit_rad_s2: 5}\n"
-    )
     (tmp_path / "arm.urdf").write_text(small_arm.URDF)
     words = {"harmonics": 2, "periods": 1, "ground": "none", "no_stall_margin": True}
-    trajectory = sa.excite(tmp_path / "arm.yaml", **words)
+    trajectory = sa.excite(write_arm(tmp_path), **words)
     assert trajectory.joints == small_arm.JOINTS and trajectory.duration_s > 5.0

@@ -182,11 +182,52 @@ def test_a_log_and_its_bag_identify_the_same_parameters(tmp_path):
         ("joint1_vel_deg_s", "velocity", "deg/s", 1),
         ("time_ms", "time", "ms", None),
         ("tcp_pose_3", "other", None, 3),
+        ("actual_qd_3", "velocity", None, 3),
+        ("actual_TCP_pose_0", "other", None, 0),
+        ("dq[6]", "velocity", None, 6),
+        ("O_T_EE[3]", "other", None, 3),
+        ("dtau_J[3]", "other", None, 3),
+        ("tau_ext_hat_filtered[0]", "other", None, 0),
+        ("AIPos.A1", "position", None, 1),
+        ("MACur.A1", "current", None, 1),
+        ("$AXIS_ACT.A1", "position", None, 1),
+        ("$TORQUE_AXIS_ACT[1]", "torque", None, 1),
+        ("$VEL_AXIS_ACT[1]", "velocity", None, 1),
+        ("measuredJointPosition_0", "position", None, 0),
+        ("externalTorque_2", "other", None, 2),
+        ("IPOC", "time", None, None),
     ],
 )
 def test_names_of_columns_say_quantity_unit_and_joint(name, quantity, unit, number):
     meaning = meaning_of(name)
     assert (meaning.quantity, meaning.unit, meaning.number) == (quantity, unit, number)
+
+
+@pytest.mark.parametrize("name", ["target_q_0", "q_d[1]", "tau_J_d[2]", "ASPos.A1", "commandedJointPosition_1"])
+def test_set_points_of_known_controllers_say_so(name):
+    assert meaning_of(name).commanded
+
+
+LAYOUTS = {
+    "UR RTDE": ("timestamp", "actual_q_{}", "actual_qd_{}", "actual_current_as_torque_{}", 0),
+    "Franka": ("time", "q[{}]", "dq[{}]", "tau_J[{}]", 0),
+    "KUKA trace": ("time", "$AXIS_ACT[{}]", "$VEL_AXIS_ACT[{}]", "$TORQUE_AXIS_ACT[{}]", 1),
+    "KUKA FRI": ("time", "measuredJointPosition_{}", "jointVelocity_{}", "measuredTorque_{}", 0),
+}
+
+
+@pytest.mark.parametrize("maker", LAYOUTS)
+def test_log_of_a_known_controller_needs_no_answer(tmp_path, maker):
+    run = small_arm.recording(10.0)
+    time, *kinds, first = LAYOUTS[maker]
+    head = [time, *(kind.format(first + k) for kind in kinds for k in range(2))]
+    distractor = {"Franka": ["O_T_EE[3]", "tau_J_d[0]"], "UR RTDE": ["actual_TCP_pose_0", "target_q_0"]}
+    extra = distractor.get(maker, [])
+    columns = [run.time, run.position, run.velocity, run.effort, *(0.1 * run.time for _ in extra)]
+    found = proposal(tmp_path, [*head, *extra], *columns)
+    assert not found.questions
+    names = [kind.format(first + 1) for kind in kinds]
+    assert found.mapping.columns["elbow"] == dict(zip(("position", "velocity", "effort"), names))
 
 
 def csv_of(folder: Path, head: list[str], *columns: np.ndarray) -> Path:

@@ -38,12 +38,12 @@ def _plain(text: str) -> str:
 WORDS: dict[str, tuple[str, ...]] = {
     TIME: _words(
         "t ts time timestamp stamp clock zeit zeitstempel uhrzeit temps horodatage tiempo tempo czas tijd tid zaman "
-        "aika cas время 时间 時間 時刻 시간 secs seconds sekunden segundos"
+        "aika cas время 时间 時間 時刻 시간 secs seconds sekunden segundos ipoc"
     ),
     INDEX: _words("index idx sample frame counter row zeile abtastung messwert muestra echantillon lfd 序号 номер"),
     POSITION: _words(
-        "q qs pos position positions posn angle angles theta qpos jpos winkel lage stellung angulo posicion posicao "
-        "posizione angolo positie hoek kat pozycja polozenie kulma asento uhel pozice "
+        "q qs pos position positions posn angle angles theta qpos jpos aipos aspos winkel lage stellung angulo "
+        "posicion posicao posizione angolo positie hoek kat pozycja polozenie kulma asento uhel pozice "
         "位置 角度 关节角 関節角 각도 위치 угол положение"
     ),
     VELOCITY: _words(
@@ -55,19 +55,21 @@ WORDS: dict[str, tuple[str, ...]] = {
         "torsion vaanto 力矩 扭矩 トルク 토크 момент"
     ),
     CURRENT: _words(
-        "current currents cur curr i amps strom corriente corrente courant stroom prad virta proud 电流 電流 전류 ток"
+        "current currents cur curr macur i amps strom corriente corrente courant stroom prad virta proud "
+        "电流 電流 전류 ток"
     ),
     OTHER: _words(
-        "qdd ddq acc accel acceleration beschleunigung aceleracion 加速度 ускорение tcp pose cart cartesian force "
-        "kraft ft wrench gripper greifer finger image camera voltage spannung error fehler status mode safety digital "
-        "analog pwm jacobian ext external extern friction reibung gravity coriolis temp temperature temperatur "
-        "temperatura 温度 температура reward done contact kollision collision execution scaling speed_scaling"
+        "qdd ddq dtau ee eef acc accel acceleration beschleunigung aceleracion 加速度 ускорение tcp pose "
+        "cart cartesian force kraft ft wrench gripper greifer finger image camera voltage spannung error "
+        "fehler status mode safety digital analog pwm jacobian ext external extern friction reibung "
+        "gravity coriolis temp temperature temperatur temperatura 温度 температура reward done contact "
+        "kollision collision execution scaling speed_scaling"
     ),
 }
 """Quantity -> its words, accents off."""
 COMMANDED = _words(
-    "target cmd command commanded des desired ref reference soll sollwert setpoint goal action consigne deseada d "
-    "komanda wanted vorgabe 目标 指令 задание"
+    "target cmd command commanded aspos des desired ref reference soll sollwert setpoint goal action consigne deseada "
+    "d komanda wanted vorgabe 目标 指令 задание"
 )
 MEASURED = _words(
     "actual act ist istwert meas measured mess gemessen real state observation obs fbk feedback aktuell aktuelle "
@@ -208,6 +210,8 @@ def _quantity(words: tuple[str, ...], unit: str | None) -> str | None:
     """The quantity that the words name; `current` beside another quantity means now, not amperes."""
     fits = {quantity: max((_fit(part, of) for part in words), default=0) for quantity, of in WORDS.items()}
     fits = {quantity: fit for quantity, fit in fits.items() if fit}
+    if not fits and {"axis", "act"} <= set(words):  # KUKA's $AXIS_ACT is the axes' actual position
+        return POSITION
     if len(fits) > 1 and "current" in words and unit not in ("A", "mA") and not fits.keys() <= {CURRENT, OTHER}:
         fits.pop(CURRENT, None)
     if OTHER in fits:
