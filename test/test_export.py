@@ -258,6 +258,28 @@ def require_stated_cost(model: IdentifiedModel, motion, fit, path: Path, slack: 
     assert np.all(distance >= cost - slack * size), (distance, cost, size)
 
 
+def test_mujoco_s_forward_dynamics_gives_the_motion_back_from_the_exported_law(tmp_path):
+    """Bodies, armature, damping and friction loss, written here, drive the exported arm along the motion of the fit."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco")
+    model = small_arm.identified()
+    arm, motion = model.model.arm, sweep(model.model.arm)
+    fit, _ = export_model(model, None, "mjcf", tmp_path / "arm.xml", "a test")
+    values = {key: np.array([fit.values[joint][key] for joint in arm.joint_names]) for key in fit.values["elbow"]}
+    bodies = TorqueModel(arm, {"rigid_body": {}})
+    inertials = np.array([model.value(p.symbol, p.joint) for p in bodies.parameters])
+    torque = bodies.torque(motion, inertials, np.zeros(0)) + values["armature"] * motion.acceleration
+    torque += values["damping"] * motion.velocity + values["friction"] * np.sign(motion.velocity)
+    simulated = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    simulated.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    data, found = mujoco.MjData(simulated), np.empty_like(torque)
+    for k in range(len(torque)):
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = motion.position[k], motion.velocity[k], torque[k]
+        mujoco.mj_forward(simulated, data)
+        found[k] = data.qacc
+    left = rms_moving(found - motion.acceleration, motion) / rms_moving(motion.acceleration, motion)
+    assert np.all(left < 0.05), left  # friction loss is a soft constraint there
+
+
 @pytest.mark.parametrize("model", [paper(), rich()], ids=["paper", "rich"])
 def test_mujoco_is_off_by_the_stated_cost_on_the_motion_of_the_fit(model, tmp_path):
     fit, _ = export_model(model, None, "mjcf", tmp_path / "arm.xml", "a test")
