@@ -208,6 +208,12 @@ def test_set_points_of_known_controllers_say_so(name):
     assert meaning_of(name).commanded
 
 
+def test_log_that_does_not_exist_is_called_so_whatever_else_is_missing(tmp_path, capsys):
+    assert main(["identify", str(tmp_path / "nope.csv"), "--out", str(tmp_path / "result")]) == 2
+    assert "no such file" in capsys.readouterr().err
+    assert not (tmp_path / "result").exists()
+
+
 LAYOUTS = {
     "UR RTDE": ("timestamp", "actual_q_{}", "actual_qd_{}", "actual_current_as_torque_{}", 0),
     "Franka": ("time", "q[{}]", "dq[{}]", "tau_J[{}]", 0),

@@ -62,6 +62,8 @@ def read_log(log: Path, arm_file: Path | None = None, mapping_file: Path | None 
         UnfitDataError: Below 90 Hz, or without torque.
         UserError: It cannot be read, the arm is not known, or the proposal leaves something open.
     """
+    if not log.exists():
+        raise UserError(f"{log}: no such file or folder; give a bag or a log")
     file = mapping_file or mapping_beside(log)
     if file is not None:
         mapping = read_mapping(file)
