@@ -196,6 +196,7 @@ def summary(identified: Identified, validation: Validation, page: Path, coupling
     lines += [
         f"RMSE to moving: up to {bandwidth.cutoff_hz:.3g} Hz, the fit's bandwidth; unfiltered: moving, as recorded",
         f"bandwidth {bandwidth.cutoff_hz:.3g} Hz: {bandwidth.reason}",
+        *([] if identified.solver.startswith(SEPARABLE) else [f"solver {identified.solver}"]),
         *identified.notes,
         *_beyond_the_plain_law(identified),
         counts(identified).words,
