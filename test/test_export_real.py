@@ -13,6 +13,7 @@ import pytest
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.config import config_path
+from spacearm_ident.dynamics.model import TorqueModel
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.export.controller import control_law
 from spacearm_ident.export.law import SLOW_SHARE
@@ -73,6 +74,35 @@ def test_mujoco_predicts_the_held_out_torque_of_a_real_arm_within_the_stated_cos
     theirs = shares(motions, [inverse_in_mujoco(tmp_path / "arm.xml", motion) for motion in motions])
     stated = np.array([fit.cost_Nm[joint] / fit.torque_Nm[joint] for joint in fit.cost_Nm])
     assert np.all(theirs <= own + stated + SLACK), (own, theirs, stated)
+
+
+def test_mujoco_accelerates_a_real_arm_as_recorded_under_the_exported_law(real, tmp_path):
+    """Forward dynamics on the held-out motion: torque by bodies, armature, damping and friction loss, written here."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco")
+    model, validation = read_result(real)
+    arm = model.model.arm
+    fit, _ = export_model(model, validation, "mjcf", tmp_path / "arm.xml", "a test")
+    simulated = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    simulated.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    data, mass = mujoco.MjData(simulated), np.zeros(simulated.nv)
+    armature, damping, friction = (
+        np.array([fit.values[joint].get(key, 0.0) for joint in arm.joint_names])
+        for key in ("armature", "damping", "friction")
+    )
+    bodies = TorqueModel(arm, {"rigid_body": {}})
+    inertials = np.array([model.value(p.symbol, p.joint) for p in bodies.parameters])
+    motion = motions_of(model, validation)[0]
+    torque = bodies.torque(motion, inertials, np.zeros(0)) + armature * motion.acceleration
+    torque += damping * motion.velocity + friction * np.sign(motion.velocity)
+    off = np.empty_like(torque)
+    for k in range(len(off)):
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = motion.position[k], motion.velocity[k], torque[k]
+        mujoco.mj_forward(simulated, data)
+        mujoco.mj_mulM(simulated, data, mass, data.qacc - motion.acceleration[k])
+        off[k] = mass  # N·m by which the acceleration found differs from the recorded one
+    moving = (np.abs(motion.velocity) > SLOW_SHARE * np.abs(motion.velocity).max(axis=0)).all(axis=1)
+    share = np.sqrt((off[moving] ** 2).sum(axis=0) / (torque[moving] ** 2).sum(axis=0))
+    assert moving.sum() > 50 and np.all(share < 0.05), (moving.sum(), share)
 
 
 def test_mujoco_predicts_the_paper_s_arm_on_another_motion_within_the_stated_cost(tmp_path):
