@@ -9,8 +9,8 @@ from typing import Any
 from ..documents import write_whole
 from ..dynamics.arm import load_arm
 from ..errors import UserError, one_line
-from ..logs.propose import ANSWERS, Proposal
 from ..logs.read import propose_for, recording_by
+from ..logs.search import ANSWERS, Proposal
 from ..recording import describe, write_recording
 from ..recording.log_mapping import MAPPING_SUFFIX, mapping_to_dict, save_mapping
 from ..report.import_html import import_html

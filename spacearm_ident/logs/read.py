@@ -23,7 +23,8 @@ from ..recording.log_mapping import (
 from ..recording.reader import recording_of
 from ..recording.recording import Issue, Recording
 from ..recording.tables import Table, read_table
-from .propose import Proposal, propose, too_slow
+from .propose import propose
+from .search import Proposal, too_slow
 from .signals import SLOWEST_HZ
 
 

@@ -17,6 +17,8 @@ FASTEST_HZ = 20_000.0
 DERIVATIVE = 0.9
 """Correlation with the difference of the positions from which a column is their velocity: noise of the derivative over
 `WINDOW_S` is below a third of the motion in any recording at hand, and unrelated signals correlate below 0.5."""
+LOADED = 0.6
+"""Partial correlation with the weight from which a joint's effort follows it."""
 MOST_ROWS = 4000
 """Rows that are looked at for weight: friction and gravity vary slowly."""
 

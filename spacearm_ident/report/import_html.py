@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from ..dynamics.arm import Arm, Joint
 from ..errors import one_line
-from ..logs.propose import Proposal
+from ..logs.search import Proposal
 from ..recording.log_mapping import CURRENT_UNITS, LogMapping
 from ..recording.recording import Recording
 from .html import captioned, page

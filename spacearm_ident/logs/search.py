@@ -1,0 +1,104 @@
+"""`Search`: what is asked of one log, what is known of it, and the proposal that grows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..dynamics.arm import Arm, FloatArray
+from ..errors import UnfitDataError, UserError
+from ..recording.log_mapping import UNITS, LogMapping
+from ..recording.tables import Table
+from .groups import Clock, Group, find_clocks, find_groups
+from .signals import SLOWEST_HZ, WINDOW_S, steps_s
+
+
+@dataclass(frozen=True)
+class Understood:
+    """A row of the table that the user sees: signal, columns, unit, and what decided it."""
+
+    signal: str
+    columns: str
+    unit: str
+    because: str
+
+
+@dataclass
+class Proposal:
+    """What was understood of a log.
+
+    Attributes:
+        mapping: The mapping; None where something is open.
+        rows: What was understood, for the table.
+        left_out: Columns that are not used, and why, a line each.
+        questions: What could not be decided, a line each with the answer to give.
+    """
+
+    mapping: LogMapping | None = None
+    rows: list[Understood] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    questions: list[str] = field(default_factory=list)
+
+
+ANSWERS = ("time", "time_unit", "rate_hz", "position", "velocity", "effort", "command", *(f"{s}_unit" for s in UNITS))
+"""What a user may say: a column, a unit, a rate, or the name of a group."""
+
+
+class Search:
+    """One log with its arm, and the proposal that each decision adds to.
+
+    Attributes:
+        table: The log's columns.
+        arm: The arm that it is of.
+        where: The log, for messages.
+        answers: What the user says, by `ANSWERS`.
+        constants: Joint -> N·m for each A, or at 100 %.
+        declared: Unit in which the arm YAML declares effort; None: it does not.
+        clocks: Columns that can be a time, the likeliest first.
+        groups: Columns that differ in the joint alone.
+        found: The proposal.
+    """
+
+    def __init__(
+        self, table: Table, arm: Arm, where: str, answers: Mapping[str, str], constants: Mapping[str, float],
+        declared: str | None,
+    ) -> None:  # fmt: skip
+        """Raises UserError for an answer to no question, or a constant of no joint."""
+        if unknown := set(answers) - set(ANSWERS):
+            raise UserError(f"nothing to set by the name {min(unknown)!r}; one of {', '.join(ANSWERS)}")
+        if unknown := set(constants) - set(arm.joint_names):
+            raise UserError(f"effort constant of {min(unknown)!r}: the arm has {', '.join(arm.joint_names)}")
+        self.table, self.arm, self.where, self.answers = table, arm, where, answers
+        self.constants, self.declared = constants, declared
+        self.found = Proposal()
+        self.clocks: list[Clock] = find_clocks(table)
+        self.groups: list[Group]
+        self.groups, self.found.left_out = find_groups(table, arm, self.clocks)
+        self._revolute = np.array([joint.revolute for joint in arm.joints])
+
+    def ask(self, question: str, answer: str) -> None:
+        """Add a question with the `--set` that answers it."""
+        self.found.questions.append(f"{question}: --set {answer}")
+
+    def tell(self, signal: str, columns: str, unit: str, because: str) -> None:
+        """Add a row to the table that the user sees."""
+        self.found.rows.append(Understood(signal, columns, unit, because))
+
+    def scale(self, factor: float) -> FloatArray:
+        """(n,) a factor between units of angle, 1 for joints that slide."""
+        return np.where(self._revolute, factor, 1.0)
+
+    def window(self, seconds: FloatArray) -> int:
+        """Rows in `WINDOW_S`; ten where the steps of (N,) `seconds` are no seconds yet."""
+        step, _ = steps_s(seconds)
+        return max(2, round(WINDOW_S / step)) if 0 < step < 0.5 else 10
+
+
+def too_slow(where: str, rate_hz: float) -> UnfitDataError:
+    """What is said of a log below `SLOWEST_HZ`."""
+    return UnfitDataError(
+        f"{where}: {rate_hz:.4g} rows a second, below {SLOWEST_HZ:g} Hz: too slow to differentiate twice; it can still "
+        "show friction at constant speed and gravity at rest; log faster to identify"
+    )
