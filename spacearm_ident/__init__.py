@@ -10,6 +10,8 @@
 
 from __future__ import annotations
 
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -26,3 +28,28 @@ def __getattr__(name: str) -> Any:
 
         return getattr(api, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+class _CallableModule(ModuleType):
+    """The subpackage `mismatch`, which is called as `api.mismatch` besides being imported from."""
+
+    def __call__(self, *words: Any, **options: Any) -> Any:
+        """`api.mismatch`, whose arguments, result and errors these are."""
+        return __getattr__("mismatch")(*words, **options)
+
+
+class _Package(ModuleType):
+    """This package, where `mismatch` is a subpackage and a function of the API.
+
+    Python sets a subpackage as an attribute when it is first imported, whoever imports it, and no longer asks
+    `__getattr__` for the name. The subpackage becomes callable at that moment. It cannot do so by itself: `mismatch` is
+    below `api`, and imports only go down.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "mismatch" and type(value) is ModuleType:
+            value.__class__ = _CallableModule
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

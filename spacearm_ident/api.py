@@ -10,12 +10,10 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -237,17 +235,6 @@ def mismatch(
             **how,
         )
     return session.explanation
-
-
-class _CallablePackage(ModuleType):
-    """The package `mismatch`, which Python puts in the place of the function once it is imported: both at once."""
-
-    def __call__(self, *words: Any, **options: Any) -> Explanation:
-        """`api.mismatch`."""
-        return mismatch(*words, **options)
-
-
-sys.modules[f"{__package__}.mismatch"].__class__ = _CallablePackage
 
 
 def _several(runs: Run | PathLike | Sequence[Run | PathLike]) -> list[Run | PathLike]:

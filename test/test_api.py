@@ -121,6 +121,24 @@ def test_mistakes_are_one_line(tmp_path):
         sa.no_such_function  # noqa: B018
 
 
+@pytest.mark.parametrize(
+    "imports",
+    ["import spacearm_ident.mismatch.finding", "from spacearm_ident import mismatch", "sa.read", "sa.mismatch"],
+    ids=["subpackage first", "from", "API first", "at once"],
+)
+def test_mismatch_is_callable_whatever_was_imported_first(imports):
+    code = (
+        f"import spacearm_ident as sa; {imports}; from spacearm_ident.errors import UserError\n"
+        "try: sa.mismatch('none.mcap')\n"
+        "except UserError as error: print(error)\n"
+        "from spacearm_ident.mismatch.finding import Explanation\n"
+        "assert callable(sa.mismatch) and sa.mismatch.finding.Explanation is Explanation"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert "none.mcap" in run.stdout
+
+
 def test_mismatch_is_a_function_and_a_package(tmp_path):
     pytest.importorskip("clarabel", reason="needs clarabel")
     from spacearm_ident.mismatch.finding import NO_MISMATCH, Explanation
