@@ -7,6 +7,7 @@ import importlib.util
 import json
 import shutil
 import subprocess
+import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.dynamics.regressor import regressor
 from spacearm_ident.errors import UserError
 from spacearm_ident.export.controller import ZERO_SPEED, code_cost, control_law
+from spacearm_ident.export.frames import rpy
 from spacearm_ident.export.law import SLOW_SHARE, nearest
 from spacearm_ident.export.mjcf import mjcf
 from spacearm_ident.export.motion import motions_of, sweep
@@ -435,3 +437,20 @@ def test_the_command_exports_a_model_file_in_every_format(tmp_path, capsys):
             small_arm.JOINTS
         )
     assert main(["export", str(tmp_path / "gone"), "--to", "mjcf", "--out", str(tmp_path / "x.xml")]) == 2
+
+
+def test_a_format_that_holds_the_whole_model_states_no_cost_of_rounding():
+    model = small_arm.identified()
+    said = nearest(model, MJCF, motions_of(model, None)).lines()
+    assert said == ["mjcf holds every term of this model", "  its torque is the model's at every joint"]
+    model = rich()
+    said = nearest(model, MJCF, motions_of(model, None)).lines()
+    assert said[0].startswith("mjcf does not hold: ") and sum("costs" in line for line in said) == 2
+
+
+def test_a_joint_turned_up_by_a_quarter_turn_is_written_without_a_warning():
+    rotation = pin.rpy.rpyToMatrix(0.3, np.pi / 2, -0.2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        angles = rpy(rotation)
+    np.testing.assert_allclose(pin.rpy.rpyToMatrix(angles), rotation, atol=1e-7)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,7 +78,10 @@ def quaternion(rotation: FloatArray) -> FloatArray:
 
 def rpy(rotation: FloatArray) -> FloatArray:
     """(3,) roll, pitch, yaw as URDF and SDF have them."""
-    return np.asarray(Rotation.from_matrix(rotation).as_euler("xyz"))
+    with warnings.catch_warnings():
+        # At a pitch of 90 degrees one angle is free; scipy takes zero for it, which is as good as any, and warns.
+        warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)
+        return np.asarray(Rotation.from_matrix(rotation).as_euler("xyz"))
 
 
 def words(values: FloatArray | list[float]) -> str:

@@ -29,6 +29,10 @@ SLOW_SHARE = 0.02
 """Rows slower than this share of a joint's top speed stand still: friction there is whatever balances the rest, and no
 format's law is judged by it."""
 
+ROUNDING = 1e-9
+"""Share of a joint's torque below which a cost is rounding of the arithmetic: it is near 1e-15 where a format holds the
+whole model, and no torque is measured to more than six digits."""
+
 
 @dataclass(frozen=True)
 class Nearest:
@@ -54,8 +58,10 @@ class Nearest:
 
     def lines(self) -> list[str]:
         """What a user should know of the cost, a line each."""
-        words = ", ".join(self.lost) or "nothing"
-        lines = [f"{self.format.name} does not hold: {words}"]
+        lost = f"does not hold: {', '.join(self.lost)}" if self.lost else "holds every term of this model"
+        lines = [f"{self.format.name} {lost}"]
+        if all(cost <= ROUNDING * self.torque_Nm[joint] for joint, cost in self.cost_Nm.items()):
+            return [*lines, "  its torque is the model's at every joint", *self.further]
         for joint, cost in self.cost_Nm.items():
             share = cost / self.torque_Nm[joint] if self.torque_Nm[joint] > 0 else 0.0
             lines.append(

@@ -7,6 +7,7 @@ Bodies and joints are UsdPhysics; the inertia of the rotor is `physxJoint:armatu
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +89,10 @@ def _joint(
     made.CreateBody0Rel().SetTargets([ends[0]])
     made.CreateBody1Rel().SetTargets([ends[1]])
     made.CreateAxisAttr().Set("X")
-    onto = Rotation.align_vectors(joint.axis[None], np.array([[1.0, 0.0, 0.0]]))[0].as_matrix()
+    with warnings.catch_warnings():
+        # The rotation about the axis itself is free; Ubuntu 24.04's scipy warns of it.
+        warnings.filterwarnings("ignore", "Optimal rotation", UserWarning)
+        onto = Rotation.align_vectors(joint.axis[None], np.array([[1.0, 0.0, 0.0]]))[0].as_matrix()
     made.CreateLocalPos0Attr().Set(gf.Vec3f(*map(float, joint.translation)))
     made.CreateLocalRot0Attr().Set(_quaternion(gf, joint.rotation @ onto))
     made.CreateLocalPos1Attr().Set(gf.Vec3f(0.0, 0.0, 0.0))
