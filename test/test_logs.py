@@ -217,6 +217,7 @@ def test_log_that_does_not_exist_is_called_so_whatever_else_is_missing(tmp_path,
 LAYOUTS = {
     "UR RTDE": ("timestamp", "actual_q_{}", "actual_qd_{}", "actual_current_as_torque_{}", 0),
     "Franka": ("time", "q[{}]", "dq[{}]", "tau_J[{}]", 0),
+    "libfranka": ("time", "state.q[{}]", "state.dq[{}]", "state.tau_J[{}]", 0),
     "KUKA trace": ("time", "$AXIS_ACT[{}]", "$VEL_AXIS_ACT[{}]", "$TORQUE_AXIS_ACT[{}]", 1),
     "KUKA FRI": ("time", "measuredJointPosition_{}", "jointVelocity_{}", "measuredTorque_{}", 0),
 }
@@ -227,13 +228,23 @@ def test_log_of_a_known_controller_needs_no_answer(tmp_path, maker):
     run = small_arm.recording(10.0)
     time, *kinds, first = LAYOUTS[maker]
     head = [time, *(kind.format(first + k) for kind in kinds for k in range(2))]
-    distractor = {"Franka": ["O_T_EE[3]", "tau_J_d[0]"], "UR RTDE": ["actual_TCP_pose_0", "target_q_0"]}
+    distractor = {
+        "Franka": ["O_T_EE[3]", "tau_J_d[0]"],
+        "UR RTDE": ["actual_TCP_pose_0", "target_q_0"],
+        # As `franka::logToCSV` writes them: set-points and estimates of every joint beside what was measured.
+        "libfranka": [
+            f"{name}[{k}]"
+            for name in ("state.q_d", "state.dq_d", "state.tau_ext_hat_filtered", "cmd.q_d", "cmd.dq_d", "cmd.tau_J_d")
+            for k in range(2)
+        ],
+    }
     extra = distractor.get(maker, [])
     columns = [run.time, run.position, run.velocity, run.effort, *(0.1 * run.time for _ in extra)]
     found = proposal(tmp_path, [*head, *extra], *columns)
     assert not found.questions
     names = [kind.format(first + 1) for kind in kinds]
-    assert found.mapping.columns["elbow"] == dict(zip(("position", "velocity", "effort"), names))
+    command = {"command": "state.q_d[1]"} if maker == "libfranka" else {}
+    assert found.mapping.columns["elbow"] == dict(zip(("position", "velocity", "effort"), names)) | command
 
 
 def csv_of(folder: Path, head: list[str], *columns: np.ndarray) -> Path:
