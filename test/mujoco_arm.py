@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 
 from spacearm_ident.recording import Recording
+from spacearm_ident.recording.motion import Motion
 
 JOINTS = ("base_turn", "shoulder", "elbow")
 LENGTHS = (0.3, 0.25)
@@ -16,6 +18,20 @@ LENGTHS = (0.3, 0.25)
 def mujoco_or_skip() -> ModuleType:
     """MuJoCo, or the test is skipped."""
     return pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'spacearm_ident[mujoco]'")
+
+
+def inverse_in_mujoco(path: Path, motion: Motion) -> np.ndarray:
+    """(N, n) torque that MuJoCo's inverse dynamics asks of the motors."""
+    mujoco = mujoco_or_skip()
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    torque = np.empty_like(motion.position)
+    for k in range(len(torque)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = motion.position[k], motion.velocity[k], motion.acceleration[k]
+        mujoco.mj_inverse(model, data)
+        torque[k] = data.qfrc_inverse
+    return torque
 
 
 def mjcf(**changes: float) -> str:

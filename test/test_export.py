@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import small_arm
+from mujoco_arm import inverse_in_mujoco
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.config import config_path
@@ -229,20 +230,6 @@ def test_what_the_law_has_no_place_for_is_left_out_and_priced():
 
 
 # --- simulators ---------------------------------------------------------------------------------------------
-
-
-def inverse_in_mujoco(path: Path, motion) -> np.ndarray:
-    """(N, n) torque that MuJoCo's inverse dynamics asks of the motors."""
-    mujoco = pytest.importorskip("mujoco", reason="needs mujoco")
-    model = mujoco.MjModel.from_xml_path(str(path))
-    data = mujoco.MjData(model)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    torque = np.empty_like(motion.position)
-    for k in range(len(torque)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = motion.position[k], motion.velocity[k], motion.acceleration[k]
-        mujoco.mj_inverse(model, data)
-        torque[k] = data.qfrc_inverse
-    return torque
 
 
 def rms_moving(values: np.ndarray, motion) -> np.ndarray:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mujoco_arm import inverse_in_mujoco
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.config import config_path
@@ -41,20 +42,6 @@ def real(request, tmp_path_factory) -> Path:
     words = ["identify", str(fitted), "--validate", str(held_out), "--quiet", "--friction", "coulomb-viscous"]
     assert main([*words, "--out", str(folder / "result")]) in (0, 3)
     return folder / "result"
-
-
-def inverse_in_mujoco(path: Path, motion) -> np.ndarray:
-    """(N, n) torque that MuJoCo's inverse dynamics asks of the motors."""
-    mujoco = pytest.importorskip("mujoco", reason="needs mujoco")
-    model = mujoco.MjModel.from_xml_path(str(path))
-    data = mujoco.MjData(model)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    torque = np.empty_like(motion.position)
-    for k in range(len(torque)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = motion.position[k], motion.velocity[k], motion.acceleration[k]
-        mujoco.mj_inverse(model, data)
-        torque[k] = data.qfrc_inverse
-    return torque
 
 
 def shares(motions, predicted) -> np.ndarray:
