@@ -21,9 +21,20 @@ from .identification.from_prior import GroundPrior
 from .identification.identified import Identified
 from .identification.identify import Progress, Settings
 from .identification.solvers import SEPARABLE
+from .identification.weighed import Weight, calibrate_gains, parse_weight
 from .recording import Recording, describe
 from .report.store import ARRAYS, MODEL, load_prior
-from .session import AUTO, Session, find_arm, identify_session, locked_words, read_bags, settings_for, within
+from .session import (
+    AUTO,
+    Session,
+    corrected,
+    find_arm,
+    identify_session,
+    locked_words,
+    read_bags,
+    settings_for,
+    within,
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,8 @@ class Options:
         friction, cutoff_hz, structure, solver, seed, temperature, estimate_gravity: As `session.settings_for`.
         prior: Result folder, or the model.yaml in one, to update.
         mapping: What the columns of logs are; None: the file beside each, or what is proposed.
+        weighed: MASS@LINK of a known mass, kg, that the arm carries in `loaded`; empty: torque gains are taken as 1.
+        loaded: Recordings with the known mass, otherwise of the same arm as those to fit.
     """
 
     arm: Path | None = None
@@ -53,6 +66,8 @@ class Options:
     estimate_gravity: str = ""
     prior: Path | None = None
     mapping: Path | None = None
+    weighed: str = ""
+    loaded: tuple[Path, ...] = ()
 
     def words(self) -> list[str]:
         """The same on the command line of `spacearm identify`."""
@@ -75,6 +90,8 @@ class Options:
             words += ["--prior", str(self.prior)]
         if self.mapping is not None:
             words += ["--mapping", str(self.mapping)]
+        if self.weighed:
+            words += [*(word for bag in self.loaded for word in ("--loaded", str(bag))), "--weighed", self.weighed]
         if self.cutoff_hz is not None:
             words += ["--bandwidth", _exact(self.cutoff_hz)]
         return words
@@ -82,7 +99,8 @@ class Options:
     def absolute(self) -> Options:
         """The same from whatever folder a process works in."""
         files = {name: getattr(self, name) for name in ("arm", "structure", "prior", "mapping")}
-        return replace(self, **{name: file.resolve() for name, file in files.items() if file is not None})
+        loaded = tuple(bag.resolve() for bag in self.loaded)
+        return replace(self, loaded=loaded, **{name: file.resolve() for name, file in files.items() if file is not None})
 
     def fingerprint(self) -> dict[str, Any]:
         """What is not as by default, as plain data; of a file its content (SHA-256), wherever it lies.
@@ -111,6 +129,19 @@ class Options:
             self.estimate_gravity,
             prior,
         )
+
+
+    def weight(self) -> Weight | None:
+        """The known mass, if there is one.
+
+        Raises:
+            UserError: Not a mass, no recordings with it, recordings without a mass, or a prior whose gains are fixed.
+        """
+        if bool(self.weighed) != bool(self.loaded):
+            raise UserError("a known mass needs both --weighed MASS@LINK and --loaded BAG, recorded with it")
+        if self.weighed and self.prior is not None:
+            raise UserError("--weighed does not go with --prior: the prior's torque has the gains it was recorded with")
+        return parse_weight(self.weighed) if self.weighed else None
 
 
 def identify_bags(
@@ -148,6 +179,12 @@ def identify_bags(
     recordings: list[Recording] = [*runs, *(() if again else judges)]
     prior = load_prior(options.prior) if options.prior else None
     arm = find_arm(options.arm, options.gravity, recordings, prior)
+    settings = options.settings(arm, prior)
+    if weight := options.weight():
+        loaded = read_bags(options.loaded, within(report, 0.3, 0.35), *how)
+        with_mass, without = (corrected(in_newton_metres(part, arm), arm) for part in (loaded, runs))
+        gains = calibrate_gains(without, with_mass, arm, weight)
+        settings, arm = replace(settings, gains=gains), gains.corrected(arm)
     runs = in_newton_metres(runs, arm)
     judges = runs if again else in_newton_metres(judges, arm)
     recordings = [*runs, *(() if again else judges)]
@@ -155,12 +192,12 @@ def identify_bags(
         runs,
         judges,
         arm,
-        options.settings(arm, prior),
+        settings,
         directory,
         command=command,
         asked=options.fingerprint(),
         known=known,
-        progress=within(report, 0.3, 1.0),
+        progress=within(report, 0.35, 1.0),
     )
     lines = [line for recording in recordings for line in describe(recording)]
     return session, (*lines, *locked_words(arm))
@@ -180,14 +217,18 @@ def _exact(value: float) -> str:
 
 def _content(name: str, value: Any) -> Any:
     """A wish as plain data: what a file holds, and what it refers to."""
+    if isinstance(value, tuple):
+        return [_content(name, item) for item in value]
     if not isinstance(value, Path):
-        return list(value) if isinstance(value, tuple) else value
+        return value
     try:
         if name == "arm":
             return hashlib.sha256(value.read_bytes() + load_arm(value).urdf.encode()).hexdigest()
         if name == "prior":
             folder = value if value.is_dir() else value.parent
             return [file_sha256(folder / MODEL if value.is_dir() else value), file_sha256(folder / ARRAYS)]
+        if value.is_dir():
+            return [file_sha256(file) for file in sorted(value.rglob("*")) if file.is_file()]
         return file_sha256(value)
     except OSError as error:
         raise UserError(f"cannot read {value} ({error.strerror or error}): check the path") from error

@@ -109,7 +109,9 @@ def identify_session(
         trial = try_coupling(whole, judged, arm, validation, settings)
     if trial is not None:
         identified = replace(identified, notes=(*identified.notes, trial.words))
-    further = {"conventions": conventions.as_dict(), "coupling_tried": trial and trial.as_dict()}
+    further: dict[str, Any] = {"conventions": conventions.as_dict(), "coupling_tried": trial and trial.as_dict()}
+    if settings.gains is not None:
+        further["torque_gains"] = settings.gains.as_dict()
     report(0.7, "writing the report")
     runs = recorded_runs(fitted, [] if validated is fitted else (validated or ()), arm)
     page = write_result(identified, validation, directory, further, runs)

@@ -27,10 +27,24 @@ INERTIA = Rotation.from_euler("xyz", [0.3, 0.2, 0.5]).as_matrix() @ np.diag([0.0
 INERTIA = INERTIA @ Rotation.from_euler("xyz", [0.3, 0.2, 0.5]).as_matrix().T
 
 
-def run(mass: float, noise: float = 0.05, friction: float = 0.0, seed: int = 0, gain: float = 1.0) -> Recording:
-    """Twelve seconds of the paper's arm with a body on its last link."""
+def run(
+    mass: float,
+    noise: float = 0.05,
+    friction: float = 0.0,
+    seed: int = 0,
+    gain: float | np.ndarray = 1.0,
+    moving: int = 6,
+) -> Recording:
+    """Twelve seconds of the paper's arm with a body on its last link; joints after the first `moving` stand still."""
     motion = sweep(ARM)
     motion = motion[0:1200]
+    turns = np.arange(6) < moving
+    motion = replace(
+        motion,
+        position=np.where(turns, motion.position, motion.position[0]),
+        velocity=motion.velocity * turns,
+        acceleration=motion.acceleration * turns,
+    )
     about = INERTIA * mass / MASS + mass * (CENTRE @ CENTRE * np.eye(3) - np.outer(CENTRE, CENTRE))
     phi = np.array([mass, *(mass * CENTRE), *about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
     blocks = rigid_body_blocks(ARM, motion.position, motion.velocity, motion.acceleration)

@@ -71,6 +71,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         help="identify the terms of this model file, its effects (extended_model.yaml) included; instead of --friction",
     )
     _add_surroundings(command)
+    _add_known_mass(command)
     command.add_argument(
         "--solver",
         choices=SOLVERS,
@@ -110,6 +111,26 @@ def _add_surroundings(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_known_mass(command: argparse.ArgumentParser) -> None:
+    """A known mass, by which torque gains are calibrated."""
+    command.add_argument(
+        "--weighed",
+        default="",
+        metavar="MASS@LINK",
+        help="calibrate each joint's torque gain with a known mass, in kg, fixed to this link of the URDF (2.5@tool0; "
+        "without @LINK the last one) in the recordings of --loaded; recorded torque is then divided by the gains",
+    )
+    command.add_argument(
+        "--loaded",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=Path,
+        metavar="BAG",
+        help="recordings with the known mass, of the arm as it is in the BAGs without it",
+    )
+
+
 def options_of(options: argparse.Namespace) -> Options:
     """What `add_options` added."""
     return Options(
@@ -126,6 +147,8 @@ def options_of(options: argparse.Namespace) -> Options:
         estimate_gravity=options.estimate_gravity,
         prior=options.prior,
         mapping=options.mapping,
+        weighed=options.weighed,
+        loaded=tuple(options.loaded),
     )
 
 
@@ -203,8 +226,8 @@ def summary(identified: Identified, validation: Validation, page: Path, coupling
     ]
     if any(math.isfinite(estimate.gain_error) for estimate in identified.estimates):
         lines.append(
-            f"intervals are for the torque as recorded; what torque gains off by {GAIN_DEVIATION:.0%} add is in "
-            "parameters.csv, ci95_with_gain_low and _high"
+            f"intervals are for the torque gains as they are; what their error adds, {GAIN_DEVIATION:.0%} where no known "
+            "mass was weighed (--weighed), is in parameters.csv, ci95_with_gain_low and _high"
         )
     lines.append(f"report: {page}")
     return "\n".join(lines)

@@ -40,8 +40,9 @@ from .momentum import base_body
 from .separable import Solution, system
 from .solvers import CLOE, IDIM_IV, LEAST_SQUARES, PSO_LM, SEEDED, SEPARABLE, require_solver, search_of
 from .structure import choose_structure
-from .torque_gain import gain_shifts, with_gain
+from .torque_gain import assumed_covariance, gain_shifts, with_gain
 from .updated import identify_from_prior
+from .weighed import TorqueGains
 from .weighing import Weighing
 
 Progress = Callable[[float, str], None]
@@ -62,6 +63,9 @@ class Settings:
         gravity: How gravity is estimated, one of `gravity.GRAVITY_CHOICES`; empty: it is the arm's.
         prior: A ground model that the data update (`updated.py`): structure, masses and geometry are its own, gravity
             is the arm's. With it go `cutoff_hz` and `gravity` alone.
+        gains: Torque gains from a known mass, by which the recordings' torque has been divided; None: as recorded.
+        blend: Whether torque is predicted by what predicts held-out data best (`blend.py`); not where the physically
+            consistent parameters alone are used.
     """
 
     cutoff_hz: float | None = None
@@ -71,6 +75,8 @@ class Settings:
     temperature: tuple[str, ...] = ()
     gravity: str = ""
     prior: GroundPrior | None = None
+    gains: TorqueGains | None = None
+    blend: bool = True
     choose: Callable[[Fit], tuple[Structure, tuple[Choice, ...]]] = choose_structure
 
 
@@ -125,12 +131,14 @@ def identify(
     fit, gravity = weighing.conclude(fit)
     further = weighing.further(fit)
     result = _conclude(
-        fit, provenance or {}, choices, bandwidth, _solver_words(settings, fit.solution), gravity, further
+        fit, provenance or {}, choices, bandwidth, _solver_words(settings, fit.solution), gravity, further, settings.gains
     )
     body, words = base_body(motions, result.model, result.covariance)
-    if settings.solver in LEAST_SQUARES and result.consistency_shift > 0.0:
+    if settings.blend and settings.solver in LEAST_SQUARES and result.consistency_shift > 0.0:
         result = replace(result, model=blended(result.model, fit, settings.structure is None))
-    result = replace(result, base_body=body, notes=(*result.notes, *on_base, *words, *blend_notes(result.model)))
+    weighed = () if settings.gains is None else (settings.gains.words,)
+    notes = (*weighed, *result.notes, *on_base, *words, *blend_notes(result.model))
+    result = replace(result, base_body=body, notes=notes)
     report(1.0, "done")
     return result
 
@@ -203,6 +211,7 @@ def _conclude(
     solver: str,
     gravity: GravityEstimate | None,
     further: list[FloatArray],
+    gains: TorqueGains | None,
 ) -> Identified:
     regression, prior, solution = fit.regression, fit.prior, fit.solution
     model = regression.model
@@ -221,7 +230,8 @@ def _conclude(
     )
     unseen = open_ended(regression, prior, solution)
     estimates = judge(model, prior, base, consistent, solution.constants, spread, regression.grids, at_rest, unseen)
-    estimates = with_gain(estimates, gain_shifts(fit, matrix))
+    spread_of_gains = assumed_covariance(len(model.arm.joints)) if gains is None else gains.covariance
+    estimates = with_gain(estimates, gain_shifts(fit, matrix), spread_of_gains)
     environment = Environment(
         judge_vacuum(model.parameters, solution.parameters, spread, prior.scale, freedom(fit)),
         gravity,

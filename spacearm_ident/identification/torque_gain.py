@@ -9,7 +9,7 @@ with A_j, W_j, tau_j the columns, weights and torque of the joint's rows, and H 
 prior. Gains that are all off alike scale every parameter: the s_j add up to x. A link's inertials weigh on all joints
 below it, so their error is less than g where gains are independent. It is a component of its own beside the standard
 error, which is for the torque as recorded: parameters of one arm compare by that alone, while masses to be put on a
-scale, or into the controller of another arm, need both.
+scale, or into the controller of another arm, need both. A known mass determines the gains (`weighed.py`).
 """
 
 from __future__ import annotations
@@ -48,15 +48,21 @@ def gain_shifts(fit: Fit, matrix: FloatArray) -> FloatArray:
     return shifts
 
 
-def with_gain(estimates: Sequence[Estimate], shifts: FloatArray) -> tuple[Estimate, ...]:
-    """Estimates with what gains off by `GAIN_DEVIATION`, each joint's by itself, add to their error.
+def assumed_covariance(joints: int) -> FloatArray:
+    """(n, n) covariance of the gains of so many joints where no known mass was weighed: `GAIN_DEVIATION`, independent."""
+    return np.asarray(np.diag(np.full(joints, GAIN_DEVIATION**2)))
+
+
+def with_gain(estimates: Sequence[Estimate], shifts: FloatArray, covariance: FloatArray) -> tuple[Estimate, ...]:
+    """Estimates with what the gains' uncertainty adds to their error.
 
     Args:
         estimates: Parameters, then constants, in the model's order. Constants do not scale with torque.
         shifts: (n, p), as `gain_shifts` returns.
+        covariance: (n, n) of the relative gains.
     """
     errors = np.zeros(len(estimates))
-    errors[: shifts.shape[1]] = GAIN_DEVIATION * np.sqrt(np.sum(shifts**2, axis=0))
+    errors[: shifts.shape[1]] = np.sqrt(np.maximum(np.einsum("ip,ij,jp->p", shifts, covariance, shifts), 0.0))
     silent = (Determination.FIXED, Determination.PRIOR)
     return tuple(
         item if item.determination in silent else replace(item, gain_error=float(error))

@@ -90,7 +90,12 @@ def _correlation_time(covariance: FloatArray, white: FloatArray) -> float:
     lags = np.arange(1, len(time) + 1)
     enough = np.flatnonzero(lags >= WINDOW * np.maximum(time, 1.0))
     value = time[enough[0]] if len(enough) else time[-1] if len(time) else 1.0
-    return float(max(1.0 + 2.0 * white[1:].sum(), value))
+    return float(max(white_correlation_time(white), value))
+
+
+def white_correlation_time(white: FloatArray) -> float:
+    """Integrated autocorrelation time of reduced white noise, rows, from its autocorrelation (L,) by lag in rows."""
+    return float(1.0 + 2.0 * white[1:].sum())
 
 
 def reweight(regression: Regression, residuals: list[FloatArray]) -> list[list[Noise]]:

@@ -17,7 +17,7 @@ import numpy as np
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
-from ..identification.weights import residual_noise
+from ..identification.weights import common_correlation, residual_noise, white_correlation_time
 from ..recording.motion import Motion
 from .evidence import Evidence
 from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, louder
@@ -36,11 +36,14 @@ class Noise:
         whiteners: By joint, what makes white rows of variance one.
         plain: By joint, what a row counts for by its speed and distance from a reversal alone.
         floor_Nm: (n,) standard deviation of a row that counts in full, N·m; infinite where it is not known.
+        correlation: (n,) the residual's integrated autocorrelation time over that of white noise after the low-pass;
+            NaN where it was not estimated.
     """
 
     whiteners: list[Whitener]
     plain: list[Whitener]
     floor_Nm: FloatArray
+    correlation: FloatArray
 
 
 NoiseModel = Callable[[IdentifiedModel, Sequence[Motion]], Noise]
@@ -59,26 +62,29 @@ def coloured(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     plain, scene, residual = _unwhitened(base, motions)
     own = [fit_whitener(*_series(scene, residual, j), ORDER, _least(motions, j)) for j in range(len(plain))]
     whiteners = _louder(base, motions, _known(own), 2)
-    return Noise(whiteners, plain, _floor(whiteners))
+    return Noise(whiteners, plain, _floor(whiteners), np.full(len(plain), np.nan))
 
 
 def weighted(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     """The noise as a variance and an autocorrelation time (arguments and errors as for `coloured`)."""
     plain, scene, residual = _unwhitened(base, motions)
-    whiteners, floor = [], []
-    for j, weights in enumerate(plain):
-        squares, rows, correlated = 0.0, 0, 0.0
+    floor, relative = np.full((2, len(plain)), np.inf)
+    noises = []
+    white = np.array([white_correlation_time(motion.white_correlation) for motion in motions])
+    for j in range(len(plain)):
+        own, squares = [], 0.0
         for motion, series, kept in zip(motions, *_series(scene, residual, j)):
             place = np.flatnonzero(kept)
-            noise = residual_noise(series[place], place, motion.white_correlation)
+            own.append(residual_noise(series[place], place, motion.white_correlation))
             squares += float(np.sum(series[place] ** 2))
-            rows += len(place)
-            correlated += noise.correlation_rows * len(place)
-        known = rows >= FEWEST_ROWS
-        sigma = max(float(np.sqrt(squares / rows)), _least(motions, j)) if known else np.inf
-        floor.append(sigma)
-        whiteners.append(replace(weights, sigma_Nm=float(sigma * np.sqrt(correlated / rows)) if known else np.inf))
-    return Noise(_known(whiteners), plain, np.array(floor))
+        rows = np.array([estimate.rows for estimate in own])
+        if rows.sum() >= FEWEST_ROWS:
+            floor[j] = max(float(np.sqrt(squares / rows.sum())), _least(motions, j))
+            relative[j] = rows @ [estimate.correlation_rows for estimate in own] / (rows @ white)
+        noises += own
+    correlation = np.sqrt(common_correlation(noises))
+    whiteners = [replace(weights, sigma_Nm=float(sigma * correlation)) for weights, sigma in zip(plain, floor)]
+    return Noise(_known(whiteners), plain, floor, np.where(np.isfinite(relative), relative, np.nan))
 
 
 def _unwhitened(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[Whitener], Scene, FloatArray]:
