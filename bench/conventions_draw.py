@@ -20,6 +20,7 @@ from conventions_arms import MOUNTS, REAL, SIMULATED, Array, Rng, Sound, gravity
 from conventions_oracle import ENOUGH, Oracle
 
 from spacearm_ident.recording import Recording, RecordingWriter, cdr, messages
+from spacearm_ident.recording.qos import LATCHED
 
 KINDS = (
     "torque_sign",
@@ -271,7 +272,7 @@ def write_bag(path: Path, recording: Recording, urdf: str, stamps: Array, rng: R
     r = recording
     payloads = cdr.encode_joint_states(stamps_ns, r.joints, r.position, r.velocity, r.effort)
     with RecordingWriter(path) as writer:
-        description = writer.add_topic(messages.DESCRIPTION_TOPIC, messages.STRING, latched=True)
+        description = writer.add_topic(messages.DESCRIPTION_TOPIC, messages.STRING, [LATCHED])
         states = writer.add_topic(messages.STATES_TOPIC, messages.JOINT_STATE)
         writer.write(description, int(log_ns[0]), cdr.encode_string(urdf))
         for at, payload in zip(log_ns.tolist(), payloads):
