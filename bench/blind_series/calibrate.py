@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -93,6 +94,20 @@ def strength(arm, law: Law, motion: tuple, healthy: np.ndarray) -> float:
     return float(ratio[law.joint] if law.joint is not None else ratio.max())
 
 
+def reach(law: Law, measured: Callable[[], float], wanted: float) -> float:
+    """Set law.size so that measured() gives the wanted strength, within law.largest; returns what it gives."""
+    power, before = 1.0, None
+    for _ in range(2 if law.linear else 8):
+        now = measured()
+        if abs(now / wanted - 1) < 0.05:
+            break
+        if before and abs(np.log(law.size / before[0])) > 1e-3:  # secant in logarithms
+            power = np.clip(np.log(max(now, 1e-9) / before[1]) / np.log(law.size / before[0]), 0.3, 3)
+        before = law.size, max(now, 1e-9)
+        law.size = float(np.clip(law.size * (wanted / before[1]) ** (1 / power), 1e-9, law.largest))
+    return measured()
+
+
 def calibrate(arm, law: Law, motion: tuple, healthy: np.ndarray, wanted: float) -> float:
     """Set law.size for the wanted multiple of the healthy residual, within law.largest.
 
@@ -103,13 +118,4 @@ def calibrate(arm, law: Law, motion: tuple, healthy: np.ndarray, wanted: float) 
     if law.name == "vacuum_friction":
         law.size = 1.0
         return strength(arm, law, motion, healthy)
-    power, before = 1.0, None
-    for _ in range(2 if law.linear else 8):
-        now = strength(arm, law, motion, healthy)
-        if abs(now / wanted - 1) < 0.05:
-            break
-        if before and abs(np.log(law.size / before[0])) > 1e-3:  # secant in logarithms
-            power = np.clip(np.log(max(now, 1e-9) / before[1]) / np.log(law.size / before[0]), 0.3, 3)
-        before = law.size, max(now, 1e-9)
-        law.size = float(np.clip(law.size * (wanted / before[1]) ** (1 / power), 1e-9, law.largest))
-    return strength(arm, law, motion, healthy)
+    return reach(law, lambda: strength(arm, law, motion, healthy), wanted)

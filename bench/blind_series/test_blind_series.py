@@ -15,6 +15,7 @@ import laws as L  # noqa: E402
 from arms import ARMS, Arm, _chain, cad  # noqa: E402
 from calibrate import calibrate, strength  # noqa: E402
 from fit import Fit, smooth  # noqa: E402
+from score import judge, report  # noqa: E402
 from simulate import PERIOD, Day, fourier, simulate  # noqa: E402
 from write import read_bag, write_bag  # noqa: E402
 
@@ -158,3 +159,24 @@ def test_every_law_moves_the_logged_torque(kind):
     motion = (np.arange(len(q)) * 4e-3, q, v, a, np.full_like(q, 40.0))
     calibrate(arm, law, motion, 0.02 * arm.limit, 1.0)
     assert strength(arm, law, motion, 0.02 * arm.limit) > 0.02
+
+
+def test_score_counts_names_joints_and_intervals():
+    law = {"name": "torque_ripple", "listed": True, "also": [], "joints": ["j3"], "strength": 2, "achieved": 2.0, "truth": {"amplitude": [1.0, "N m"]}}
+    answer = {"trial": 0, "composition": "listed", "arm": "a", "laws": [law]}
+    good = {"effect": "torque_ripple", "joints": ["j3"], "confidence": 0.9, "parameters": {"amplitude": {"value": 1.05, "unit": "N m", "ci95": [0.9, 1.2]}}}
+    extra = {"effect": "backlash", "joints": ["j1"], "confidence": 0.6, "parameters": {}}
+    lines = [{"trial": 0, "seconds": 1, "verdict": "mismatch", "findings": f} for f in ([good], [good, extra], [])]
+    r = report([(answer, x) for x in lines])
+    assert r["totals"]["listed right"] == 1 and r["totals"]["findings right"] == 2 and r["totals"]["findings"] == 3
+    assert r["by_strength"]["listed x2"]["named at joint"] == 2 and r["coverage"] == {"torque_ripple.amplitude": [2, 2]}
+    assert r["brier"] == pytest.approx((0.01 * 2 + 0.36) / 3)
+
+
+def test_score_takes_unknown_for_an_absent_kind_and_silence_for_a_healthy_arm():
+    law = {"name": "bumper", "listed": False, "also": [], "joints": ["j2"], "strength": 5, "achieved": 5.0, "truth": {}}
+    unknown = {"effect": "unknown", "joints": ["j2"], "confidence": 0.9, "parameters": {}}
+    line = {"trial": 0, "seconds": 1, "verdict": "mismatch", "findings": [unknown]}
+    assert judge({"composition": "absent", "laws": [law]}, line)["all"]
+    assert not judge({"composition": "healthy", "laws": []}, line)["all"]
+    assert judge({"composition": "healthy", "laws": []}, line | {"verdict": "no_mismatch", "findings": []})["all"]
