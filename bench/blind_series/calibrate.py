@@ -7,9 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
-from scipy.signal import butter, filtfilt
-
 from laws import Law, TwoMass
+from scipy.signal import butter, filtfilt
 
 
 def nominal(model: pin.Model, rotor: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -22,26 +21,43 @@ def walk(arm, law: Law, t, q, v, a, load, temperature, seed: int = 0) -> np.ndar
     """Torque (T, n) that a law adds along a given motion, stepping through it.
 
     Args:
-        t: (T,) s, even; q, v, a, load (transmitted torque), temperature: (T, n).
+        arm: the arm.
+        law: the law.
+        t: (T,) s, even.
+        q: (T, n) rad.
+        v: (T, n) rad/s.
+        a: (T, n) rad/s^2.
+        load: transmitted torque, (T, n) N m.
+        temperature: (T, n) C.
+        seed: of the law's own randomness.
     """
     dt = float(np.median(np.diff(t)))
     law.reset(np.ones(1, bool), dt, np.random.default_rng(seed))
     model = arm.model
-    s = SimpleNamespace(models=[model], datas=[model.createData()], period=dt, duration=t[-1] - t[0], z=np.zeros((1, arm.n)))
+    s = SimpleNamespace(
+        models=[model], datas=[model.createData()], period=dt, duration=t[-1] - t[0], z=np.zeros((1, arm.n))
+    )
     out = np.zeros((len(t), arm.n))
     for k in range(len(t)):
-        s.t, s.q, s.v, s.a, s.load, s.temperature = t[k] - t[0], q[k:k + 1], v[k:k + 1], a[k:k + 1], load[k:k + 1], temperature[k:k + 1]
+        s.t, s.q, s.v, s.a, s.load, s.temperature = (
+            t[k] - t[0],
+            q[k : k + 1],
+            v[k : k + 1],
+            a[k : k + 1],
+            load[k : k + 1],
+            temperature[k : k + 1],
+        )
         sign = np.sign(s.v)
         s.z = sign - (sign - s.z) * np.exp(-np.abs(s.v) * dt / arm.presliding)
         law.tick(s)
-        law.torque(s, out[k:k + 1])
+        law.torque(s, out[k : k + 1])
     return out
 
 
 def change(arm, law: Law, t, q, v, a, temperature) -> np.ndarray:
     """Torque change (T, n) of a law along a motion, as seen in what is logged; N m.
 
-    Laws of position reading and of two masses: by the change of motion that they make the log show, low-passed at 20 Hz.
+    Laws of position reading and of two masses: by the change of motion in the log, low-passed at 20 Hz.
     """
     dt = float(np.median(np.diff(t)))
     load = nominal(arm.model, 0 * arm.rotor, q, v, a)
@@ -63,7 +79,7 @@ def change(arm, law: Law, t, q, v, a, temperature) -> np.ndarray:
         law.reset(np.ones(1, bool), dt, np.random.default_rng(0))
         moved = q.copy()
         for k in range(len(t)):
-            law.measure(None, moved[k:k + 1])
+            law.measure(None, moved[k : k + 1])
     if moved is not None:
         b, c = butter(2, min(20 * 2 * dt, 0.9))
         delta = filtfilt(b, c, moved - q, axis=0)
@@ -77,8 +93,8 @@ def change(arm, law: Law, t, q, v, a, temperature) -> np.ndarray:
         law.reset(np.ones(1, bool), dt, np.random.default_rng(0))
         out = np.empty_like(tau)
         for k in range(len(t)):
-            out[k:k + 1] = tau[k:k + 1]
-            law.actuate(SimpleNamespace(q=q[k:k + 1], v=v[k:k + 1]), out[k:k + 1])
+            out[k : k + 1] = tau[k : k + 1]
+            law.actuate(SimpleNamespace(q=q[k : k + 1], v=v[k : k + 1]), out[k : k + 1])
         return out - tau
     return walk(arm, law, t, q, v, a, load, temperature)
 
@@ -87,6 +103,8 @@ def strength(arm, law: Law, motion: tuple, healthy: np.ndarray) -> float:
     """RMS torque change over the healthy residual, the largest over the law's joints.
 
     Args:
+        arm: the arm.
+        law: the law.
         motion: t (T,), q, v, a, temperature (T, n).
         healthy: (n,), N m.
     """

@@ -18,7 +18,10 @@ def smooth(time: np.ndarray, position: np.ndarray, effort: np.ndarray, rate: flo
     """Filtered motion and torque at an even, lower rate.
 
     Args:
-        time: (T,) s, may be uneven; position, effort: (T, n).
+        time: (T,) s, may be uneven.
+        position: (T, n) rad.
+        effort: (T, n) N m.
+        rate: of the result, Hz.
 
     Returns:
         t (K,), q, v, a, tau (K, n) without the first and last 0.3 s.
@@ -65,9 +68,11 @@ class Fit:
         y = np.zeros((len(t), n, 10 * n + 4 * n))
         fast = np.abs(v).max(0)
         for k in range(len(t)):
-            y[k, :, :10 * n] = pin.computeJointTorqueRegressor(self.model, self.data, q[k], v[k], a[k])
+            y[k, :, : 10 * n] = pin.computeJointTorqueRegressor(self.model, self.data, q[k], v[k], a[k])
         for j in range(n):
-            y[:, j, 10 * n + 4 * j:10 * n + 4 * j + 4] = np.stack([a[:, j], v[:, j], np.tanh(v[:, j] / (0.01 * fast[j])), np.ones(len(t))], 1)
+            y[:, j, 10 * n + 4 * j : 10 * n + 4 * j + 4] = np.stack(
+                [a[:, j], v[:, j], np.tanh(v[:, j] / (0.01 * fast[j])), np.ones(len(t))], 1
+            )
         return y, tau, np.abs(v) > 0.04 * fast
 
     def residual(self, time: np.ndarray, position: np.ndarray, effort: np.ndarray) -> np.ndarray:

@@ -1,3 +1,4 @@
+# ruff: noqa: D102  (hooks are documented in the class Law)
 """Changes of a joint or an arm, each from the literature, and the dirt of a healthy arm.
 
 A law works on a batch of R recordings of an n-joint arm at once. `on` (R, bool) says in which recordings it
@@ -90,7 +91,10 @@ def tip(s, r: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Payload(Law):
-    """A mass held at the last link (Khalil, Gautier, Lemoine 2007, Identification of the payload inertial parameters)."""
+    """A mass held at the last link.
+
+    Source: Khalil, Gautier, Lemoine 2007, Identification of the payload inertial parameters.
+    """
 
     name, largest = "payload", 12.0
     whole = True
@@ -99,14 +103,19 @@ class Payload(Law):
         self.centre = np.array([*rng.uniform(-0.03, 0.03, 2), rng.uniform(0.05, 0.14)])
 
     def model(self, model):
-        model.appendBodyToJoint(model.njoints - 1, pin.Inertia.FromSphere(float(self.size), 0.05), pin.SE3(np.eye(3), self.centre))
+        model.appendBodyToJoint(
+            model.njoints - 1, pin.Inertia.FromSphere(float(self.size), 0.05), pin.SE3(np.eye(3), self.centre)
+        )
 
     def truth(self):
         return {"mass": (self.size, "kg")}
 
 
 class BaseTilt(Law):
-    """The base leans by an angle about a horizontal axis: gravity turns in the base frame (calibration textbooks, Mooring 1991)."""
+    """The base leans by an angle about a horizontal axis: gravity turns in the base frame.
+
+    Source: Mooring, Roth, Driels 1991, Fundamentals of Manipulator Calibration.
+    """
 
     name, start, largest = "base_tilt", 0.02, 0.3
     whole = True
@@ -151,7 +160,10 @@ class FrictionDrift(Law):
 
 
 class TemperatureFriction(Law):
-    """Coulomb level falls with the joint's temperature, a (T - 20 C) (Simoni, Beschi, Legnani, Visioli 2015); logged temperatures."""
+    """Coulomb level falls with the joint's temperature, a (T - 20 C).
+
+    Source: Simoni, Beschi, Legnani, Visioli 2015. Logged temperatures.
+    """
 
     name, plantable = "temperature_friction", False
 
@@ -176,7 +188,10 @@ class LoadFriction(Law):
 
 
 class GearEfficiency(Law):
-    """Efficiency eta of a gear: (1/eta - 1)|tau| is lost when the motor drives, (1 - eta)|tau| when driven (Wang, Kim 2015)."""
+    """Efficiency eta of a gear: (1/eta - 1)|tau| is lost when the motor drives, (1 - eta)|tau| when driven.
+
+    Source: Verstraten et al. 2015, Modeling and design of geared DC motors (power-flow definition).
+    """
 
     name, also, start, largest, linear = "gear_efficiency", ("load_friction",), 0.05, 0.5, False
 
@@ -255,7 +270,10 @@ class Stribeck(Law):
 
 
 class VacuumFriction(Law):
-    """Terms of friction in v|v| and v^3 vanish at all joints (drag of air and lubricant churning); the arm must have them."""
+    """Terms of friction in v|v| and v^3 vanish at all joints.
+
+    Drag of air and churning of lubricant stop; the arm must have the terms. No source but the contract's one line.
+    """
 
     name, largest, plantable = "vacuum_friction", 1.0, False
     whole = True
@@ -268,12 +286,17 @@ class VacuumFriction(Law):
 
 
 class TorqueRipple(Law):
-    """Torque that waves with the joint angle (Garcia-Benitez; Simon, Franke 2013: gear meshing and harmonic-drive ripple)."""
+    """Torque that waves with the joint angle.
+
+    Source: Tuttle 1992; Taghirad and Belanger 1998 (ripple of harmonic drives).
+    """
 
     name = "torque_ripple"
 
     def draw(self, rng):
-        self.order = rng.choice([rng.uniform(12, 60), rng.integers(12, 60)]) * (3.0 if self.arm.prismatic[self.joint] else 1.0)
+        self.order = rng.choice([rng.uniform(12, 60), rng.integers(12, 60)]) * (
+            3.0 if self.arm.prismatic[self.joint] else 1.0
+        )
         self.phase = rng.uniform(0, 2 * np.pi)
 
     def torque(self, s, out):
@@ -281,7 +304,10 @@ class TorqueRipple(Law):
         out[:, j] += self.on * self.size * np.sin(self.order * s.q[:, j] + self.phase)
 
     def truth(self):
-        return {"amplitude": (self.size, self.unit), "cycles": (float(self.order), f"1/{'2 pi m' if self.arm.prismatic[self.joint] else 'rev'}")}
+        return {
+            "amplitude": (self.size, self.unit),
+            "cycles": (float(self.order), f"1/{'2 pi m' if self.arm.prismatic[self.joint] else 'rev'}"),
+        }
 
 
 class TwoMass(Law):
@@ -358,7 +384,10 @@ class HarnessSpring(Law):
 
 
 class RotorCoupling(Law):
-    """Inertia between a joint's rotor and the joint before it: tau_(j-1) = c a_j, tau_j = c a_(j-1) (De Luca and Book 2016)."""
+    """Inertia between a joint's rotor and the joint before it: tau_(j-1) = c a_j, tau_j = c a_(j-1).
+
+    Source: De Luca and Book 2016.
+    """
 
     name, also, start = "rotor_coupling", ("wrist_coupling",), 0.1
 
@@ -405,7 +434,10 @@ class WristCoupling(Law):
 
 
 class ExternalContact(Law):
-    """A force at the tip, within a time window, half-sine edges of 50 ms (collision literature: Haddadin et al. 2017)."""
+    """A force at the tip, within a time window, half-sine edges of 50 ms.
+
+    Source: Haddadin, De Luca, Albu-Schaeffer 2017, Robot collisions.
+    """
 
     name = "external_contact"
     whole = True
@@ -437,7 +469,10 @@ class ExternalContact(Law):
 
 
 class TorqueConstant(Law):
-    """The torque constant is (1 + e) times the one the log uses: demagnetisation, wrong scale (Gautier and Briot 2014)."""
+    """The torque constant is (1 + e) times the one the log uses: demagnetisation, wrong scale.
+
+    Source: Gautier and Briot 2014.
+    """
 
     name, start, largest = "torque_constant", 0.05, 0.45
 
@@ -456,7 +491,10 @@ class TorqueConstant(Law):
 
 
 class MotorSaturation(Law):
-    """Magnetic saturation: true torque L tanh(tau/L) of the reported, linear one (Hendershot and Miller 2010); size is 1/L."""
+    """Magnetic saturation: true torque L tanh(tau/L) of the reported, linear one.
+
+    Source: Hendershot and Miller 2010. The size is 1/L.
+    """
 
     name, linear, start, largest = "motor_saturation", False, 1e-2, 10.0
 
@@ -574,7 +612,10 @@ class RateLimit(Absent):
 
 
 class BoucWen(Absent):
-    """Torque lost in a harmonic drive's flexspline, a Bouc-Wen state driven by the transmitted torque (Wen 1976; Ruderman 2012)."""
+    """Torque lost in a harmonic drive's flexspline, a Bouc-Wen state driven by the transmitted torque.
+
+    Source: Wen 1976; Ruderman, Hoffmann, Bertram 2009 (harmonic drives).
+    """
 
     name = "bouc_wen"
 
@@ -593,12 +634,17 @@ class BoucWen(Absent):
         step = (load - self.x) * min(1, self.dt * 120)
         self.x = self.x + step
         # dz = (dx - 0.5 |dx| z - 0.5 dx |z|) / width, clipped: the classical loop with n = 1
-        self.z = np.clip(self.z + (step - 0.5 * np.abs(step) * self.z - 0.5 * step * np.abs(self.z)) / self.width, -1, 1)
+        self.z = np.clip(
+            self.z + (step - 0.5 * np.abs(step) * self.z - 0.5 * step * np.abs(self.z)) / self.width, -1, 1
+        )
         out[:, self.joint] -= self.on * self.size * self.z
 
 
 class Slosh(Absent):
-    """Liquid that was still and now sloshes: a lightly damped pendulum mass at the tip, total mass unchanged (Abramson 1966)."""
+    """Liquid that was still and now sloshes: a lightly damped pendulum mass at the tip, total mass unchanged.
+
+    Source: Abramson 1966.
+    """
 
     name = "slosh"
     whole = True
@@ -661,7 +707,10 @@ class Bumper(Absent):
 
 
 class LooseBolt(Absent):
-    """A loose part knocks when the joint's acceleration changes sign: a decaying ring of 12 to 25 Hz (impact: Gilardi and Sharf 2002)."""
+    """A loose part knocks when the joint's acceleration changes sign: a decaying ring of 12 to 25 Hz.
+
+    Source: impact: Gilardi and Sharf 2002.
+    """
 
     name = "loose_bolt"
 
@@ -685,7 +734,10 @@ class LooseBolt(Absent):
 
 
 class MissingCodes(Absent):
-    """An absolute encoder with a bad bit: in every second band of the code the reading jumps by a part of the band (Kester 2005)."""
+    """An absolute encoder with a bad bit: in every second band of the code the reading jumps by a part of the band.
+
+    Source: Kester 2005.
+    """
 
     name, plantable, start, largest, linear = "missing_codes", False, 1e-3, 0.03, False
 
@@ -716,7 +768,10 @@ class Vibration(Absent):
 
 
 class VoltageSag(Absent):
-    """Torque lost above a speed when the bus voltage sags: true = reported (1 - s max(0, |v|/v0 - 1)) (field-weakening limit)."""
+    """Torque lost above a speed when the bus voltage sags: true = reported (1 - s max(0, |v|/v0 - 1)).
+
+    Source: field-weakening limit.
+    """
 
     name, largest = "voltage_sag", 2.0
 
@@ -758,20 +813,49 @@ class Cogging(Absent):
         out[:, j] += self.on * self.size * np.sin(self.order * s.q[:, j] + self.phase)
 
 
-LISTED = [Payload, BaseTilt, FrictionDrift, TemperatureFriction, LoadFriction, GearEfficiency, Presliding, PositionFriction,
-          AsymmetricFriction, Stribeck, VacuumFriction, TorqueRipple, JointElasticity, Backlash, HarnessSpring, RotorCoupling,
-          WristCoupling, ExternalContact, TorqueConstant, MotorSaturation, CurrentOffset, EncoderEccentricity, TimeDelay, FilterLag]
+LISTED = [
+    Payload,
+    BaseTilt,
+    FrictionDrift,
+    TemperatureFriction,
+    LoadFriction,
+    GearEfficiency,
+    Presliding,
+    PositionFriction,
+    AsymmetricFriction,
+    Stribeck,
+    VacuumFriction,
+    TorqueRipple,
+    JointElasticity,
+    Backlash,
+    HarnessSpring,
+    RotorCoupling,
+    WristCoupling,
+    ExternalContact,
+    TorqueConstant,
+    MotorSaturation,
+    CurrentOffset,
+    EncoderEccentricity,
+    TimeDelay,
+    FilterLag,
+]
 ABSENT = [DeadZone, RateLimit, BoucWen, Slosh, EddySector, Bumper, LooseBolt, MissingCodes, Vibration, VoltageSag]
 
 
 def dirt(arm, rng: np.random.Generator) -> list[Law]:
     """Draw two to four kinds of moderate unmodelled effects, each at one to three joints.
 
-    Sizes are relative to the Coulomb level of the joint: ripple 3-8 %, hose 5-15 %, cogging 2-6 %, presliding 3-10 mrad,
-    wave of friction 3-8 %; torque constant off by 1-3 %.
+    Sizes are relative to the Coulomb level of the joint: ripple 3-8 %, hose 5-15 %, cogging 2-6 %,
+    presliding 3-10 mrad, wave of friction 3-8 %; torque constant off by 1-3 %.
     """
-    table = [(TorqueRipple, 0.03, 0.08), (HoseTorque, 0.05, 0.15), (Cogging, 0.02, 0.06), (PositionFriction, 0.03, 0.08),
-             (TorqueConstant, None, None), (Presliding, None, None)]
+    table = [
+        (TorqueRipple, 0.03, 0.08),
+        (HoseTorque, 0.05, 0.15),
+        (Cogging, 0.02, 0.06),
+        (PositionFriction, 0.03, 0.08),
+        (TorqueConstant, None, None),
+        (Presliding, None, None),
+    ]
     out: list[Law] = []
     for k in rng.permutation(len(table))[: rng.integers(2, 5)]:
         kind, low, high = table[k]

@@ -26,18 +26,33 @@ def trial(bags: Path, program: str, timeout: float) -> dict:
 
     Args:
         bags: its folder with reference*.mcap, field.mcap and, perhaps, validation.mcap.
+        program: path of `spacearm`.
         timeout: s of processor time; three times that of wall time (the machine may be shared).
     """
     with tempfile.TemporaryDirectory() as out:
-        command = [program, "mismatch", "--reference", *map(str, sorted(bags.glob("reference*.mcap"))), "--out", out, "--quiet"]
+        command = [
+            program,
+            "mismatch",
+            "--reference",
+            *map(str, sorted(bags.glob("reference*.mcap"))),
+            "--out",
+            out,
+            "--quiet",
+        ]
         if (bags / "validation.mcap").exists():
             command += ["--validate", str(bags / "validation.mcap")]
         command.insert(2, str(bags / "field.mcap"))
         start = time.time()
         used = os.times().children_user
         # a session of its own, so that what the program starts ends with it
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-                                   preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (int(timeout), int(timeout) + 5)))
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (int(timeout), int(timeout) + 5)),
+        )
         try:
             _, error = process.communicate(timeout=3 * timeout)
             code: int | None = process.returncode
@@ -45,7 +60,11 @@ def trial(bags: Path, program: str, timeout: float) -> dict:
             os.killpg(process.pid, signal.SIGKILL)
             _, error = process.communicate()
             code = None
-        line = {"exit": code, "seconds": round(time.time() - start, 1), "cpu_seconds": round(os.times().children_user - used, 1)}
+        line = {
+            "exit": code,
+            "seconds": round(time.time() - start, 1),
+            "cpu_seconds": round(os.times().children_user - used, 1),
+        }
         file = Path(out) / "mismatch.json"
         if code in (0, 1) and file.exists():
             result = json.loads(file.read_text())
@@ -73,16 +92,29 @@ def main() -> None:
         done = {json.loads(line)["trial"] for line in options.results.read_text().splitlines()}
     while True:
         # an answer is written after its bags: a draw may still be going on
-        left = [a for a in sorted((options.draws / "answers").glob("*.json")) if json.loads(a.read_text())["trial"] not in done]
+        left = [
+            a
+            for a in sorted((options.draws / "answers").glob("*.json"))
+            if json.loads(a.read_text())["trial"] not in done
+        ]
         if not left or (options.until and time.strftime("%H:%M") >= options.until):
             break
         answer = json.loads(left[0].read_text())
-        line = {"trial": answer["trial"], **trial(options.draws / "bags" / left[0].stem, options.program, options.timeout)}
+        line = {
+            "trial": answer["trial"],
+            **trial(options.draws / "bags" / left[0].stem, options.program, options.timeout),
+        }
         with options.results.open("a") as stream:
             stream.write(json.dumps(line) + "\n")
         done.add(answer["trial"])
-        print(line["trial"], line.get("verdict", line.get("error")), [(f["effect"], f["joints"]) for f in line.get("findings", [])],
-              line["seconds"], "s", flush=True)
+        print(
+            line["trial"],
+            line.get("verdict", line.get("error")),
+            [(f["effect"], f["joints"]) for f in line.get("findings", [])],
+            line["seconds"],
+            "s",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

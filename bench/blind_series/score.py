@@ -18,21 +18,43 @@ from collections import defaultdict
 from pathlib import Path
 
 WHOLE = {"payload", "base_tilt", "vacuum_friction", "external_contact", "slosh"}
-FACTOR = {("deg", "rad"): math.pi / 180, ("ms", "s"): 1e-3, ("mrad", "rad"): 1e-3, ("g", "kg"): 1e-3, ("mm", "m"): 1e-3, ("%", "1"): 0.01,
-          ("°", "rad"): math.pi / 180}
+FACTOR = {
+    ("deg", "rad"): math.pi / 180,
+    ("ms", "s"): 1e-3,
+    ("mrad", "rad"): 1e-3,
+    ("g", "kg"): 1e-3,
+    ("mm", "m"): 1e-3,
+    ("%", "1"): 0.01,
+    ("°", "rad"): math.pi / 180,
+}
 #: names that a parameter may have, beside its own: (effect, truth) to a pattern
-NAMES = {("payload", "mass"): "mass", ("base_tilt", "angle"): "angle|tilt", ("torque_ripple", "amplitude"): "amplitude",
-         ("torque_ripple", "cycles"): "cycles|order|frequency", ("joint_elasticity", "stiffness"): "stiffness",
-         ("backlash", "gap"): "gap|width|backlash", ("harness_spring", "stiffness"): "stiffness|k_?1|spring",
-         ("torque_constant", "ratio"): "ratio|factor|scale|torque_constant", ("motor_saturation", "limit"): "limit|saturation|level",
-         ("current_offset", "offset"): "offset", ("encoder_eccentricity", "amplitude"): "amplitude|eccentricity",
-         ("time_delay", "delay"): "delay", ("filter_lag", "time_constant"): "time_constant|lag|tau",
-         ("friction_drift", "coulomb_change"): "coulomb", ("friction_drift", "viscous_change"): "viscous",
-         ("temperature_friction", "alpha"): "alpha|slope", ("load_friction", "mu"): "mu|load|coefficient",
-         ("gear_efficiency", "efficiency"): "efficiency", ("external_contact", "force"): "force",
-         ("presliding_hysteresis", "displacement"): "displacement|stroke", ("position_friction", "amplitude"): "amplitude",
-         ("asymmetric_friction", "half_difference"): "difference|asymmetry", ("stribeck", "velocity"): "velocity|speed",
-         ("stribeck", "level"): "level|amplitude|stribeck|f_b", ("rotor_coupling", "inertia"): "inertia|coupling"}
+NAMES = {
+    ("payload", "mass"): "mass",
+    ("base_tilt", "angle"): "angle|tilt",
+    ("torque_ripple", "amplitude"): "amplitude",
+    ("torque_ripple", "cycles"): "cycles|order|frequency",
+    ("joint_elasticity", "stiffness"): "stiffness",
+    ("backlash", "gap"): "gap|width|backlash",
+    ("harness_spring", "stiffness"): "stiffness|k_?1|spring",
+    ("torque_constant", "ratio"): "ratio|factor|scale|torque_constant",
+    ("motor_saturation", "limit"): "limit|saturation|level",
+    ("current_offset", "offset"): "offset",
+    ("encoder_eccentricity", "amplitude"): "amplitude|eccentricity",
+    ("time_delay", "delay"): "delay",
+    ("filter_lag", "time_constant"): "time_constant|lag|tau",
+    ("friction_drift", "coulomb_change"): "coulomb",
+    ("friction_drift", "viscous_change"): "viscous",
+    ("temperature_friction", "alpha"): "alpha|slope",
+    ("load_friction", "mu"): "mu|load|coefficient",
+    ("gear_efficiency", "efficiency"): "efficiency",
+    ("external_contact", "force"): "force",
+    ("presliding_hysteresis", "displacement"): "displacement|stroke",
+    ("position_friction", "amplitude"): "amplitude",
+    ("asymmetric_friction", "half_difference"): "difference|asymmetry",
+    ("stribeck", "velocity"): "velocity|speed",
+    ("stribeck", "level"): "level|amplitude|stribeck|f_b",
+    ("rotor_coupling", "inertia"): "inertia|coupling",
+}
 
 
 def shares(finding: dict, law: dict) -> bool:
@@ -57,7 +79,7 @@ def intervals(finding: dict, law: dict):
             if not pattern or not re.search(pattern, key, re.I) or not isinstance(p, dict) or not p.get("ci95"):
                 continue
             have = (p.get("unit") or "1").replace("N·m", "N m")
-            scale = 1.0 if have == unit or have in ("", "-") and unit == "1" else FACTOR.get((have, unit))
+            scale = 1.0 if have == unit or (have in ("", "-") and unit == "1") else FACTOR.get((have, unit))
             if scale is None:
                 continue
             low, high = sorted(x * scale for x in p["ci95"])
@@ -78,10 +100,16 @@ def judge(answer: dict, line: dict) -> dict:
     right = [any(answers_to(f, law) for law in laws) for f in findings]
     wide = [any(answers_to(f, law, True) for law in laws) for f in findings]
     named = [any(answers_to(f, law) for f in findings) for law in laws]
-    return {"finished": "findings" in line, "quiet": line.get("verdict") == "no_mismatch" and not findings, "right": right, "wide": wide,
-            "named": named, "named_wide": [any(answers_to(f, law, True) for f in findings) for law in laws],
-            "effect": [any(f["effect"] == (law["name"] if law["listed"] else "unknown") for f in findings) for law in laws],
-            "all": all(named) and all(right) and (bool(laws) or line.get("verdict") == "no_mismatch")}
+    return {
+        "finished": "findings" in line,
+        "quiet": line.get("verdict") == "no_mismatch" and not findings,
+        "right": right,
+        "wide": wide,
+        "named": named,
+        "named_wide": [any(answers_to(f, law, True) for f in findings) for law in laws],
+        "effect": [any(f["effect"] == (law["name"] if law["listed"] else "unknown") for f in findings) for law in laws],
+        "all": all(named) and all(right) and (bool(laws) or line.get("verdict") == "no_mismatch"),
+    }
 
 
 def report(pairs: list[tuple[dict, dict]]) -> dict:
@@ -129,40 +157,88 @@ def report(pairs: list[tuple[dict, dict]]) -> dict:
                         cover[f"{law['name']}.{name}"][1] += low <= true <= high
         if not j["all"]:
             wrong.append((answer, line))
-    return {"trials": len(pairs), "totals": dict(total), "by_strength": {f"{k[0]} x{k[1]:g}": dict(v) for k, v in sorted(by_strength.items())},
-            "coverage": {k: v for k, v in sorted(cover.items())}, "reliability": {f"<{k:g}": v for k, v in sorted(bins.items())},
-            "brier": sum(brier) / len(brier) if brier else None, "seconds": sorted(seconds), "cpu_seconds": sorted(cpu), "wrong": wrong}
+    return {
+        "trials": len(pairs),
+        "totals": dict(total),
+        "by_strength": {f"{k[0]} x{k[1]:g}": dict(v) for k, v in sorted(by_strength.items())},
+        "coverage": {k: v for k, v in sorted(cover.items())},
+        "reliability": {f"<{k:g}": v for k, v in sorted(bins.items())},
+        "brier": sum(brier) / len(brier) if brier else None,
+        "seconds": sorted(seconds),
+        "cpu_seconds": sorted(cpu),
+        "wrong": wrong,
+    }
 
 
 def text(r: dict) -> str:
     """The report as Markdown."""
     t = r["totals"]
-    middle = (lambda x: x[len(x) // 2] if x else float("nan"))
-    out = [f"{r['trials']} trials, {t.get('unfinished', 0)} of them without a result.", "",
-           "| composition | trials | wholly right |", "|---|---|---|"]
+
+    def middle(x: list) -> float:
+        return x[len(x) // 2] if x else float("nan")
+
+    out = [
+        f"{r['trials']} trials, {t.get('unfinished', 0)} of them without a result.",
+        "",
+        "| composition | trials | wholly right |",
+        "|---|---|---|",
+    ]
     out += [f"| {k} | {t.get(k, 0)} | {t.get(k + ' right', 0)} |" for k in ("healthy", "listed", "absent", "both")]
-    out += ["", "| laws, by strength | n | named at its joint | name or same torque | named, any joint | no finding at all |", "|---|---|---|---|---|---|"]
-    out += [f"| {k} | {v['n']} | {v['named at joint']} | {v['named or same torque']} | {v['named anywhere']} | {v['silent']} |"
-            for k, v in r["by_strength"].items()]
-    n = t.get("findings", 0)
-    out += ["", f"Findings: {n}; right {t.get('findings right', 0)}, right or same torque {t.get('findings right or same torque', 0)}, "
-            f"extra or wrong {n - t.get('findings right or same torque', 0)}. Healthy arms quiet: {t.get('healthy quiet', 0)} of {t.get('healthy', 0)}.",
-            f"Brier score {r['brier']:.3f}." if r["brier"] is not None else "No finding has a probability.", "",
-            "| stated probability | findings | mean stated | share right |", "|---|---|---|---|"]
+    out += [
+        "",
+        "| laws, by strength | n | named at its joint | name or same torque | named, any joint | no finding at all |",
+        "|---|---|---|---|---|---|",
+    ]
+    out += [
+        f"| {k} | {v['n']} | {v['named at joint']} | {v['named or same torque']} | {v['named anywhere']} "
+        f"| {v['silent']} |"
+        for k, v in r["by_strength"].items()
+    ]
+    n, wide = t.get("findings", 0), t.get("findings right or same torque", 0)
+    out += [
+        "",
+        f"Findings: {n}; right {t.get('findings right', 0)}, right or same torque {wide}, extra or wrong {n - wide}. "
+        f"Healthy arms quiet: {t.get('healthy quiet', 0)} of {t.get('healthy', 0)}.",
+        f"Brier score {r['brier']:.3f}." if r["brier"] is not None else "No finding has a probability.",
+        "",
+        "| stated probability | findings | mean stated | share right |",
+        "|---|---|---|---|",
+    ]
     out += [f"| {k} | {v[0]} | {v[2] / v[0]:.2f} | {v[1] / v[0]:.2f} |" for k, v in r["reliability"].items()]
     out += ["", "| parameter | 95 % intervals | hold the truth |", "|---|---|---|"]
     out += [f"| {k} | {v[0]} | {v[1]} |" for k, v in r["coverage"].items()]
-    out += ["", f"Wall time: median {middle(r['seconds']):.0f} s, longest {r['seconds'][-1]:.0f} s; processor time: median {middle(r['cpu_seconds']):.0f} s."
-            if r["seconds"] else "", "", "Trials that went wrong:", ""]
+    out += [
+        "",
+        f"Wall time: median {middle(r['seconds']):.0f} s, longest {r['seconds'][-1]:.0f} s; "
+        f"processor time: median {middle(r['cpu_seconds']):.0f} s."
+        if r["seconds"]
+        else "",
+        "",
+        "Trials that went wrong:",
+        "",
+    ]
     for a, x in r["wrong"]:
-        concealed = "; ".join(f"{w['name']} at {'whole arm' if w['name'] in WHOLE else '/'.join(w['joints'])} x{w['strength']:g} "
-                              f"(achieved {w['achieved']:.2f}; {', '.join(f'{k} {v[0]:.3g} {v[1]}' for k, v in w['truth'].items())})" for w in a["laws"])
+        concealed = "; ".join(
+            f"{w['name']} at {'whole arm' if w['name'] in WHOLE else '/'.join(w['joints'])} x{w['strength']:g} "
+            f"(achieved {w['achieved']:.2f}; {', '.join(f'{k} {v[0]:.3g} {v[1]}' for k, v in w['truth'].items())})"
+            for w in a["laws"]
+        )
         said = x.get("error") or x.get("verdict") or f"exit {x.get('exit')}"
         if x.get("findings"):
-            said = "; ".join(f"{f['effect']} at {'/'.join(f['joints'])} p {f.get('confidence')} ("
-                             + ", ".join(f"{k} {p['value']:.3g} {p.get('unit', '')}" for k, p in (f.get("parameters") or {}).items()
-                                         if isinstance(p, dict) and isinstance(p.get("value"), (int, float))) + ")" for f in x["findings"])
-        out.append(f"- {a['trial']:03d} {a['arm']}: {concealed or 'healthy'} -> {said} [{x['seconds']:.0f} s wall, {x.get('cpu_seconds', 0):.0f} s processor]")
+            said = "; ".join(
+                f"{f['effect']} at {'/'.join(f['joints'])} p {f.get('confidence')} ("
+                + ", ".join(
+                    f"{k} {p['value']:.3g} {p.get('unit', '')}"
+                    for k, p in (f.get("parameters") or {}).items()
+                    if isinstance(p, dict) and isinstance(p.get("value"), (int, float))
+                )
+                + ")"
+                for f in x["findings"]
+            )
+        out.append(
+            f"- {a['trial']:03d} {a['arm']}: {concealed or 'healthy'} -> {said} "
+            f"[{x['seconds']:.0f} s wall, {x.get('cpu_seconds', 0):.0f} s processor]"
+        )
     return "\n".join(out) + "\n"
 
 

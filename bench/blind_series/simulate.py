@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
-from scipy.signal import butter, lfilter
-
 from arms import Arm
 from laws import Law, TwoMass
+from scipy.signal import butter, lfilter
 
 PERIOD = 1e-3  #: controller period, s
 
@@ -46,6 +45,8 @@ def fourier(arm: Arm, duration: float, rng: np.random.Generator) -> tuple[np.nda
     """Draw a Fourier-series motion (Swevers et al. 1997) from rest to rest within the arm's limits.
 
     Args:
+        arm: the arm.
+        rng: random generator.
         duration: s; the first and last second hold still, a smooth window of 1.5 s fades in and out.
 
     Returns:
@@ -63,7 +64,9 @@ def fourier(arm: Arm, duration: float, rng: np.random.Generator) -> tuple[np.nda
         q[:, j] = (np.sin(np.outer(t, w)) @ a + np.cos(np.outer(t, w)) @ b) * window
     v = np.gradient(q, PERIOD, axis=0)
     acc = np.gradient(v, PERIOD, axis=0)
-    scale = 1 / np.maximum.reduce([np.abs(q).max(0) / arm.span, np.abs(v).max(0) / arm.speed, np.abs(acc).max(0) / arm.acceleration])
+    scale = 1 / np.maximum.reduce(
+        [np.abs(q).max(0) / arm.span, np.abs(v).max(0) / arm.speed, np.abs(acc).max(0) / arm.acceleration]
+    )
     scale *= rng.uniform(0.8, 1.0, arm.n)
     q, v, acc = q * scale, v * scale, acc * scale
     return arm.middle + q, v, acc
@@ -103,15 +106,27 @@ def friction(arm: Arm, s: State) -> np.ndarray:
     level = arm.coulomb * (1 + arm.wave * np.sin(s.q + 0.7))
     level = level + arm.coulomb * (arm.breakaway - 1) * np.exp(-((s.v / arm.stribeck) ** 2)) + arm.load * np.abs(s.load)
     warm = s.temperature - 20
-    return (level * (1 - 0.005 * warm) * (s.z + arm.asymmetry * np.abs(s.z))
-            + (arm.viscous * s.v) * (1 - 0.012 * warm) + arm.square * s.v * np.abs(s.v) + arm.cubic * s.v**3)
+    return (
+        level * (1 - 0.005 * warm) * (s.z + arm.asymmetry * np.abs(s.z))
+        + (arm.viscous * s.v) * (1 - 0.012 * warm)
+        + arm.square * s.v * np.abs(s.v)
+        + arm.cubic * s.v**3
+    )
 
 
-def simulate(arm: Arm, laws: list[tuple[Law, np.ndarray]], motions: list, days: list[Day], seed: int,
-             noise: bool = True, feedforward: pin.Model | None = None) -> list[Run]:
+def simulate(
+    arm: Arm,
+    laws: list[tuple[Law, np.ndarray]],
+    motions: list,
+    days: list[Day],
+    seed: int,
+    noise: bool = True,
+    feedforward: pin.Model | None = None,
+) -> list[Run]:
     """Simulate R recordings.
 
     Args:
+        arm: the arm.
         laws: pairs of a law and the recordings (R, bool) in which it acts.
         motions: R desired motions from `fourier`, all of one length.
         days: R conditions.
@@ -149,14 +164,23 @@ def simulate(arm: Arm, laws: list[tuple[Law, np.ndarray]], motions: list, days: 
     ff = np.empty_like(want[0])
     for r in range(count):
         for k in range(0, steps, 2):
-            ff[k:k + 2, r] = pin.rnea(ffmodel, ffdata, want[0][k, r], want[1][k, r], want[2][k, r])
+            ff[k : k + 2, r] = pin.rnea(ffmodel, ffdata, want[0][k, r], want[1][k, r], want[2][k, r])
     ff += 0.8 * (arm.coulomb * np.tanh(want[1] / 0.02) + arm.viscous * want[1])
     mass = pin.crba(ffmodel, ffdata, arm.middle).diagonal().copy()
     omega = 2 * np.pi * arm.bandwidth
     kp, kd = mass * omega**2, 2 * 0.7 * omega * mass
     q = want[0][0].copy()
-    s = State(models, datas, q, np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, n)), ff[0].copy(),
-              np.zeros((count, n)), steps * PERIOD)
+    s = State(
+        models,
+        datas,
+        q,
+        np.zeros((count, n)),
+        np.zeros((count, n)),
+        np.zeros((count, n)),
+        ff[0].copy(),
+        np.zeros((count, n)),
+        steps * PERIOD,
+    )
     theta, omega_m = {}, {}
     for law, _ in two:
         theta[id(law)], omega_m[id(law)] = q[:, law.joint].copy(), np.zeros(count)
@@ -235,7 +259,9 @@ def simulate(arm: Arm, laws: list[tuple[Law, np.ndarray]], motions: list, days: 
             logs[key][k] = value
         if k % 500 == 0 and not np.all(np.abs(s.v) < 50):
             raise FloatingPointError(f"{arm.name}: unstable at {s.t:.2f} s")
-    return [record(arm, {k: x[:, r] for k, x in logs.items()}, [law for law, on in laws if on[r]]) for r in range(count)]
+    return [
+        record(arm, {k: x[:, r] for k, x in logs.items()}, [law for law, on in laws if on[r]]) for r in range(count)
+    ]
 
 
 def record(arm: Arm, log: dict[str, np.ndarray], laws: list[Law]) -> Run:
@@ -251,5 +277,11 @@ def record(arm: Arm, log: dict[str, np.ndarray], laws: list[Law]) -> Run:
         b, a = butter(2, 0.8 * arm.rate / 2 / (0.5 / PERIOD))
         effort = lfilter(b, a, effort - effort[:1], axis=0) + effort[:1]
     pick = slice(0, None, step)
-    return Run(np.arange(len(effort))[pick] * PERIOD, log["q"][pick], log["v"][pick], effort[pick], log["temp"][pick],
-               {k: log[k] for k in ("tq", "tv", "ta", "net", "add", "fric", "tau")})
+    return Run(
+        np.arange(len(effort))[pick] * PERIOD,
+        log["q"][pick],
+        log["v"][pick],
+        effort[pick],
+        log["temp"][pick],
+        {k: log[k] for k in ("tq", "tv", "ta", "net", "add", "fric", "tau")},
+    )

@@ -1,4 +1,4 @@
-"""Closed-form checks of the simulator, the laws and the writer.  Run: pytest bench/blind_series"""
+"""Closed-form checks of the simulator, the laws and the writer.  Run: pytest bench/blind_series."""
 
 from __future__ import annotations
 
@@ -11,21 +11,42 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-import laws as L  # noqa: E402
-from arms import ARMS, Arm, _chain, cad  # noqa: E402
-from calibrate import calibrate, strength  # noqa: E402
-from fit import Fit, smooth  # noqa: E402
-from score import judge, report  # noqa: E402
-from simulate import PERIOD, Day, fourier, simulate  # noqa: E402
-from write import read_bag, write_bag  # noqa: E402
+import laws as laws_
+from arms import ARMS, Arm, _chain, cad
+from calibrate import calibrate, strength
+from fit import Fit, smooth
+from score import judge, report
+from simulate import PERIOD, Day, fourier, simulate
+from write import read_bag, write_bag
 
 
 def pendulum(limit: float = 1e-12) -> Arm:
     """A point mass of 2 kg at 0.5 m on a horizontal axis; no friction, and no torque beyond `limit`, N m."""
-    urdf = _chain("pendulum", [("revolute", "0 1 0", "0 0 0", "0 0 0", 2.0, "0 0 -0.5", (1e-9, 1e-9, 1e-9), limit, 10, -9, 9)])
+    urdf = _chain(
+        "pendulum", [("revolute", "0 1 0", "0 0 0", "0 0 0", 2.0, "0 0 -0.5", (1e-9, 1e-9, 1e-9), limit, 10, -9, 9)]
+    )
     one = [1.0]
-    return Arm("pendulum", urdf, [0.0], one, one, one, [0.0], one, [0.0], [0.0], one, one, [1e-3], [limit], [1e-6], [0.0],
-               1000, "none", True)
+    return Arm(
+        "pendulum",
+        urdf,
+        [0.0],
+        one,
+        one,
+        one,
+        [0.0],
+        one,
+        [0.0],
+        [0.0],
+        one,
+        one,
+        [1e-3],
+        [limit],
+        [1e-6],
+        [0.0],
+        1000,
+        "none",
+        True,
+    )
 
 
 def still(arm: Arm, angle: float, seconds: float):
@@ -53,10 +74,10 @@ def test_block_with_coulomb_friction_stops_where_the_closed_form_says():
     arm = pendulum()
     arm.model.gravity.linear = np.zeros(3)
     arm.coulomb, arm.presliding = np.array([0.2]), np.array([1e-6])
-    push = L.HarnessSpring(arm, 0, np.random.default_rng(0))
+    push = laws_.HarnessSpring(arm, 0, np.random.default_rng(0))
     push.torque = lambda s, out: out.__iadd__(0.5 * (s.t < 1.0))
     # 0.5 - 0.2 = 0.3 N m for 1 s on 0.5 kg m^2: 0.6 rad/s; then 0.2 N m brakes within 1.5 s
-    type(push).torque  # the class has the hook, so the simulator calls the instance's
+
     run = simulate(arm, [(push, np.ones(1, bool))], [still(arm, 0.0, 4.0)], [day_of(arm)], 1, noise=False)[0]
     assert run.clean["tv"][1000, 0] == pytest.approx(0.6, rel=0.01)
     assert run.clean["tq"][-1, 0] == pytest.approx(0.5 * 0.6 * 1.0 + 0.5 * 0.6 * 1.5, rel=0.01)
@@ -77,9 +98,11 @@ def test_inverse_dynamics_of_motion_plus_friction_is_the_reported_torque_without
 def test_stiff_joint_elasticity_moves_like_the_rigid_arm():
     arm = ARMS["panda"]()
     motion = fourier(arm, 6.0, np.random.default_rng(4))
-    law = L.JointElasticity(arm, 3, np.random.default_rng(1))
+    law = laws_.JointElasticity(arm, 3, np.random.default_rng(1))
     law.size = 1 / 40_000
-    rigid, soft = (simulate(arm, x, [motion], [day_of(arm)], 1, noise=False)[0] for x in ([], [(law, np.ones(1, bool))]))
+    rigid, soft = (
+        simulate(arm, x, [motion], [day_of(arm)], 1, noise=False)[0] for x in ([], [(law, np.ones(1, bool))])
+    )
     assert np.abs(rigid.effort - soft.effort)[:, 3].std() < 0.05 * rigid.effort[:, 3].std()
     twist = soft.position[:, 3] - soft.clean["tq"][:, 3]  # read at the motor
     assert np.std(twist * 40_000 - soft.clean["net"][:, 3]) < 0.05 * np.std(soft.clean["net"][:, 3])
@@ -87,30 +110,44 @@ def test_stiff_joint_elasticity_moves_like_the_rigid_arm():
 
 def test_backlash_twist_stays_near_half_the_gap():
     arm = ARMS["ur10"]()
-    law = L.Backlash(arm, 3, np.random.default_rng(1))
+    law = laws_.Backlash(arm, 3, np.random.default_rng(1))
     law.size = 0.01
-    run = simulate(arm, [(law, np.ones(1, bool))], [fourier(arm, 8.0, np.random.default_rng(4))], [day_of(arm)], 1, noise=False)[0]
+    run = simulate(
+        arm, [(law, np.ones(1, bool))], [fourier(arm, 8.0, np.random.default_rng(4))], [day_of(arm)], 1, noise=False
+    )[0]
     twist = run.position[:, 3] - run.clean["tq"][::8, 3]
     assert 0.005 < np.abs(twist).max() < 0.005 + 1.3 * np.abs(run.clean["net"][:, 3]).max() / law.k
 
 
 def test_payload_and_tilt_change_the_static_torque_as_statics_says():
     arm = pendulum()
-    law = L.Payload(arm, None, np.random.default_rng(0))
+    law = laws_.Payload(arm, None, np.random.default_rng(0))
     law.size, law.centre = 3.0, np.array([0, 0, -0.7])
     model = arm.model.copy()
     law.model(model)
     data = model.createData()
     zero = np.zeros(1)
-    assert abs(pin.rnea(model, data, np.array([np.pi / 2]), zero, zero)[0]) == pytest.approx(9.81 * (2 * 0.5 + 3 * 0.7), rel=1e-6)
-    tilt = L.BaseTilt(arm, None, np.random.default_rng(0))
+    assert abs(pin.rnea(model, data, np.array([np.pi / 2]), zero, zero)[0]) == pytest.approx(
+        9.81 * (2 * 0.5 + 3 * 0.7), rel=1e-6
+    )
+    tilt = laws_.BaseTilt(arm, None, np.random.default_rng(0))
     tilt.size, tilt.axis = 0.1, np.array([0, 1.0, 0])
     model = arm.model.copy()
     tilt.model(model)
     assert abs(pin.rnea(model, model.createData(), zero, zero, zero)[0]) == pytest.approx(9.81 * np.sin(0.1), rel=1e-6)
 
 
-@pytest.mark.parametrize("kind", [L.FrictionDrift, L.TorqueRipple, L.MotorSaturation, L.JointElasticity, L.EncoderEccentricity, L.TimeDelay])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        laws_.FrictionDrift,
+        laws_.TorqueRipple,
+        laws_.MotorSaturation,
+        laws_.JointElasticity,
+        laws_.EncoderEccentricity,
+        laws_.TimeDelay,
+    ],
+)
 def test_calibrated_size_gives_the_wanted_strength(kind):
     arm = ARMS["ur10"]()
     rng = np.random.default_rng(5)
@@ -132,7 +169,7 @@ def test_fit_leaves_little_of_a_clean_arm():
 def test_smooth_keeps_a_slow_sine_and_its_derivatives():
     t = np.arange(0, 10, 0.008)
     x = np.sin(2 * t)[:, None]
-    when, q, v, a, _ = smooth(t, x, x)
+    when, q, _, a, _ = smooth(t, x, x)
     inner = slice(50, -50)
     assert np.allclose(q[inner, 0], np.sin(2 * when[inner]), atol=1e-3)
     assert np.allclose(a[inner, 0], -4 * np.sin(2 * when[inner]), atol=2e-2)
@@ -150,7 +187,7 @@ def test_bag_reads_back_to_what_was_written(tmp_path):
     assert np.allclose(back["time"], t, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", L.LISTED + L.ABSENT, ids=lambda k: k.name)
+@pytest.mark.parametrize("kind", laws_.LISTED + laws_.ABSENT, ids=lambda k: k.name)
 def test_every_law_moves_the_logged_torque(kind):
     arm = ARMS["tx40"]()
     rng = np.random.default_rng(7)
@@ -162,9 +199,22 @@ def test_every_law_moves_the_logged_torque(kind):
 
 
 def test_score_counts_names_joints_and_intervals():
-    law = {"name": "torque_ripple", "listed": True, "also": [], "joints": ["j3"], "strength": 2, "achieved": 2.0, "truth": {"amplitude": [1.0, "N m"]}}
+    law = {
+        "name": "torque_ripple",
+        "listed": True,
+        "also": [],
+        "joints": ["j3"],
+        "strength": 2,
+        "achieved": 2.0,
+        "truth": {"amplitude": [1.0, "N m"]},
+    }
     answer = {"trial": 0, "composition": "listed", "arm": "a", "laws": [law]}
-    good = {"effect": "torque_ripple", "joints": ["j3"], "confidence": 0.9, "parameters": {"amplitude": {"value": 1.05, "unit": "N m", "ci95": [0.9, 1.2]}}}
+    good = {
+        "effect": "torque_ripple",
+        "joints": ["j3"],
+        "confidence": 0.9,
+        "parameters": {"amplitude": {"value": 1.05, "unit": "N m", "ci95": [0.9, 1.2]}},
+    }
     extra = {"effect": "backlash", "joints": ["j1"], "confidence": 0.6, "parameters": {}}
     lines = [{"trial": 0, "seconds": 1, "verdict": "mismatch", "findings": f} for f in ([good], [good, extra], [])]
     r = report([(answer, x) for x in lines])

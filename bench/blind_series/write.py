@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -17,7 +18,9 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-JOINT_STATE = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n" + COMMON
+JOINT_STATE = (
+    "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n" + COMMON
+)
 TEMPERATURE = "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n" + COMMON
 
 
@@ -31,20 +34,20 @@ class Cdr:
         """Pad to a multiple of size."""
         self.body += b"\0" * (-len(self.body) % size)
 
-    def put(self, code: str, size: int, *values) -> "Cdr":
+    def put(self, code: str, size: int, *values) -> Self:
         """Append values of one struct code, aligned to size bytes."""
         self.align(size)
         self.body += struct.pack("<" + code * len(values), *values)
         return self
 
-    def string(self, text: str) -> "Cdr":
+    def string(self, text: str) -> Self:
         """Append a string with its length and null byte."""
         raw = text.encode() + b"\0"
         self.put("I", 4, len(raw))
         self.body += raw
         return self
 
-    def doubles(self, values) -> "Cdr":
+    def doubles(self, values) -> Self:
         """Append a sequence of float64."""
         self.put("I", 4, len(values))
         if len(values):
@@ -57,12 +60,27 @@ class Cdr:
         return b"\0\1\0\0" + bytes(self.body)
 
 
-def write_bag(path: Path, urdf: str, joints: list[str], time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None,
-              effort: np.ndarray, temperature: np.ndarray | None = None, epoch: float = 1_750_000_000.0) -> None:
+def write_bag(
+    path: Path,
+    urdf: str,
+    joints: list[str],
+    time: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray | None,
+    effort: np.ndarray,
+    temperature: np.ndarray | None = None,
+    epoch: float = 1_750_000_000.0,
+) -> None:
     """Write a recording.
 
     Args:
-        time: (T,) s from the start; position, velocity (None: left empty), effort: (T, n).
+        path: of the file; its folder is made.
+        urdf: text of /robot_description.
+        joints: names (n).
+        time: (T,) s from the start.
+        position: (T, n) rad.
+        velocity: (T, n) rad/s; None: left empty.
+        effort: (T, n) N m.
         temperature: (T, n) C, written at 2 Hz a joint; None: no such topic.
         epoch: s of the first stamp.
     """
@@ -70,16 +88,24 @@ def write_bag(path: Path, urdf: str, joints: list[str], time: np.ndarray, positi
     with path.open("wb") as stream:
         out = Writer(stream, compression=CompressionType.ZSTD)
         out.start(profile="ros2", library="blind_series")
-        text = out.register_channel("/robot_description", "cdr", out.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n"))
-        states = out.register_channel("/joint_states", "cdr", out.register_schema("sensor_msgs/msg/JointState", "ros2msg", JOINT_STATE.encode()))
+        text = out.register_channel(
+            "/robot_description", "cdr", out.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        )
+        states = out.register_channel(
+            "/joint_states", "cdr", out.register_schema("sensor_msgs/msg/JointState", "ros2msg", JOINT_STATE.encode())
+        )
         start = int(epoch * 1e9)
         out.add_message(text, start, Cdr().string(urdf).bytes(), start)
         warm = None
         if temperature is not None:
-            warm = out.register_channel("/joint_temperatures", "cdr", out.register_schema("sensor_msgs/msg/Temperature", "ros2msg", TEMPERATURE.encode()))
+            warm = out.register_channel(
+                "/joint_temperatures",
+                "cdr",
+                out.register_schema("sensor_msgs/msg/Temperature", "ros2msg", TEMPERATURE.encode()),
+            )
         due = 0.0
         for k, t in enumerate(time):
-            stamp = start + int(round(t * 1e9))
+            stamp = start + round(t * 1e9)
             sec, nano = divmod(stamp, 10**9)
             m = Cdr().put("i", 4, sec).put("I", 4, nano).string("")
             m.put("I", 4, len(joints))
@@ -90,7 +116,13 @@ def write_bag(path: Path, urdf: str, joints: list[str], time: np.ndarray, positi
             if warm is not None and t >= due:
                 due += 0.5
                 for j, name in enumerate(joints):
-                    m = Cdr().put("i", 4, sec).put("I", 4, nano).string(name).put("d", 8, float(temperature[k, j]), 0.01)
+                    m = (
+                        Cdr()
+                        .put("i", 4, sec)
+                        .put("I", 4, nano)
+                        .string(name)
+                        .put("d", 8, float(temperature[k, j]), 0.01)
+                    )
                     out.add_message(warm, stamp, m.bytes(), stamp)
         out.finish()
 
@@ -110,5 +142,12 @@ def read_bag(path: Path) -> dict:
                 rows.append((m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec, m.position, m.velocity, m.effort))
     time = np.array([r[0] for r in rows])
     velocity = np.array([list(r[2]) for r in rows])
-    return {"urdf": urdf, "joints": joints, "time": time - time[0], "epoch": time[0], "position": np.array([list(r[1]) for r in rows]),
-            "velocity": velocity if velocity.size else None, "effort": np.array([list(r[3]) for r in rows])}
+    return {
+        "urdf": urdf,
+        "joints": joints,
+        "time": time - time[0],
+        "epoch": time[0],
+        "position": np.array([list(r[1]) for r in rows]),
+        "velocity": velocity if velocity.size else None,
+        "effort": np.array([list(r[3]) for r in rows]),
+    }
