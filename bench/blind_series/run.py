@@ -85,6 +85,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path, required=True)
     parser.add_argument("--program", default=str(Path(sys.executable).with_name("spacearm")))
     parser.add_argument("--timeout", type=float, default=600, help="s of processor time a trial")
+    parser.add_argument("--only", type=int, nargs="+", help="trials to run, in this order")
     parser.add_argument("--until", default=None, help="HH:MM; no trial starts after it")
     options = parser.parse_args()
     done = set()
@@ -92,11 +93,8 @@ def main() -> None:
         done = {json.loads(line)["trial"] for line in options.results.read_text().splitlines()}
     while True:
         # an answer is written after its bags: a draw may still be going on
-        left = [
-            a
-            for a in sorted((options.draws / "answers").glob("*.json"))
-            if json.loads(a.read_text())["trial"] not in done
-        ]
+        drawn = {int(a.stem): a for a in sorted((options.draws / "answers").glob("*.json"))}
+        left = [drawn[k] for k in options.only or drawn if k in drawn and k not in done]
         if not left or (options.until and time.strftime("%H:%M") >= options.until):
             break
         answer = json.loads(left[0].read_text())
