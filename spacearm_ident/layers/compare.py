@@ -22,13 +22,13 @@ from ..dynamics.arm import Arm, FloatArray
 from ..errors import UnfitDataError
 from ..identification.identify import Settings, identify
 from ..mismatch.explain import held_out_ends
-from ..mismatch.finding import DATA_UNFIT, Explanation
+from ..mismatch.finding import DATA_UNFIT, Detectable, Explanation
 from ..mismatch.integrity import faults
 from ..mismatch.preparation import banded, cut_offs
 from ..mismatch.rivals import UNKNOWN
 from ..recording.recording import Recording
 from ..simulations import Simulation
-from .comparison import Comparison, Detectable
+from .comparison import Comparison
 from .conventions import Suspicion, find_wiring
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
 from .joint_fit import JointFit, in_newton_metres

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
-from ..mismatch.finding import Explanation
+from ..mismatch.finding import Detectable, Explanation
 from .conventions import Suspicion
 from .item import Layer
 from .wiring import Wiring
@@ -27,16 +27,6 @@ class Trace:
     measured: FloatArray
     simulated: FloatArray
     mended: FloatArray
-
-
-@dataclass(frozen=True)
-class Detectable:
-    """The smallest change of something that would have been named."""
-
-    name: str
-    joints: tuple[str, ...]
-    size: float
-    unit: str
 
 
 @dataclass(frozen=True)

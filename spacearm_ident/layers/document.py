@@ -36,10 +36,7 @@ def comparison_document(comparison: Comparison, simulation: str, mended: str | N
         "simulation": simulation,
         "layers": [_layer(layer, joints) for layer in comparison.layers],
         "ceiling_Nm": _by_joint(joints, comparison.ceiling_Nm),
-        "would_have_seen": [
-            {"name": one.name, "joints": list(one.joints), "size": _finite(one.size), "unit": one.unit}
-            for one in comparison.would_have_seen
-        ],
+        "would_have_seen": [one.as_dict() for one in comparison.would_have_seen],
         "suspected": [
             {"names": list(one.names), "values": list(one.values), "probability": round(one.probability, 4)}
             for one in comparison.suspected

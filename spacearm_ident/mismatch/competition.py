@@ -146,6 +146,12 @@ class Competition:
             left_values,
         )
 
+    def tried(self) -> Iterator[list[Candidate]]:
+        """Named effects that are not accepted, each at the points of its constants' grids."""
+        for effect in self._pool:
+            if effect.kind != UNKNOWN:
+                yield self._grid(effect)
+
     def _choose(self, ranked: Sequence[Scored]) -> Scored | None:
         """The winner; None below the gate.
 

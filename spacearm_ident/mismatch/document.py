@@ -32,6 +32,7 @@ def to_document(explanation: Explanation) -> dict[str, Any]:
         ],
         "already_in_reference": list(explanation.already_there),
         "reasons": list(explanation.reasons),
+        "would_have_seen": [one.as_dict() for one in explanation.would_have_seen],
         "next_experiment": explanation.next_experiment,
         "model": EXTENDED_MODEL if explanation.model is not None else None,
     }

@@ -27,6 +27,7 @@ from .healthy import Healthy, healthy_level
 from .integrity import faults
 from .judgement import beyond_healthy, contradicted, doubted, harms, shows
 from .null import exceeds_null
+from .power import would_have_seen
 from .preparation import ChooseStructure, Prepared, prepare_evidence
 from .residuals import Residuals
 from .rivals import UNKNOWN
@@ -112,6 +113,9 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     floor = healthy.floor_Nm
     before = residuals.of(healthy.parameters, [], np.zeros(0))
     rms_before = residuals.rms(before)
+    known = np.isfinite(floor)
+    if not np.isfinite(rms_before[known]).any():
+        return unfit(joints, (*_not_compared(joints, known, rms_before), "record a longer run, or give --validate"))
     judge = _Judge(evidence, healthy, dict(zip(joints, rms_before.tolist())))
     while True:
         cards = Cards(evidence, residuals, outcome, floor)
@@ -132,7 +136,6 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         where = np.flatnonzero(healthy.beyond(lasting, np.minimum(rms_before, rms_after)))
         findings = _unnamed(joints, where, rms_before, rms_after, floor)
     words, next_effect, next_joints = _next(findings)
-    known = np.isfinite(floor)
     # Without a finding nothing was added to the reference's model, whatever a refit to the field would leave.
     added, rms_added = (after, rms_after) if findings else (before, rms_before)
     return Explanation(
@@ -155,6 +158,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         model=extended_model(evidence, accepted, outcome.refit.values) if accepted else None,
         traces=residuals.traces(before, added),
         cutoff_hz=prepared.cutoff_hz,
+        would_have_seen=would_have_seen(evidence, competition.tried(), findings, healthy, competition.gate),
     )
 
 
@@ -195,14 +199,17 @@ def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Findi
 
 
 def _not_compared(joints: Sequence[str], known: np.ndarray, before: FloatArray) -> tuple[str, ...]:
-    """Why some joints are not compared: their noise is not known (n,), or they do not move where it is judged."""
-    reasons = []
-    for joint, has_floor, rms in zip(joints, known, before):
-        if not has_floor:
-            reasons.append(f"{joint} is not compared: it moves for less than half a second in the reference")
-        elif not np.isfinite(rms):
-            reasons.append(f"{joint} is not compared: it does not move in the recordings that are judged on")
-    return tuple(reasons)
+    """Why some joints are not compared: their noise is not known (n,), or they hardly move where it is judged."""
+    reasons = (
+        (~known, "in the reference"),
+        (known & ~np.isfinite(before), "in the held-out recordings"),
+    )
+    return tuple(
+        f"not compared, because moving for less than half a second {where}: "
+        f"{', '.join(joints[k] for k in np.flatnonzero(left_out))}"
+        for left_out, where in reasons
+        if left_out.any()
+    )
 
 
 def _moments(joints: Sequence[str], after: FloatArray, healthy: Healthy) -> tuple[str, ...]:

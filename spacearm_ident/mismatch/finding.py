@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -127,6 +128,30 @@ class Unexplained:
 
 
 @dataclass(frozen=True)
+class Detectable:
+    """The smallest size of something not found that would have been.
+
+    Attributes:
+        name: Effect, or what of a simulation agrees.
+        joints: Where.
+        size: Smallest change of `quantity`.
+        unit: Its unit.
+        quantity: The value of the effect that it is the size of.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    size: float
+    unit: str
+    quantity: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON."""
+        named = {"quantity": self.quantity} if self.quantity else {}
+        return {"name": self.name, "joints": list(self.joints), "size": self.size, "unit": self.unit, **named}
+
+
+@dataclass(frozen=True)
 class Trace:
     """Signals of one motion for figures, rows of the bandwidth looked at, columns in the order of the arm.
 
@@ -163,6 +188,7 @@ class Explanation:
         traces: For figures.
         judged_on: In words, what the residuals are on.
         cutoff_hz: Bandwidth that was looked at; NaN where the data are unfit.
+        would_have_seen: Of effects that were not found, the smallest size that would have been.
     """
 
     verdict: str
@@ -182,6 +208,7 @@ class Explanation:
     traces: tuple[Trace, ...] = ()
     judged_on: str = ""
     cutoff_hz: float = float("nan")
+    would_have_seen: tuple[Detectable, ...] = ()
 
     @property
     def headline(self) -> str:

@@ -15,7 +15,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from .evidence import Candidate, Evidence, without_effects
 from .finding import Trace
-from .scene import Scene, Whitener
+from .scene import FEWEST_ROWS, Scene, Whitener
 from .scored import BEST, PARTS
 from .stacked import base_columns, stacked_effect
 
@@ -43,6 +43,7 @@ class Residuals:
         self.information = np.concatenate(weights) ** 2
         self._columns = base_columns(evidence.base, self.scene, evidence.common)
         self._torque = self.scene.torque()
+        self._few = self.scene.by_joint(np.ones(len(self.scene))) < FEWEST_ROWS
 
     def _rows(self, joint: int) -> tuple[FloatArray, FloatArray]:
         mine = self.scene.joint == joint
@@ -58,9 +59,10 @@ class Residuals:
         )
 
     def rms(self, residual: FloatArray) -> FloatArray:
-        """(n,) weighted RMS by joint; NaN where a joint has no rows."""
+        """(n,) weighted RMS by joint; NaN where a joint has fewer than `FEWEST_ROWS`."""
         squares = self.scene.by_joint(self.information * residual**2)
         information = self.scene.by_joint(self.information)
+        squares[self._few] = np.nan
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(squares / information))
 
@@ -74,6 +76,7 @@ class Residuals:
         mean = np.divide(squares, information, out=np.zeros(shape), where=information > 0.0)
         kept = np.argsort(mean, axis=1)[:, :-BEST]
         squares, information = (np.take_along_axis(x, kept, axis=1).sum(axis=1) for x in (squares, information))
+        squares[self._few] = np.nan
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(squares / information))
 
