@@ -24,7 +24,8 @@ def main() -> None:
     for each in (draw, run):
         each.add_argument("--first", type=int, default=0)
         each.add_argument("--count", type=int, default=60)
-    run.add_argument("--timeout", type=float, default=600.0, help="s a trial")
+    run.add_argument("--timeout", type=float, default=600.0, help="processor time a trial, s")
+    run.add_argument("--wall", type=float, default=600.0, help="time by the clock a trial, s")
     run.add_argument("--until", default="", help="HH:MM after which no trial is begun")
     score.add_argument("--json", action="store_true")
     given = parser.parse_args()
@@ -41,7 +42,7 @@ def main() -> None:
         from .run import run_all
 
         trials = range(given.first, given.first + given.count)
-        run_all(given.bags, given.results, trials, given.timeout, given.until)
+        run_all(given.bags, given.results, trials, given.timeout, given.wall, given.until)
     else:
         from .score import main as score_main
 

@@ -16,14 +16,15 @@ from typing import Any
 from .draw import BAGS
 
 
-def run_all(bags: Path, results: Path, trials: range, timeout: float, until: str = "") -> None:
+def run_all(bags: Path, results: Path, trials: range, timeout: float, wall: float, until: str = "") -> None:
     """Run every trial that `results` does not have yet.
 
     Args:
         bags: folder of the trials.
         results: JSON lines, one a trial, appended.
         trials: numbers of the trials. One that is not drawn yet is waited for, up to 5 minutes.
-        timeout: s a trial.
+        timeout: processor time a trial, s (each process of it).
+        wall: time by the clock a trial, s. On an idle machine it may be the same; beside other work it is longer.
         until: HH:MM after which no trial is begun, or empty.
     """
     done = {json.loads(line)["trial"] for line in results.read_text().splitlines()} if results.exists() else set()
@@ -40,7 +41,7 @@ def run_all(bags: Path, results: Path, trials: range, timeout: float, until: str
         else:
             print(f"{trial:03d} is not drawn", file=sys.stderr)
             break
-        record = run_one(folder, trial, timeout)
+        record = run_one(folder, trial, timeout, wall)
         with results.open("a") as stream:
             stream.write(json.dumps(record) + "\n")
         print(f"{trial:03d} exit {record['exit']} {record['seconds']:.1f} s", flush=True)
@@ -56,17 +57,18 @@ def _complete(folder: Path) -> bool:
         return stream.read() == b"\x89MCAP0\r\n"
 
 
-def run_one(folder: Path, trial: int, timeout: float) -> dict[str, Any]:
+def run_one(folder: Path, trial: int, timeout: float, wall: float) -> dict[str, Any]:
     """Run one trial.
 
     Args:
         folder: its recordings and simulation.
         trial: its number.
-        timeout: s.
+        timeout: processor time, s.
+        wall: time by the clock, s.
 
     Returns:
-        `trial`, `exit` (None after a timeout), `seconds` (by the clock), `cpu_seconds`, `mismatch` (the file, or None)
-        and `stderr` (its end).
+        `trial`, `exit` (None after `wall`, -24 or -9 after `timeout`), `seconds` (by the clock), `cpu_seconds`,
+        `mismatch` (the file, or None), `stderr` (its end).
     """
     simulation = next(folder.glob("simulation.*"))
     with tempfile.TemporaryDirectory() as name:
@@ -78,11 +80,12 @@ def run_one(folder: Path, trial: int, timeout: float) -> dict[str, Any]:
         command += ["--simulation", str(copies[0]), "--validate", str(copies[4])]
         command += ["--out", str(here / "out"), "--quiet"]
         begin, before = time.time(), resource.getrusage(resource.RUSAGE_CHILDREN)
+        limit = ["prlimit", f"--cpu={timeout:.0f}"]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, cwd=here, check=False)
+            done = subprocess.run(limit + command, capture_output=True, text=True, timeout=wall, cwd=here, check=False)
             code, errors = done.returncode, done.stderr
         except subprocess.TimeoutExpired:
-            code, errors = None, f"timeout after {timeout:.0f} s"
+            code, errors = None, f"timeout after {wall:.0f} s by the clock"
         seconds = time.time() - begin
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -59,8 +59,8 @@ def linear(table: dict[str, Any], inertia: dict[str, np.ndarray] | None = None) 
 
     Args:
         table: parameters (arms.Table).
-        inertia: rotational inertia about the centre, kg m², by body (3, 3); none: what it adds is left out, as it is the
-            same in truth and simulation.
+        inertia: rotational inertia about the centre, kg m², by body (3, 3); none: left out, as truth and simulation
+            have the same.
 
     Returns:
         `BODY.mass` kg, `BODY.mx` kg m, `BODY.ixx` kg m² about the body's origin, `JOINT.armature` and so on.
