@@ -48,6 +48,10 @@ ACCEPTED = {
 """Names that are right for an effect beside its own: laws that differ in form only."""
 
 
+WIRING_EFFECTS = ("torque_constant", "time_delay", "base_tilt", "filter_lag")
+"""Effects of the catalogue that are faults of layer 0 named in the layer of physics."""
+
+
 def class_of(name: str) -> str | None:
     """Class of layer 0 that an item's name belongs to, or none."""
     low = name.lower()
@@ -139,7 +143,7 @@ def _said(item: dict[str, Any]) -> str:
 
 def _wiring(answer: dict[str, Any], items: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
     names = answer["joints"]
-    said = items.get("conventions", []) + items.get("physics", [])
+    said = items.get("conventions", []) + [i for i in items.get("physics", []) if i["name"] in WIRING_EFFECTS]
     used: list[int] = []
     faults = []
     for kind, fault in answer["wiring"].items():
@@ -225,7 +229,7 @@ def _physics(answer: dict[str, Any], items: dict[str, list[dict[str, Any]]]) -> 
     faults = answer["wiring"]
     for i, item in enumerate(named):  # a fault of wiring under its name in the catalogue
         kind = class_of(item["name"])
-        if kind in faults and item["name"] in ("torque_constant", "time_delay", "base_tilt", "filter_lag"):
+        if kind in faults and item["name"] in WIRING_EFFECTS:
             where = faults[kind].get("joint")
             if where is None or names[where] in _joints(item):
                 right.add(i)
