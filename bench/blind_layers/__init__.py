@@ -1,0 +1,1 @@
+"""Blind tests of `spacearm mismatch --simulation`: concealed differences between an arm and its simulation."""
