@@ -90,8 +90,9 @@ class Comparison:
         """The answer in one line."""
         if not self.fit:
             return f"data unfit: {'; '.join(self.reasons)}"
-        counted = [f"{len(layer.items)} of {layer.name}" for layer in self.layers[:3] if layer.items]
+        counted = [f"{layer.name} {len(layer.items)}" for layer in self.layers[:3] if layer.items]
         with np.errstate(invalid="ignore", divide="ignore"):
             before, after = (float(np.nanmedian(rms / self.torque_Nm)) for rms in (self.before_Nm, self.after_Nm))
-        what = ", ".join(counted) or "nothing beyond its error"
-        return f"simulation against arm: {what}; residual {before:.0%} -> {after:.1%} of the torque (median joint)"
+        what = ", ".join(counted) or "no significant difference"
+        share = f"residual {before:.0%} -> {after:.1%} of the torque (median joint)"
+        return f"simulation compared with the arm: {what}; {share}"
