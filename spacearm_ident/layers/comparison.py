@@ -10,7 +10,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..mismatch.finding import Explanation
 from .conventions import Suspicion
-from .item import Layer
+from .item import CONVENTIONS, PARAMETERS, PHYSICS, Layer
 from .wiring import Wiring
 
 
@@ -37,6 +37,10 @@ class Detectable:
     joints: tuple[str, ...]
     size: float
     unit: str
+
+
+COUNTED = {CONVENTIONS: "convention", PARAMETERS: "parameter", PHYSICS: "physical effect"}
+"""Layer -> what one of its items is."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,11 @@ class Comparison:
         """The answer in one line."""
         if not self.fit:
             return f"data unfit: {'; '.join(self.reasons)}"
-        counted = [f"{layer.name} {len(layer.items)}" for layer in self.layers[:3] if layer.items]
+        counted = [
+            f"{len(layer.items)} {COUNTED[layer.name]}{'s' if len(layer.items) > 1 else ''}"
+            for layer in self.layers[:3]
+            if layer.items
+        ]
         with np.errstate(invalid="ignore", divide="ignore"):
             before, after = (float(np.nanmedian(rms / self.torque_Nm)) for rms in (self.before_Nm, self.after_Nm))
         what = ", ".join(counted) or "no significant difference"

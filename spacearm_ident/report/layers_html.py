@@ -228,13 +228,19 @@ def _row(item: Item, cards: frozenset[str]) -> Markup:
     return element(
         "tr",
         element("th", name, class_="text wrap", scope="row"),
-        element("td", item.where, class_="text wrap"),
+        element("td", _place(item), class_="text wrap"),
         element("td", f"{number(item.was)} {unit}".rstrip() if math.isfinite(item.was) else "absent"),
         element("td", f"{number(item.value)} {unit}".rstrip()),
         element("td", interval),
         element("td", percent(item.share)),
         element("td", replicated),
     )
+
+
+def _place(item: Item) -> str:
+    """Where an item is, with its joints where the words do not name them."""
+    named = any(joint in item.where for joint in item.joints)
+    return item.where if named or not item.joints else f"{item.where} at {listed(item.joints)}"
 
 
 def _cards(comparison: Comparison, simulation: Simulation) -> Iterable[Markup]:
