@@ -55,6 +55,7 @@ setup(
             "pytest-rerunfailures",
             "pytest-xdist",
             "casadi",
+            "example-robot-data",
             "h5py",
             "hypothesis",
             "mujoco-core",

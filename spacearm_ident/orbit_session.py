@@ -103,7 +103,7 @@ def orbit_session(
     adaptation = adapt(GroundPrior.of(first.identified), orbit[0], gravity)
     report(0.8, "judging")
     models = (adaptation.ground, adaptation.weightless, adaptation.adapted)
-    judged = [validate(model, orbit[1], "on orbit runs none of the models had seen", True) for model in models]
+    judged = [validate(model, orbit[1], "on held-out orbit runs", True) for model in models]
     report(0.9, "writing the report")
     page = write_orbit(adaptation, (first.validation, *judged), orbit, WANTED_R, directory, command)
     report(1.0, "done")

@@ -199,7 +199,7 @@ def test_a_base_at_rest_is_taken_for_fixed_and_odd_gravity_is_told():
     at_rest = replace(recording, base=replace(recording.base, rate=still, force=force))
     assert moves(recording.base) and not moves(at_rest.base)
     assert placed([at_rest], ARM)[0].base is None
-    assert base_notes([at_rest], ARM) == ["recording 1: /base_imu: the base stands still and is taken for fixed"]
+    assert base_notes([at_rest], ARM) == ["recording 1: /base_imu: the base does not move and is taken as fixed"]
     (_, odd) = base_notes([at_rest], ARM.with_gravity(np.zeros(3)))
     assert "-9.81" in odd and "--gravity" in odd
     turning = replace(at_rest, base=replace(at_rest.base, rate=still + np.array([0.0, 0.0, 0.1])))

@@ -63,14 +63,14 @@ def test_our_own_configuration_is_sound(capsys):
     assert {result.level for result in own} == {Level.OK}
 
 
-def test_a_line_each_with_a_count_and_the_exit_code_of_the_worst(tmp_path, capsys):
+def test_counts_come_first_then_the_next_step_then_a_line_each(tmp_path, capsys):
     main(["new-arm", str(CONFIG / "paper_arm.urdf"), "--interface", "socketcan", "--out", str(tmp_path)])
     capsys.readouterr()
     assert main(["check", str(tmp_path)]) == 1
     lines = capsys.readouterr().out.splitlines()
-    assert all(re.match(r"(ok|warn|fail) ", line) for line in lines[:-1])
-    counts = [sum(line.startswith(f"{level} ") for line in lines[:-1]) for level in ("ok", "warn", "fail")]
-    assert lines[-1] == f"{counts[0]} ok, {counts[1]} warn, {counts[2]} fail"
+    assert all(re.match(r"(ok|warn|fail) ", line) for line in lines[2:])
+    counts = [sum(line.startswith(f"{level} ") for line in lines[2:]) for level in ("ok", "warn", "fail")]
+    assert lines[0] == f"{counts[0]} ok, {counts[1]} warn, {counts[2]} fail" and lines[1].startswith("next: apply")
     empty = [line for line in lines if "still empty" in line]
     assert len(empty) == 2 and "gear_ratio of every joint" in empty[0] and str(tmp_path / "arm.yaml") in empty[0]
 
@@ -225,7 +225,7 @@ def test_who_is_on_a_bus_is_heard(monkeypatch):
     finally:
         stop.set()
         thread.join()
-    assert any("heard nodes 1, 3" in line for line in found(results, Level.OK)), results
+    assert any("found nodes 1, 3" in line for line in found(results, Level.OK)), results
     assert any("bus 1: " in line and "another master" in line for line in found(results, Level.WARN)), results
 
 

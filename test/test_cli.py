@@ -6,6 +6,8 @@ import csv
 import json
 import subprocess
 import sys
+import time
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import pinocchio as pin
 import pytest
 import small_arm
 
+from spacearm_ident.cli import common
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.recording import write_recording
@@ -105,7 +108,7 @@ def test_damaged_bags_are_used_as_far_as_they_are_sound(bags, tmp_path, capsys):
 
 def test_a_joint_at_rest_is_a_stated_degradation(bags, tmp_path, capsys):
     out, _ = run("identify", bags["one_still"], "--out", tmp_path, expect=0, capsys=capsys)
-    assert "shoulder never moves" in out
+    assert "shoulder does not move" in out
     rows = {(row["name"], row["joint"]): row for row in csv.DictReader((tmp_path / "parameters.csv").open())}
     assert rows["f_c", "shoulder"]["identifiable"] == "no"
     assert rows["f_c", "elbow"]["identifiable"] == "yes"
@@ -181,3 +184,29 @@ def test_usage_errors_exit_with_2():
     for words in ([], ["identify"], ["identify", "x.mcap"], ["nonsense"]):
         done = subprocess.run([sys.executable, "-m", "spacearm_ident.cli.main", *words], capture_output=True)
         assert done.returncode == 2
+
+
+def test_a_step_that_reports_nothing_for_long_has_lines_of_progress_where_piped(monkeypatch, capsys):
+    monkeypatch.setattr(common, "LINE_EVERY_S", 0.02)
+    with common.progress(Namespace(quiet=False)) as report:
+        report(0.2, "comparing effects")
+        end = time.monotonic() + 30.0
+        lines = ""
+        while lines.count("comparing effects") < 2 and time.monotonic() < end:
+            time.sleep(0.02)
+            lines += capsys.readouterr().err
+    assert lines.count(" 20%") >= 2
+    time.sleep(0.1)
+    capsys.readouterr()
+    time.sleep(0.1)
+    assert capsys.readouterr().err == "", "none after the end"
+
+
+def test_the_command_says_the_verdict_first_and_describes_its_recordings_last(bags, tmp_path):
+    """Both streams in one, as in a terminal; no library's warning among them."""
+    words = ["identify", bags["run"], "--validate", bags["other"], "--out", tmp_path / "result"]
+    command = [sys.executable, "-m", "spacearm_ident.cli.main", *map(str, words)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True)
+    lines = [line for line in done.stdout.splitlines() if not line.lstrip()[:3].rstrip("%").isdigit()]
+    assert lines[0].startswith("Good fit.") and lines[1].startswith("next: ") and lines[2].startswith("report: ")
+    assert "Warning" not in done.stdout and "with velocity" in lines[-1]

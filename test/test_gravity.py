@@ -98,7 +98,7 @@ def test_what_no_joint_feels_stays_as_it_was_believed():
     """The planar arm does not feel gravity along its axes."""
     found, result = estimated((0.0, 0.0, 0.0), VECTOR, links=TWO_LINKS, believed=(0.0, 0.3, -9.81))
     assert list(found.seen) == [True, False, True] and found.errors[1] == pytest.approx(10.0, rel=0.01)
-    assert any("y not seen, from the prior" in note for note in result.notes)
+    assert any("y not excited, from the prior" in note for note in result.notes)
 
 
 def test_unknown_gravity_makes_masses_less_known():

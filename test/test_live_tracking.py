@@ -151,7 +151,7 @@ def test_followed_values_are_told_from_identified_ones():
     assert first.name == "tracked f_c[elbow]" and first.message == values["determination"] == "tracked"
     assert (values["value"], values["standard_error"], values["identified"]) == ("2.0", "0.05", "1.5")
     assert values["time_s"] == "1700000000.000" and values["note"] == ""
-    assert {pair.key: pair.value for pair in second.values}["note"] == "no motion has told of it yet"
+    assert {pair.key: pair.value for pair in second.values}["note"] == "not excited by any motion yet"
 
 
 def test_a_model_change_in_the_middle_of_the_work():

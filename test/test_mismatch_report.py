@@ -135,6 +135,20 @@ def test_page_refers_to_nothing_outside_itself() -> None:
     assert "://" not in text and "@import" not in text and "url(" not in text.replace("url(#", "")
 
 
+def test_every_table_scrolls_in_its_own_frame_where_the_page_is_narrow() -> None:
+    text = mismatch_html(explanation(finding()), arm(), SOURCES)
+    assert text.count("<table") == text.count('<div class="wide"><table') > 3
+
+
+def test_page_says_when_runs_were_recorded_and_never_a_mapping_of_python() -> None:
+    runs = [
+        {"start": "2025-06-15T15:06:40+00:00", "duration_s": 50.085999},
+        {"start": "1970-01-01T00:00:00", "duration_s": 9},
+    ]
+    words = Page(mismatch_html(explanation(finding()), arm(), {**SOURCES, "recorded": runs})).text
+    assert "2025-06-15 15:06, 50.09 s; no date, 9 s" in words and "'start'" not in words
+
+
 def test_page_says_it_in_the_order_an_engineer_reads() -> None:
     words = page(
         explanation(
@@ -187,9 +201,9 @@ def test_text_from_outside_cannot_become_markup() -> None:
     ("of", "says", "drawings"),
     [
         (explanation(), "No mismatch", 2),
-        (explanation(unexplained=(Unexplained(("elbow",), "?", 0.4),)), "more than noise is left at elbow", 2),
+        (explanation(unexplained=(Unexplained(("elbow",), "?", 0.4),)), "above the noise remains at elbow", 2),
         (unfit(JOINTS, ("nothing moves",)), "nothing moves", 0),
-        (explanation(finding("unknown", parameters={})), "No physics of the catalogue", 3),
+        (explanation(finding("unknown", parameters={})), "No effect of the catalogue", 3),
         (explanation(finding(), finding("position_friction", "elbow")), "Also found: friction depends", 4),
     ],
     ids=["healthy", "healthy with a rest", DATA_UNFIT, "unknown", "two"],

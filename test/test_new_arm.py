@@ -60,7 +60,7 @@ def test_filled_in_from_data_sheets_it_is_the_arm_we_configured_by_hand(tmp_path
 
 def test_what_nobody_can_guess_is_refused_by_name_until_it_is_there(tmp_path, capsys):
     assert new_arm(tmp_path) == 0
-    assert "24 values to fill in" in capsys.readouterr().out
+    assert "fill in 24 values" in capsys.readouterr().out
     with pytest.raises(UserError, match=r"joint_1: gear_ratio is still empty"):
         load_arm_can(tmp_path / "arm_can.yaml")
     assert "joint_1: gear_ratio" in load_arm(tmp_path / "arm.yaml").empty, "an excitation does not need it"
@@ -103,7 +103,7 @@ def test_nothing_is_overwritten_unless_it_is_said(tmp_path, capsys):
     (tmp_path / "arm.yaml").write_text("mine")
     (tmp_path / "arm_can.yaml").unlink()
     assert new_arm(tmp_path) == 2
-    assert "arm.yaml is there already" in capsys.readouterr().err
+    assert "arm.yaml exists already" in capsys.readouterr().err
     assert (tmp_path / "arm.yaml").read_text() == "mine" and not (tmp_path / "arm_can.yaml").exists()
     assert new_arm(tmp_path, "--force") == 0
     assert (tmp_path / "arm.yaml").read_text() != "mine"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +22,7 @@ from spacearm_ident.excitation.constraints import Requirements, check, model_tor
 from spacearm_ident.excitation.criteria import CRITERIA, D_OPTIMAL, PREDICTION, SCALED_CONDITION, Question
 from spacearm_ident.excitation.descent import descend
 from spacearm_ident.excitation.genetic import evolve
-from spacearm_ident.excitation.optimise import exact_value, optimise, optimise_harmonics
+from spacearm_ident.excitation.optimise import _reachable, exact_value, optimise, optimise_harmonics
 from spacearm_ident.excitation.problem import Problem
 from spacearm_ident.excitation.segments import Motion, MotionLimits
 from spacearm_ident.excitation.series_space import SeriesSpace
@@ -255,3 +256,17 @@ def test_with_room_for_stalls_torque_holds_with_more_acceleration_and_the_deriva
     motion = free.series.evaluate(np.arange(0.0, free.series.period_s, 0.002))
     torque = model_torque(tight.identified, Motion(motion.q, motion.qd, 1.75 * motion.qdd), 500.0)
     assert np.any(np.abs(torque) > 1.02 * tight.torque_Nm)
+
+
+def test_starts_with_an_obstacle_between_them_and_rest_come_last():
+    """A wall at half the way of the best two; with them a UR5 is led round the floor, and cannot be joined to rest."""
+    rest = SimpleNamespace(home=np.zeros(2))
+    walled = lambda point: (np.inf if 0.4 < point[0] < 0.6 else float(np.sum(point)), np.zeros(2))  # noqa: E731
+    drawn = [
+        (0.0, np.array([1.0, 0.0])),
+        (1.0, np.array([1.0, 1.0])),
+        (2.0, np.array([0.0, 2.0])),
+        (3.0, np.array([0.1, 3.0])),
+    ]
+    assert [value for value, _ in _reachable(rest, walled, drawn, 2)] == [2.0, 3.0]
+    assert [value for value, _ in _reachable(rest, walled, drawn, 3)] == [2.0, 3.0, 0.0]

@@ -75,7 +75,7 @@ def test_a_body_is_found_within_its_errors_though_friction_changed(friction):
 
 
 def test_nothing_held_is_said_to_be_nothing():
-    with pytest.raises(UnfitDataError, match="no payload that stands out"):
+    with pytest.raises(UnfitDataError, match="no payload detected"):
         find_payload(MODEL, [run(0.0, noise=0.3, seed=2)])
 
 

@@ -313,6 +313,13 @@ def test_page_shows_the_figures_of_merit(written: Path) -> None:
     assert words.index("Good fit.") < words.index("Torque over time") < words.index("How it was obtained")
 
 
+def test_page_has_units_of_each_kind_of_joint_and_tables_that_scroll_in_their_own_frames(written: Path) -> None:
+    text = (written / "report.html").read_text(encoding="utf-8")
+    words = " ".join(" ".join(Page(text).words).split())
+    assert "N·m (N for slide)" in words and "N in place of N·m: slide" in words
+    assert text.count("<table") == text.count('<div class="wide"><table') > 3
+
+
 def test_text_from_outside_cannot_become_markup(tmp_path: Path) -> None:
     evil = "<b>x</b>\"'><script>alert(1)</script>&$\\frac$"
     escaped = "&lt;b&gt;x&lt;/b&gt;"

@@ -106,7 +106,7 @@ def test_arms_of_others_are_found_in_their_urdf_with_meshes_and_a_posture_to_res
     chosen = choose_joints(urdf.read_text())
     assert (len(chosen.joints), len(chosen.hand), len(chosen.others)) == (joints, hand, others)
     out, _ = spacearm(capsys, "new-arm", urdf, "--out", tmp_path)
-    assert "0 values to fill in" in out and "meshes not found" not in out
+    assert "FILL IN" not in out and "meshes not found" not in out
     arm = load_arm(tmp_path / "arm.yaml")
     assert arm.joint_names == chosen.joints and arm.start is not None
     limits, _ = limits_for_excitation(arm, arm.start)
@@ -122,7 +122,7 @@ def test_several_arms_are_not_chosen_among(tmp_path, capsys):
     assert "2 chains of 7 joints" in err and "--tip right_wrist or --tip left_wrist" in err
     assert not (tmp_path / "a").exists()
     out, _ = spacearm(capsys, "new-arm", urdf, "--out", tmp_path / "a", "--tip", "left_wrist")
-    assert "the arm: 7 joints, left_s0" in out
+    assert "an arm with 7 joints, left_s0" in out
 
 
 # --- one arm out of a robot -------------------------------------------------------------------------------------
@@ -168,7 +168,7 @@ def test_what_others_write_into_a_urdf_is_read_or_refused_in_a_line(more, said, 
     text = road_arms.SERVICE_ROBOT.replace('<mimic joint="finger" multiplier="1" offset="0"/>', more)
     urdf = written(tmp_path, f"\n<?xml version='1.0'?>{text}")
     out, err = spacearm(capsys, "new-arm", urdf, "--out", tmp_path / "arm", expect=2 if said else 0)
-    assert said in err if said else "the arm: 3 joints, shoulder, elbow, wrist" in out
+    assert said in err if said else "an arm with 3 joints, shoulder, elbow, wrist" in out
 
 
 def test_a_continuous_joint_made_revolute_is_the_same_arm():
@@ -258,7 +258,7 @@ def test_the_gentle_run_keeps_to_its_share_and_the_page_loads_nothing(tmp_path, 
     spacearm(capsys, "new-arm", written(tmp_path, road_arms.GANTRY), "--out", tmp_path)
     out, _ = spacearm(capsys, "excite", "--arm", tmp_path / "arm.yaml", "--out", tmp_path / "x.yaml", *QUICK)
     lines = out.splitlines()
-    assert "all limits of 3 joints kept" in lines[0] and "record first: " in lines[1] and "x_gentle.yaml" in lines[1]
+    assert "all limits of 3 joints kept" in lines[0] and "next: record " in lines[1] and "x_gentle.yaml" in lines[1]
     assert "m/s²" in out and "rad" not in out.replace("gradient", "")
     arm = load_arm(tmp_path / "arm.yaml")
     full, gentle = (load_trajectory(tmp_path / f"{name}.yaml") for name in ("x", "x_gentle"))

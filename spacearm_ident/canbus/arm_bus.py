@@ -207,7 +207,7 @@ def interpolation_time(period: float) -> tuple[int, int]:
         value = period * 10.0**-exponent
         if 1 <= round(value) <= 255 and math.isclose(value, round(value), rel_tol=1e-9):
             return round(value), exponent
-    raise UserError(f"a drive cannot be told a period of {period:g} s: use whole milliseconds up to 0.255 s")
+    raise UserError(f"a drive cannot be set to a period of {period:g} s: use whole milliseconds up to 0.255 s")
 
 
 def _counts(angle: float, scale: JointScale) -> int:

@@ -184,7 +184,7 @@ class DriveMaster:
         try:
             return int.from_bytes(_upload(node, 0x6041), "little") & 0xFFFF
         except SdoError as error:
-            raise UserError(f"node {axis.node_id} does not tell its state: {error}") from error
+            raise UserError(f"node {axis.node_id} does not report its state: {error}") from error
 
     def _write(self, node: canopen.RemoteNode, write: SdoWrite) -> None:
         try:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..batch_session import identify_batch
 from ..report.index import INDEX
+from ..report.provenance import EPOCH
 from ..report.summary import IDENTIFIED
 from . import common, identify
 
@@ -58,22 +59,30 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         common.print_json(summary)
     else:
-        print(table(summary["runs"]))
-        print(f"report: {options.out / INDEX}")
+        print(table(summary["runs"], options.out / INDEX))
     return 0 if all(row["status"] == IDENTIFIED for row in summary["runs"]) else 1
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """The summary on a terminal."""
+def table(rows: list[dict[str, Any]], page: Path) -> str:
+    """The summary on a terminal: how many were identified, what to do next, a line a run."""
+    done = sum(row["status"] == IDENTIFIED for row in rows)
+    rest = "" if done == len(rows) else f"; the reasons of the other {len(rows) - done} are below"
     width = max(len("run"), *(len(row["run"]) for row in rows))
-    lines = [f"{'run':<{width}}  {'recorded, UTC':<17}{'R':>8}{'rel. RMS':>10}"]
+    lines = [
+        f"{done} of {len(rows)} bags identified{rest}",
+        f"next: look at {page}",
+        f"{'run':<{width}}  {'recorded, UTC':<17}{'fit':<9}{'R':>8}{'rel. RMS':>10}",
+    ]
     for row in rows:
         if row["status"] != IDENTIFIED:
             lines.append(f"{row['run']:<{width}}  {row['status']}: {row['reason']}")
             continue
         when = (row["recorded"] or "")[:16].replace("T", " ")
+        when = "-" if when.startswith(EPOCH) else when
         r = "-" if row["r"] is None else f"{row['r']:.4f}"
         share = "-" if row["relative_rms"] is None else f"{row['relative_rms']:.1%}"
-        lines.append(f"{row['run']:<{width}}  {when:<17}{r:>8}{share:>10}" + ("  as before" if row["skipped"] else ""))
-    done = sum(row["status"] == IDENTIFIED for row in rows)
-    return "\n".join([*lines, f"{done} of {len(rows)} bags identified"])
+        lines.append(
+            f"{row['run']:<{width}}  {when:<17}{row.get('verdict') or '-':<9}{r:>8}{share:>10}"
+            + ("  as before" if row["skipped"] else "")
+        )
+    return "\n".join([*lines, "R and rel. RMS: of the worst joint, on the last third of each bag, held out of its fit"])

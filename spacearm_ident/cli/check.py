@@ -29,11 +29,15 @@ from . import common
 
 DESCRIPTION = """
 With BAGs (MCAP files, rosbag2 folders, or folders of them): test on the data whether units, signs, joint order, encoder
-zeros, gravity, clock and gains are what an identification takes for granted; exit code 1 where the data are unfit.
+zeros, gravity, clock and gains are as an identification assumes; exit code 1 where the data are unfit.
 Otherwise check this machine (packages, ROS, real time, disk) and, where they are named, an arm file, its CAN
 configuration against arm, EDS and bus load, and a file of ROS parameters. Nothing is sent on a bus. A folder that
-'spacearm new-arm' wrote stands for all its files. Exit code 1 where something fails; warnings alone are 0.
+'spacearm new-arm' wrote names all its files at once. Exit code 1 where something fails; warnings alone are 0.
 """
+NEXT_FIT = "spacearm identify, on these recordings"
+NEXT_UNFIT = "apply the remedies below (->) or record again, then repeat this check"
+NEXT_FIX = "apply the remedies below (->) of every line that fails or warns"
+NEXT_SOUND = "spacearm excite --arm {arm} --out excitation.yaml, where nothing is recorded yet"
 COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.FAIL: "bold red"}
 FINDING_COLOURS = {Weight.UNFIT: "bold red", Weight.NOTE: "yellow"}
 
@@ -90,20 +94,21 @@ def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:
         )
         arm = common.arm_of(options, recordings)
         found = check_conventions(corrected(recordings, arm), arm, progress=within(report, 0.2, 1.0))
-    common.note_findings(options, recordings)
-    for line in locked_words(arm):
-        common.note(options, line)
     if options.json:
         common.print_json(found.as_dict())
     else:
         show_findings(found)
+    for line in locked_words(arm):
+        common.note(options, line)
+    common.note_findings(options, recordings)
     return 0 if found.fit else 1
 
 
 def show_findings(report: ConventionReport) -> None:
-    """The verdict, each finding with where, how sure and what mends it, and what stays open."""
+    """The verdict, what to do next, each finding with its place, probability and remedy, and what remains undecided."""
     console = Console(highlight=False, soft_wrap=True)
     console.print(Text(report.verdict, "bold" if report.fit else "bold red"))
+    console.print(f"next: {NEXT_FIT if report.fit else NEXT_UNFIT}")
     for finding in report.findings:
         where = f" in {', '.join(finding.recordings)}" if len(report.recordings) > 1 else ""
         line = Text.assemble((f"{finding.level:<6}", FINDING_COLOURS[finding.level]), f"{finding.kind}{where}: ")
@@ -129,7 +134,7 @@ def check_files(options: argparse.Namespace, path: Path | None) -> int:
     if options.json:
         common.print_json([asdict(result) for result in results])
     else:
-        show(results)
+        show(results, arm)
     return 1 if any(result.level is Level.FAIL for result in results) else 0
 
 
@@ -154,13 +159,15 @@ def _if_there(path: Path) -> Path | None:
     return path if path.is_file() else None
 
 
-def show(results: Sequence[CheckResult]) -> None:
-    """A line each; what to do stands below it, and a count at the end."""
+def show(results: Sequence[CheckResult], arm: Path | None = None) -> None:
+    """How many are right, what to do next, then a line each with its remedy."""
     console = Console(highlight=False, soft_wrap=True)
+    counts = {level: sum(result.level is level for result in results) for level in Level}
+    console.print(", ".join(f"{count} {level}" for level, count in counts.items()))
+    open_ones = counts[Level.FAIL] or counts[Level.WARN]
+    console.print(f"next: {NEXT_FIX if open_ones else NEXT_SOUND.format(arm=arm or 'ARM')}")
     for result in results:
         line = Text.assemble((f"{result.level:<5}", COLOURS[result.level]), f"{result.subject:<16}", result.message)
         if result.advice:
             line.append(f" -> {result.advice}", "dim" if result.level is Level.OK else "italic")
         console.print(line)
-    counts = {level: sum(result.level is level for result in results) for level in Level}
-    console.print(", ".join(f"{count} {level}" for level, count in counts.items()))

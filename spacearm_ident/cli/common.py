@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -99,6 +100,7 @@ def arm_of(options: argparse.Namespace, recordings: Sequence[Recording]) -> Arm:
 def note(options: argparse.Namespace, text: str) -> None:
     """A line for a person, on standard error, so that --json stays clean."""
     if not options.quiet:
+        sys.stdout.flush()  # the result comes first in a file that takes both streams, too
         print(one_line(text), file=sys.stderr)
 
 
@@ -121,31 +123,48 @@ def print_json(value: Any) -> None:
 
 
 LINE_EVERY_S = 10.0
-"""Between two lines of progress where standard error is no terminal; what is done sooner says nothing."""
+"""Seconds between two lines of progress where standard error is no terminal; shorter work prints none."""
 
 
 class _ProgressLines:
-    """Progress for a log: share done, what is being done, and the time taken so far."""
+    """Progress for a log: share done, time taken so far, and the present step, a line every `LINE_EVERY_S`.
+
+    A thread of its own prints them: a step that takes a minute reports nothing in between.
+    """
 
     def __init__(self) -> None:
-        self._begun = self._last = time.monotonic()
+        self._share, self._what = 0.0, "starting"
+        self._over = threading.Event()
+        self._printer = threading.Thread(target=self._print, name="progress", daemon=True)
 
     def __call__(self, share: float, what: str) -> None:
-        now = time.monotonic()
-        if now - self._last >= LINE_EVERY_S:
-            self._last = now
-            print(f"{share:4.0%} {now - self._begun:5.0f} s  {what}", file=sys.stderr, flush=True)
+        self._share, self._what = share, what
+
+    def __enter__(self) -> _ProgressLines:
+        self._printer.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._printer.join()
+
+    def _print(self) -> None:
+        begun = time.monotonic()
+        while not self._over.wait(LINE_EVERY_S):
+            seconds = time.monotonic() - begun
+            print(f"{self._share:4.0%} {seconds:5.0f} s  {self._what}", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def progress(options: argparse.Namespace) -> Iterator[Report]:
-    """A progress bar on standard error where that is a terminal, else a line now and then."""
+    """A progress bar on standard error where that is a terminal, else a line every `LINE_EVERY_S`."""
     console = Console(stderr=True)
     if options.quiet:
         yield lambda share, what: None
         return
     if not console.is_terminal:
-        yield _ProgressLines()
+        with _ProgressLines() as lines:
+            yield lines
         return
     columns = (TextColumn("{task.description:<44}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:

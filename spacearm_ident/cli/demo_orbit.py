@@ -127,7 +127,7 @@ def summary(session: OrbitSession) -> str:
     columns = (session.ground, session.unadapted, session.weightless, session.adapted)
     heads = ("on the ground", "orbit, as is", "gravity set", "adapted")
     lines = [
-        "R over all samples (moving ones) on runs not seen before:",
+        "R over all samples (moving ones) on held-out runs:",
         f"{'joint':<10}" + "".join(f"{head:>18}" for head in heads) + f"{'residual moving':>24}",
     ]
     for joint in session.ground.joints:
@@ -142,7 +142,7 @@ def summary(session: OrbitSession) -> str:
             moved = with_error(change.change, change.change_error, "+")
             why = reason(adaptation, change)
             lines.append(f"{name:<24}{change.before:>10.4f}{change.after:>10.4f}{moved:>22}  {why}")
-    said = {True: "yes", False: "no", None: "not told"}
+    said = {True: "yes", False: "no", None: "not determined"}
     lines += ["", *(f"{cause.name}: {said[cause.found]}; {cause.why}" for cause in causes(adaptation))]
     lines.append(f"report: {session.page}")
     return "\n".join(lines)

@@ -35,7 +35,7 @@ from ..session import within
 from . import common
 
 DESCRIPTION = """
-Optimise an excitation trajectory for an arm: a finite Fourier series whose recording tells most of the dynamics, with
+Optimise an excitation trajectory for an arm: a finite Fourier series whose recording determines the dynamics best, with
 approach and return, under limits of position, velocity, acceleration, jerk, torque, frequency and clearance, all of
 them verified with their margins. Beside it a gentle run of the same kind (40 % of the limits), to be recorded first,
 and a page that shows motion, limits, torques and postures. The same --seed gives the same trajectory, another seed one
@@ -51,7 +51,9 @@ def add(commands: Any) -> None:
     """Add the command to a parser."""
     command = commands.add_parser("excite", help="optimise an excitation trajectory", description=DESCRIPTION)
     common.add_arm_options(command)
-    command.add_argument("--model", type=Path, metavar="FILE", help="model.yaml: what is known so far; default: CAD")
+    command.add_argument(
+        "--model", type=Path, metavar="FILE", help="model.yaml: the model to plan with; default: CAD inertials"
+    )
     command.add_argument("--out", required=True, type=Path, metavar="FILE", help="trajectory file to write")
     command.add_argument(
         "--joint-trajectory",
@@ -71,12 +73,15 @@ def add(commands: Any) -> None:
     )
     command.add_argument("--optimiser", choices=tuple(METHODS), default="gradient", help="default gradient")
     command.add_argument(
-        "--harmonics", default=AUTO, metavar="N", help="auto (default): the fewest beyond which little is gained"
+        "--harmonics",
+        default=AUTO,
+        metavar="N",
+        help="auto (default): the fewest after which the criterion improves little",
     )
     command.add_argument("--fundamental", type=float, default=0.1, metavar="HZ", help="default 0.1")
     command.add_argument("--periods", type=int, default=5, help="how often the period is repeated (default 5)")
     command.add_argument(
-        "--no-gentle", dest="gentle", action="store_false", help="no gentle run, for an arm that is known already"
+        "--no-gentle", dest="gentle", action="store_false", help="no gentle run, for an arm that has been moved before"
     )
     command.add_argument(
         "--slow", type=int, default=0, metavar="N", help="append N slow sines of 10 s, at most 0.01 rad/s (default 0)"
@@ -109,7 +114,7 @@ def _add_limit_options(command: argparse.ArgumentParser) -> None:
         "--no-stall-margin",
         dest="stall_margin",
         action="store_false",
-        help="use up torque and acceleration: for an arm that is not driven by this package's driver",
+        help="use the full torque and acceleration limits: for an arm that is not driven by this package's driver",
     )
     command.add_argument(
         "--noise", type=float, nargs="+", metavar="NM", help="torque noise a joint (default: by torque limit)"
@@ -143,12 +148,12 @@ def run(options: argparse.Namespace) -> int:
         margins = check(trajectory, needs) if excitation is None or options.slow else excitation.margins
         report(0.97, "writing")
         files = write(options, needs, trajectory, margins, first)
-    for line in notes:
-        common.note(options, line)
     if options.json:
         common.print_json(document(options, trajectory, margins, excitation) | files)
     else:
         print(summary(options, trajectory, margins, excitation, needs, files))
+    for line in notes:
+        common.note(options, line)
     return 0
 
 
@@ -188,7 +193,7 @@ def _found_start(arm: Arm, needs: Requirements, notes: list[str]) -> FloatArray:
     if found is None:
         return zero
     words = " ".join(f"{value:g}" for value in found)
-    notes.append(f"starts from {words}, since all zeros is not possible: --start or start_position_rad for another")
+    notes.append(f"start posture {words}, since all zeros violates a limit (another: --start, start_position_rad)")
     return found
 
 
@@ -236,12 +241,12 @@ def requirements(
         notes += _stall_notes(limits, slower)
         limits = replace(limits, acceleration=slower)
     clearance = Clearance(arm, _ground(options.ground, arm.gravity), limits.lower, limits.upper, options.clearance)
-    notes.append(f"clearance by {clearance.source}: {len(clearance.pairs)} pairs")
+    notes.append(f"clearance: {len(clearance.pairs)} pairs, from {clearance.source}")
     if clearance.unchecked:
         pairs = ", ".join(f"{a}-{b}" for a, b in clearance.unchecked)
-        notes.append(f"not checked against each other, since they overlap in nearly every posture: {pairs}")
+        notes.append(f"clearance not checked for pairs that overlap in nearly every posture: {pairs}")
     if options.model is None:
-        notes.append("torque by the CAD links alone: give --model for friction and rotors")
+        notes.append("torque from CAD inertials alone; --model adds identified friction and rotor inertias")
     structural = options.structural_frequency
     needs = Requirements.of(
         identified, limits, structural_hz=structural, clearance=clearance, accelerations=accelerations
@@ -252,12 +257,12 @@ def requirements(
 def _stall_notes(limits: MotionLimits, acceleration: FloatArray) -> list[str]:
     """What the margin for stalls of the driver's cycle asks for, a line each."""
     lines = [
-        f"torque kept with {BRIDGED_ACCELERATION:g} times the planned acceleration, as after a held-up cycle of the "
-        "driver (--no-stall-margin: as planned alone)"
+        f"torque limits kept at {BRIDGED_ACCELERATION:g} times the planned acceleration, margin for delayed cycles of "
+        "the driver (--no-stall-margin: without it)"
     ]
     if np.any(acceleration < limits.acceleration):
         lines.append(
-            "acceleration kept below its limit, so that a held-up cycle does not break the velocity limit: "
+            "acceleration kept below its limit, so that a delayed cycle does not exceed the velocity limit: "
             + ", ".join(f"{value:.3g}" for value in acceleration.tolist())
             + " rad/s²"
         )
@@ -369,10 +374,12 @@ def summary(
     """The result on a terminal."""
     lines = [f"{options.out}: {trajectory.duration_s:.1f} s, all limits of {len(needs.joints)} joints kept"]
     if "gentle" in files:
-        lines.append(f"record first: {files['gentle']}, at most {GENTLE:.0%} of the velocity and acceleration limits")
+        lines.append(
+            f"next: record {files['gentle']} first, at most {GENTLE:.0%} of the velocity and acceleration limits"
+        )
     if "joint_trajectory" in files:
         lines.append(f"{files['joint_trajectory']}: {PATH_RATE_HZ:g} points a second, begins in the posture of rest")
-    lines.append(f"to look at: {files['page']}")
+    lines.append(f"page: {files['page']}: motion, limits, torques, postures")
     if excitation is None:
         lines.append(f"for {options.purpose}: {PURPOSES[options.purpose]}")
     else:
@@ -390,7 +397,7 @@ def summary(
         errors = whole_errors(excitation, trajectory)
         if errors:
             lines.append("relative errors: " + ", ".join(f"{name} {value:.2g}" for name, value in errors.items()))
-    lines.append(f"{'limit':<14}{'nearest to it':<28}{'value':>10}{'limit':>10} {'unit':<8}{'used':>6}")
+    lines.append(f"{'quantity':<14}{'closest to its limit':<28}{'value':>10}{'limit':>10} {'unit':<8}{'used':>6}")
     for m in worst(margins):
         lines.append(f"{m.kind:<14}{m.where:<28}{m.value:>10.4g}{m.limit:>10.4g} {m.unit:<8}{m.used:>6.0%}")
     return "\n".join(lines)

@@ -53,7 +53,7 @@ def add(commands: Any) -> None:
         default=[],
         type=Path,
         metavar="BAG",
-        help="recordings that the fit has not seen, for cost and thresholds; default: the result's own validation",
+        help="held-out recordings, for cost and thresholds; default: the result's own validation",
     )
     command.add_argument(
         "--false-alarms",
@@ -107,6 +107,6 @@ def _validated(options: argparse.Namespace, model: IdentifiedModel) -> Validatio
     for run in runs:
         for source in run.sources:
             if source.sha256 in seen:
-                raise UserError(f"{source.path}: the model was fitted to it; name recordings that it has not seen")
+                raise UserError(f"{source.path}: the model was fitted to it; name held-out recordings")
     common.note_findings(options, runs)
     return validate(model, corrected(in_newton_metres(runs, arm), arm), ON_OTHERS, held_out=True)

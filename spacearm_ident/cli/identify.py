@@ -23,11 +23,11 @@ from . import common
 DESCRIPTION = """
 Identify an arm's dynamics from one or more recordings (MCAP files, rosbag2 folders, other bags and logs: see
 'spacearm import --help') and write a folder with
-model.yaml, parameters.csv, identified.urdf, validation.json and report.html. The first line says what the model is
-worth: good, fair, poor, or suspect (it says what no arm can be). Exit code 3: poor or suspect; the folder is written.
+model.yaml, parameters.csv, identified.urdf, validation.json and report.html. The first line is the verdict: good,
+fair, poor, or suspect (physically impossible). Exit code 3: poor or suspect; the folder is written.
 """
 POOR_OR_SUSPECT = 3
-"""Exit code where it ran, and nobody should use the model before its reasons are looked into."""
+"""Exit code where it ran, and the model is not to be used before its reasons are cleared."""
 
 
 def add(commands: Any) -> None:
@@ -56,7 +56,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     common.add_namespace_option(command)
     common.add_mapping_option(command)
     command.add_argument(
-        "--bandwidth", type=float, metavar="HZ", help="low-pass cut-off; default: chosen from the data, and said"
+        "--bandwidth", type=float, metavar="HZ", help="low-pass cut-off; default: chosen from the data and printed"
     )
     command.add_argument(
         "--friction",
@@ -164,18 +164,20 @@ def run(options: argparse.Namespace) -> int:
             progress=report,
         )
     identified, validation = session.identified, session.validation
-    for line in findings:
-        common.note(options, line)
-    if not options.json and session.conventions.findings:
-        print("\n".join(session.conventions.lines()))
+    conventions = session.conventions
     if options.json:
         surroundings = identified.environment.as_dict()
         figures = validation_dict(identified, validation)
-        data = {"conventions": session.conventions.as_dict()}
+        data = {"conventions": conventions.as_dict()}
         common.print_json({"result": str(options.out), **figures, **data, "environment": surroundings})
     else:
-        print(summary(identified, validation, session.page, session.coupling))
-    if session.conventions.certain:
+        about = "\n".join(conventions.lines()) if conventions.findings else ""
+        result = summary(identified, validation, session.page, session.coupling)
+        # Data that are unfit come before the model made from them, all other data after it.
+        print("\n".join(part for part in ((result, about) if conventions.fit else (about, result)) if part))
+    for line in findings:
+        common.note(options, line)
+    if conventions.certain:
         return 1
     return 0 if judge_result(identified, validation).usable else POOR_OR_SUSPECT
 
@@ -206,6 +208,7 @@ def summary(identified: Identified, validation: Validation, page: Path, coupling
     lines = [
         *verdict.lines,
         f"next: {_next_step(verdict.usable, page, coupling)}",
+        f"report: {page}",
         f"validated {validation.what}",
         f"{'joint':<24}{'RMSE':>10}{'max':>10} {'unit':<5}{'R':>8}{'rel. RMS':>10}{'moving':>9}{'unfiltered':>12}",
     ]
@@ -217,7 +220,8 @@ def summary(identified: Identified, validation: Validation, page: Path, coupling
             f"{fit.relative_rms:>10.1%}{figures.moving.relative_rms:>9.1%}{raw.relative_rms:>12.1%}"
         )
     lines += [
-        f"RMSE to moving: up to {bandwidth.cutoff_hz:.3g} Hz, the fit's bandwidth; unfiltered: moving, as recorded",
+        f"RMSE, max, R, rel. RMS: all samples, low-pass filtered at {bandwidth.cutoff_hz:.3g} Hz, the bandwidth of the "
+        "fit; moving: rel. RMS of the moving samples; unfiltered: the same as recorded",
         f"bandwidth {bandwidth.cutoff_hz:.3g} Hz: {bandwidth.reason}",
         *([] if identified.solver.startswith(SEPARABLE) else [f"solver {identified.solver}"]),
         *identified.notes,
@@ -226,10 +230,9 @@ def summary(identified: Identified, validation: Validation, page: Path, coupling
     ]
     if any(math.isfinite(estimate.gain_error) for estimate in identified.estimates):
         lines.append(
-            f"intervals are for the torque gains as they are; what their error adds, {GAIN_DEVIATION:.0%} where no known "
-            "mass was weighed (--weighed), is in parameters.csv, ci95_with_gain_low and _high"
+            "confidence intervals assume exact torque gains; parameters.csv has them with the gains' error as well, "
+            f"{GAIN_DEVIATION:.0%} without a known mass (--weighed): ci95_with_gain_low, ci95_with_gain_high"
         )
-    lines.append(f"report: {page}")
     return "\n".join(lines)
 
 

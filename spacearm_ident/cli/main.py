@@ -10,6 +10,7 @@ import argparse
 import os
 import shlex
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 
@@ -45,7 +46,7 @@ def parser(names: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         prog="spacearm",
         description="Identify the dynamics of a robot arm from its recordings.",
-        epilog="spacearm COMMAND --help tells more. Exit codes: 0 done, 1 data unfit, 2 usage or unreadable input, "
+        epilog="spacearm COMMAND --help: its options. Exit codes: 0 done, 1 data unfit, 2 usage or unreadable input, "
         "3 the identified model is poor or suspect.",
     )
     top.add_argument("--version", action="version", version=f"spacearm_ident {__version__}")
@@ -65,6 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     one_thread()  # The commands import numpy: not before this line.
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None and not sys.warnoptions:
+        # Warnings of libraries are for who develops this package (python -W, PYTHONWARNINGS): users can do nothing.
+        warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"  # in processes started from here as well
     if words[:1] and words[0] in SMALL_MATRICES:
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read once, when numpy is first imported
             os.environ.setdefault(name, "1")

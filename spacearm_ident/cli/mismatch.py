@@ -13,22 +13,21 @@ from ..errors import UserError
 from ..layers.comparison import Comparison
 from ..layers.document import comparison_document, verdict
 from ..layers.item import REST, Item, Mended
-from ..mismatch.document import NEXT_RUN, to_document
-from ..mismatch.finding import DATA_UNFIT, Explanation, Finding
+from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN, to_document
+from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Explanation, Finding
 from ..mismatch_session import explain_session
 from ..session import locked_words
 from ..simulation_session import compare_session, written_by_simulator
 from . import common
 
 DESCRIPTION = """
-Compare recordings of an arm with what its reference says, and explain the difference: at which joint, which physics,
-how large; with a model that has it, judged on recordings the fit has not seen. The reference is a recording of the
-healthy arm, or a model.yaml; without one, the arm's own fit is the base, and what its structure leaves over is
-explained.
+Compare recordings of an arm with its reference, and explain the difference: at which joint, which physics, how large;
+with a model that includes it, validated on held-out recordings. The reference is a recording of the healthy arm, or a
+model.yaml; without one, the arm's own fit is the base, and the residual of its structure is explained.
 
 With --simulation the arm is compared with a simulation of it (MJCF, URDF, SDF, model.yaml, or a bag that a simulator
-wrote), layer by layer: conventions and wiring, parameters the simulation has wrong, physics it does not have, and the
-rest; with the simulation's file mended.
+wrote), layer by layer: conventions and wiring, wrong parameters, physics that the simulation lacks, and the rest; with
+a corrected file of the simulation.
 """
 
 
@@ -61,16 +60,14 @@ def add(commands: Any) -> None:
         default=[],
         type=Path,
         metavar="BAG",
-        help="recordings to judge on; default: the last third of each BAG is held out",
+        help="recordings to validate on; default: the last third of each BAG is held out",
     )
     common.add_arm_options(command)
     common.add_base_option(command)
     common.add_namespace_option(command)
     common.add_mapping_option(command)
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="where to")
-    command.add_argument(
-        "--without", nargs="+", default=[], metavar="EFFECT", help="effects that are not to be considered"
-    )
+    command.add_argument("--without", nargs="+", default=[], metavar="EFFECT", help="effects to leave out")
     common.add_output_options(command)
     command.set_defaults(run=run)
 
@@ -84,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
         return _simulation(options)
     bags, references, judges = sort_bags(options.bags, options.reference, options.validate)
     if written_by_simulator(references, options.arm, options.namespace, options.mapping):
-        common.note(options, "the reference's torque has no noise: taken for a simulation (--simulation)")
+        common.note(options, "the torque of the reference is free of noise: treated as a simulation (--simulation)")
         options.bags, options.reference, options.validate = bags, [], [judges] if judges else []
         options.simulation = [references]
         return _simulation(options)
@@ -103,20 +100,20 @@ def run(options: argparse.Namespace) -> int:
             command=options.command_line,
             progress=report,
         )
-    common.note_findings(options, session.recordings)
-    for line in locked_words(session.arm):
-        common.note(options, line)
     if options.json:
         print(json.dumps(to_document(session.explanation), indent=2, allow_nan=False))
     else:
         print(summary(session.explanation, session.page, session.arm.effort_unit))
+    for line in locked_words(session.arm):
+        common.note(options, line)
+    common.note_findings(options, session.recordings)
     return 1 if session.explanation.verdict == DATA_UNFIT else 0
 
 
 def _simulation(options: argparse.Namespace) -> int:
     """Compare with a simulation."""
     if options.reference:
-        raise UserError("give --simulation or --reference (the healthy arm), not both")
+        raise UserError("name --simulation or --reference (the healthy arm), not both")
     bags, simulation, judges = sort_bags(options.bags, options.simulation, options.validate)
     with common.progress(options) as report:
         session = compare_session(
@@ -133,33 +130,51 @@ def _simulation(options: argparse.Namespace) -> int:
             command=options.command_line,
             progress=report,
         )
-    common.note_findings(options, session.recordings)
     comparison, mended = session.comparison, session.mended
     if options.json:
         name = None if mended is None else mended.name
         document = comparison_document(comparison, session.simulation.source, name)
         print(json.dumps(document, indent=2, allow_nan=False))
     else:
-        print(comparison_summary(comparison, session.page, mended))
+        print(comparison_summary(comparison, session.page, mended, session.simulation.arm.effort_unit))
+    common.note_findings(options, session.recordings)
     return 0 if comparison.fit else 1
 
 
 MOST_LINES = 6
 """Items of a layer on a terminal; the page has all of them."""
+LEAST_SHARE = 0.001
+"""Smallest share of the residual variance that is printed as a number; ratio."""
+ITEM_WORDS = (
+    "value in the simulation -> in the arm [95 % interval] (share of the simulation's residual variance that the item "
+    "removes; replicated: found in the held-out recordings by themselves)"
+)
+RESIDUAL_WORDS = (
+    "healthy: noise floor of the reference; detectable: residual above which a joint counts as a mismatch; before, "
+    "after: without and with the findings"
+)
+UNFIT_NEXT = "next: correct the recordings or their description as listed, then repeat the command"
 
 
-def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None) -> str:
-    """The layers on a terminal."""
+def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None, unit: str = "N m") -> str:
+    """The result on a terminal: verdict, what to do next, the layers, residuals in `unit`."""
     if not comparison.fit:
-        return "\n".join(["data unfit", *(f"  {reason}" for reason in comparison.reasons), f"report: {page}"])
-    lines = [verdict(comparison).replace("_", " ")]
+        return "\n".join(
+            ["data unfit", *(f"  {reason}" for reason in comparison.reasons), UNFIT_NEXT, f"report: {page}"]
+        )
+    lines = [f"{verdict(comparison).replace('_', ' ')}: {comparison.headline}"]
+    if mended is not None:
+        lines.append(f"next: use the corrected simulation, {page.with_name(mended.name)}, or look at {page}")
+    lines.append(f"report: {page}")
     for layer in comparison.layers:
-        lines.append(f"{layer.name}{'' if layer.items else ': nothing beyond its error'}")
+        lines.append(f"{layer.name}{'' if layer.items else ': no significant difference'}")
         lines += [f"  {_item_line(layer.name, item)}" for item in layer.items[:MOST_LINES]]
         if len(layer.items) > MOST_LINES:
             lines.append(f"  and {len(layer.items) - MOST_LINES} more, see the report")
         lines += [f"  {note}" for note in layer.notes]
-    lines.append(f"residual RMS, N m, on {comparison.judged_on}")
+    if any(layer.items for layer in comparison.layers):
+        lines.append(ITEM_WORDS)
+    lines.append(f"residual RMS, {unit}, on {comparison.judged_on}")
     names = [layer.name for layer in comparison.layers[:3]]
     lines.append(f"{'joint':24}" + "".join(f"{head:>13}" for head in ("torque", "simulation", *names, "ceiling")))
     columns = (
@@ -172,9 +187,7 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
         f"{joint:24}" + "".join(f"{value:13.3f}" for value in values)
         for joint, *values in zip(comparison.joints, *columns)
     ]
-    if mended is not None:
-        lines.append(f"mended simulation: {page.with_name(mended.name)}")
-    return "\n".join([*lines, f"report: {page}"])
+    return "\n".join(lines)
 
 
 def _item_line(layer: str, item: Item) -> str:
@@ -185,7 +198,9 @@ def _item_line(layer: str, item: Item) -> str:
     was = f"{item.was:.4g} -> " if math.isfinite(item.was) else ""
     replicated = {True: ", replicated", False: ", NOT replicated", None: ""}[item.replicated]
     value = f"{was}{item.value:.4g} [{item.low:.4g}, {item.high:.4g}] {item.unit}"
-    return f"{item.name.replace('_', ' ')}, {item.where}: {value} ({item.share:.1%}{replicated})"
+    share = f"{item.share:.1%}" if item.share >= LEAST_SHARE else f"< {LEAST_SHARE:.1%}"
+    place = "" if any(joint in item.where for joint in item.joints) else f" at {', '.join(item.joints)}"
+    return f"{item.name.replace('_', ' ')}, {item.where}{place}: {value} ({share}{replicated})"
 
 
 def sort_bags(
@@ -211,8 +226,9 @@ def sort_bags(
 
 def summary(explanation: Explanation, page: Path, unit: str) -> str:
     """The result on a terminal, residuals in `unit`."""
-    lines = [explanation.verdict.replace("_", " ")]
+    lines = [_verdict_line(explanation)]
     lines += [f"  {reason}" for reason in explanation.reasons]
+    lines += [*_next_lines(explanation, page), f"report: {page}"]
     for finding in explanation.findings:
         lines += _finding_lines(finding)
     if explanation.verdict != DATA_UNFIT:
@@ -225,14 +241,36 @@ def summary(explanation: Explanation, page: Path, unit: str) -> str:
             f"{joint:24}" + "".join(f"{value:11.3f}" for value in values)
             for joint, *values in zip(explanation.joints, *columns)
         ]
+        lines.append(RESIDUAL_WORDS)
     for left in explanation.unexplained:
-        lines.append(f"unexplained at {', '.join(left.joints)}: {100 * left.fraction:.0f} % of it; {left.where}")
+        share = f"{100 * left.fraction:.0f} % of the residual variance"
+        lines.append(f"unexplained at {', '.join(left.joints)}: {share}; {left.where}")
     if explanation.already_there:
         lines.append(f"in the reference as well: {'; '.join(explanation.already_there)}")
+    return "\n".join(lines)
+
+
+def _verdict_line(explanation: Explanation) -> str:
+    """The verdict with what it rests on."""
+    words = explanation.verdict.replace("_", " ")
+    if explanation.verdict == NO_MISMATCH:
+        return f"{words}: the residual of every joint lies within the healthy range"
+    if explanation.verdict == DATA_UNFIT:
+        return words
+    found = [f"{one.effect} at {', '.join(one.joints)}" for one in explanation.findings]
+    return ": ".join([words, *filter(None, ["; ".join(found)])])
+
+
+def _next_lines(explanation: Explanation, page: Path) -> list[str]:
+    """What to do with the result."""
+    if explanation.verdict == DATA_UNFIT:
+        return [UNFIT_NEXT]
     if explanation.next_experiment:
         run = page.with_name(NEXT_RUN)
-        lines.append(f"next: {explanation.next_experiment}" + (f"; a motion for it: {run}" if run.exists() else ""))
-    return "\n".join([*lines, f"report: {page}"])
+        return [f"next: {explanation.next_experiment}" + (f"; a motion for it: {run}" if run.exists() else "")]
+    if explanation.findings:
+        return [f"next: look at {page}; {page.with_name(EXTENDED_MODEL)} predicts torque with what was found"]
+    return []
 
 
 def _finding_lines(finding: Finding) -> list[str]:
@@ -240,6 +278,6 @@ def _finding_lines(finding: Finding) -> list[str]:
     values = [f"{name} {q.value:.4g} [{q.low:.4g}, {q.high:.4g}] {q.unit}" for name, q in finding.parameters.items()]
     if values:
         lines.append(f"    {'; '.join(values)}")
-    lines.append(f"    explains {100 * finding.explained:.0f} % of what was above the noise there")
+    lines.append(f"    explains {100 * finding.explained:.0f} % of the residual variance above the noise floor there")
     lines += [f"    rather than {a.effect} at {', '.join(a.joints)}: {a.why_not}" for a in finding.alternatives]
     return lines

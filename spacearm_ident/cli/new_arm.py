@@ -25,14 +25,14 @@ from ..recording.intake import listing as listed
 DESCRIPTION = f"""
 Write the files of an arm into DIR: its URDF with every joint locked that is not the arm's, {ARM_FILE} (limits, a
 posture to start from), {NODES_FILE} (parameters of the ROS nodes), layouts for Foxglove and PlotJuggler. Every value
-says where it is from: URDF, ASSUMED, or FILL IN for what nobody can guess; 'spacearm check DIR' says what is
+is marked with its source: URDF, ASSUMED, or FILL IN where no default is possible; 'spacearm check DIR' lists what is
 still missing. With --eds, --interface or a number from a data sheet also {CAN_FILE}, for CANopen drives. Without
 --base, --tip or --joints the arm is the longest chain; fingers, grippers and joints that mimic others become payload.
 """
 SHEET = {
     "gear_ratio": "motor turns a joint turn (also taken from the URDF's transmissions)",
     "torque_constant": "N m/A at the motor",
-    "rated_current": "A: what 1000 per mille of object 0x6077 stand for",
+    "rated_current": "A: current at 1000 per mille of object 0x6077",
     "counts_per_turn": "encoder counts a motor turn",
 }
 
@@ -66,7 +66,7 @@ def _add_chain_options(command: argparse.ArgumentParser) -> None:
         action="extend",
         default=[],
         metavar="NAME=VALUE",
-        help="where a joint that is not the arm's stands, rad or m (default: 0, or the limit next to it)",
+        help="position of a joint that is not the arm's, rad or m (default: 0, or the limit next to it)",
     )
     command.add_argument(
         "--package-path",
@@ -79,10 +79,10 @@ def _add_chain_options(command: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, choose the arm's joints, write, say what is next."""
+    """Read, choose the arm's joints, write, print what is next."""
     whole = _read(options.urdf, "URDF")
     if options.joints and (options.base or options.tip):
-        raise UserError("--joints says it all: leave out --base and --tip")
+        raise UserError("--joints selects the whole arm: leave out --base and --tip")
     try:
         chosen, urdf, arm = _arm(whole, options)
     except UserError as error:
@@ -133,7 +133,7 @@ def _positions(words: Sequence[str]) -> dict[str, float]:
         except ValueError:
             equals = ""
         if not (equals and name and math.isfinite(found[name])):
-            raise UserError(f"--lock {word}: give NAME=VALUE, as in --lock torso_lift_joint=0.15")
+            raise UserError(f"--lock {word}: write NAME=VALUE, as in --lock torso_lift_joint=0.15")
     return found
 
 
@@ -158,27 +158,28 @@ def _summary(
     canopen: bool,
 ) -> list[str]:
     """What was written and decided, and what is next."""
-    lines = [f"{options.out}: {', '.join(texts)}"]
-    lines.append(f"the arm: {len(arm.joints)} joints, {listed(arm.joint_names)}")
+    rows = [line for text in texts.values() for line in text.splitlines()]
+    guesses = sum("# ASSUMED" in row for row in rows)
+    empty = sum(row.count("# FILL IN:") for row in rows)
+    lines = [f"{options.out}: the files of an arm with {len(arm.joints)} joints, {listed(arm.joint_names)}"]
+    fill = f"fill in {empty} values (# FILL IN), " if empty else ""
+    lines.append(f"next: {fill}review {guesses} assumed values (# ASSUMED), then spacearm check {options.out}")
+    lines.append(f"written: {', '.join(texts)}")
     if chosen.hand:
         lines.append(f"payload of {arm.joint_names[-1]}, locked: {listed(chosen.hand)}")
     if chosen.others:
         lines.append(f"locked where they are (--lock NAME=VALUE: elsewhere): {listed(chosen.others)}")
     if start is None:
-        lines.append("no posture to start from was found: give excite one with --start, or correct limits and masses")
+        lines.append("no possible start posture was found: name one with excite --start, or correct limits and masses")
     elif start.any():
-        lines.append(f"starts from {' '.join(f'{value:g}' for value in start)}: all zeros is not possible, or tight")
+        words = " ".join(f"{value:g}" for value in start)
+        lines.append(f"start posture: {words} (rad, m), since all zeros violates a limit or nearly does")
     if advice := resolve_meshes(arm.urdf, arm.package_path).advice:
-        lines.append(f"{advice}; until then distances are kept by capsules")
-    rows = [line for text in texts.values() for line in text.splitlines()]
-    guesses = sum("# ASSUMED" in row for row in rows)
-    empty = sum(row.count("# FILL IN:") for row in rows)
+        lines.append(f"{advice}; until then clearance is checked with capsules")
     if not canopen:
         lines.append(
-            "where this package's driver drives it (CANopen): --eds, --interface, or a number from a data sheet"
+            "for CANopen drives and this package's driver, add --eds, --interface or a number of the data sheet"
         )
-    lines.append(f"{guesses} values assumed: look them through")
-    lines.append(f"{empty} values to fill in; then: spacearm check {options.out}")
     return lines
 
 
@@ -200,7 +201,7 @@ def _write(directory: Path, texts: dict[str, str], force: bool) -> None:
         changed = {path: data for path, data in encoded.items() if not path.exists() or path.read_bytes() != data}
         taken = [path for path in changed if path.exists()]
         if taken and not force:
-            raise UserError(f"{taken[0]} is there already: choose another --out, or say --force to overwrite it")
+            raise UserError(f"{taken[0]} exists already: choose another --out, or overwrite it with --force")
         directory.mkdir(parents=True, exist_ok=True)
         for path, data in changed.items():
             path.write_bytes(data)

@@ -18,9 +18,9 @@ from . import common
 DESCRIPTION = """
 Identify what the arm holds from recordings with it and a model of the arm without it (a result folder of identify, or
 its model.yaml): mass, centre of mass and inertia with standard errors, in the frame of the flange, and as
-set_target_payload of URScript, load data of KUKA and setLoad of Franka. Ten seconds in which the last joints turn
-against gravity are enough for mass and centre; an inertia that the motion does not show is left out. Friction may have
-changed since the model; gains may not. Exit code 1: nothing that stands out of the noise is held.
+set_target_payload of URScript, load data of KUKA and setLoad of Franka. Ten seconds in which the last joints move
+against gravity are enough for mass and centre; an inertia that the motion does not excite is left out. Friction may
+have changed since the model; gains may not. Exit code 1: no payload was detected.
 """
 
 
@@ -32,7 +32,7 @@ def add(commands: Any) -> None:
         "--model", required=True, type=Path, metavar="DIR", help="result of the arm without it, or a model.yaml"
     )
     command.add_argument(
-        "--frame", metavar="LINK", help="tell it in this link's frame; default: the flange (tool0, flange, ...)"
+        "--frame", metavar="LINK", help="report it in this link's frame; default: the flange (tool0, flange, ...)"
     )
     command.add_argument("--arm", type=Path, metavar="FILE", help="for logs: URDF or arm YAML")
     common.add_namespace_option(command)
@@ -42,17 +42,17 @@ def add(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, fit, tell."""
+    """Read, fit, report."""
     model, _ = read_result(options.model)
     arm = model.model.arm
     with common.progress(options) as report:
         runs = common.read_bags(options.bags, report, False, options.namespace, options.arm, options.mapping)
         held = find_payload(model, corrected(in_newton_metres(runs, arm), arm), options.frame)
-    common.note_findings(options, runs)
     if options.json:
         common.print_json(document(held))
     else:
         print("\n".join(lines(held, arm.joint_names)))
+    common.note_findings(options, runs)
     return 0
 
 
@@ -76,9 +76,12 @@ def document(held: Held) -> dict[str, Any]:
 def lines(held: Held, joints: tuple[str, ...]) -> list[str]:
     """The result on a terminal."""
     centre = ", ".join(f"{value:.4f} ± {error:.4f}" for value, error in zip(held.centre, held.centre_error))
-    told = [f"mass {held.mass:.3f} ± {held.mass_error:.3f} kg", f"centre {centre} m, in {held.frame}"]
+    shown = [
+        f"payload: mass {held.mass:.3f} ± {held.mass_error:.3f} kg, centre {centre} m in {held.frame} (± std. error)",
+        "next: set it in the controller with its call below",
+    ]
     if held.inertia is None or held.inertia_error is None:
-        told.append("inertia: not determined by this motion; the calls below leave it out or say 0")
+        shown.append("inertia: not determined by this motion; the calls below leave it out or set it to 0")
     else:
         for name, row, column in (
             ("Ixx", 0, 0),
@@ -89,9 +92,9 @@ def lines(held: Held, joints: tuple[str, ...]) -> list[str]:
             ("Iyz", 1, 2),
         ):
             value, error = held.inertia[row, column], held.inertia_error[row, column]
-            told.append(f"{name} {value:.5f} ± {error:.5f} kg m^2 about the centre")
+            shown.append(f"{name} {value:.5f} ± {error:.5f} kg m^2 about the centre")
     drop = ", ".join(
         f"{j} {b:.2f} to {a:.2f}" for j, b, a in zip(joints, held.before_Nm, held.after_Nm) if np.isfinite(a)
     )
-    told += [f"residual RMS, N m: {drop}", *(f"{name}: {call(held)}" for name, call in CALLS.items())]
-    return [*told, f"note: {GAIN_CAVEAT}", "errors are standard errors (68 %)"]
+    shown += [f"{name}: {call(held)}" for name, call in CALLS.items()]
+    return [*shown, f"residual RMS without and with it, N m: {drop}", f"note: {GAIN_CAVEAT}"]

@@ -30,7 +30,7 @@ DESCRIPTION = """
 Move a simulated arm along a trajectory, in closed loop and with real sensors' noise, and write the recording as an
 MCAP file (or, where BAG does not end in .mcap, as a rosbag2 folder). With --arm alone it is an arm of its description:
 CAD inertials, and friction of a default that is stated. With --conceal the arm also obeys physics that
-its model does not tell of: a YAML file `schema: spacearm_ident/conceal/1`, `effects: [{effect: torque_ripple, joints:
+its model lacks: a YAML file `schema: spacearm_ident/conceal/1`, `effects: [{effect: torque_ripple, joints:
 [joint_3], parameters: {amplitude: 1.1, cycles: 24}}]`.
 """
 
@@ -44,12 +44,12 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="what the arm obeys: a model.yaml or extended_model.yaml; default: CAD inertials of --arm, and friction",
     )
-    command.add_argument("--trajectory", required=True, type=Path, metavar="FILE", help="what it is to follow")
+    command.add_argument("--trajectory", required=True, type=Path, metavar="FILE", help="trajectory to follow")
     command.add_argument("--out", required=True, type=Path, metavar="BAG", help="recording to write")
     command.add_argument(
         "--arm", type=Path, metavar="FILE", help="URDF, or arm YAML with gear ratios, torque constants, torque limits"
     )
-    command.add_argument("--conceal", type=Path, metavar="FILE", help="physics to add that the model does not know")
+    command.add_argument("--conceal", type=Path, metavar="FILE", help="physics to add that the model lacks")
     command.add_argument(
         "--temperature",
         type=float,
@@ -69,7 +69,7 @@ def add(commands: Any) -> None:
         const=200.0,
         default=0.0,
         metavar="HZ",
-        help="record an IMU on the base, /base_imu (200 Hz unless said); the effect floating_base moves it",
+        help="record an IMU on the base, /base_imu (default 200 Hz); the effect floating_base moves it",
     )
     command.add_argument("--noise", type=float, default=1.0, metavar="FACTOR", help="times the default noise; 0: none")
     common.add_output_options(command)
@@ -79,9 +79,9 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Load, simulate, write."""
     if options.noise < 0:
-        raise UserError(f"--noise {options.noise:g} is negative: give 0 for none, 1 for the default")
+        raise UserError(f"--noise {options.noise:g} is negative: 0 is none, 1 the default")
     if options.base_imu < 0:
-        raise UserError(f"--base-imu {options.base_imu:g} is negative: give its rate in Hz, such as 200")
+        raise UserError(f"--base-imu {options.base_imu:g} is negative: use its rate in Hz, such as 200")
     model, arm = model_of(options)
     parameters, effects = simulated_arm(model, arm.urdf)
     if options.gravity is not None:
@@ -108,6 +108,9 @@ def run(options: argparse.Namespace) -> int:
         common.print_json({"bag": str(options.out), "samples": len(recording.time), "joints": list(recording.joints)})
     else:
         print(f"{options.out}: {recording.time[-1]:.1f} s, {len(recording.time)} samples")
+        print(f"next: spacearm check {options.out}")
+    if options.model is None:
+        common.note(options, STATED)
     return 0
 
 
@@ -119,13 +122,12 @@ def model_of(options: argparse.Namespace) -> tuple[IdentifiedModel, Arm]:
     """
     if options.model is None:
         if options.arm is None:
-            raise UserError("nothing to simulate: give --arm ARM (URDF or arm YAML), --model model.yaml, or both")
+            raise UserError("nothing to simulate: name --arm ARM (URDF or arm YAML), --model model.yaml, or both")
         arm = load_arm(options.arm)
-        common.note(options, STATED)
         return default_model(arm), arm
     model = load_model(options.model)
     if not any(isinstance(term, RigidBody) for term in model.model.terms):
-        raise UserError(f"{options.model} has no rigid_body term: its links would weigh nothing; name a whole model")
+        raise UserError(f"{options.model} has no rigid_body term: its links would have no mass; name a complete model")
     return model, model.model.arm if options.arm is None else load_arm(options.arm)
 
 

@@ -25,7 +25,7 @@ NAMESPACE = r"([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?"
 def add(commands: Any) -> None:
     """Add the command to a parser."""
     command = commands.add_parser("watch", help="show the live graph on this terminal", description=DESCRIPTION)
-    command.add_argument("--once", action="store_true", help="print one frame and end (exit code 1: no node is heard)")
+    command.add_argument("--once", action="store_true", help="print one frame and end (exit code 1: no node is found)")
     command.add_argument("--json", action="store_true", help="the same as JSON; goes with --once")
     command.add_argument("--wait", type=float, default=10.0, metavar="S", help="with --once: for a node (default 10)")
     command.add_argument("--rate", type=float, default=4.0, metavar="HZ", help="frames a second (default 4)")

@@ -80,7 +80,7 @@ def _inertials(arm: Arm) -> Iterator[CheckResult]:
         yield warn(
             "inertials",
             f"what {', '.join(massless)} move has no mass in the URDF",
-            "give CAD values: they are the prior for what motion cannot tell, and the torque check of an excitation",
+            "give CAD values: they are the prior of what motion does not excite, and the torque check of an excitation",
         )
     if not (massless or impossible):
         yield ok("inertials", f"all bodies are possible, {masses.sum():.4g} kg move")
@@ -100,7 +100,7 @@ def _limits(arm: Arm) -> Iterator[CheckResult]:
         if missing:
             advice = f"give {key} in the arm YAML"
             if attribute == "acceleration_limit":
-                advice += "; an excitation assumes the velocity limit in 0.5 s, the driver does not judge it"
+                advice += "; an excitation assumes the velocity limit in 0.5 s, the driver does not check it"
             yield warn("limits", f"no {attribute.replace('_', ' ')} of {', '.join(missing)}", advice)
     if wrong:
         yield fail(

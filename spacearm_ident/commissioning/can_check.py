@@ -197,7 +197,7 @@ def _reach(config: ArmCan, number: int) -> Iterator[CheckResult]:
     elif master:
         yield warn(subject, f"{where}: another master is active", "one driver a bus: stop it before you start another")
     elif nodes:
-        yield ok(subject, f"{where}: heard nodes {', '.join(map(str, sorted(nodes)))}")
+        yield ok(subject, f"{where}: found nodes {', '.join(map(str, sorted(nodes)))}")
     else:
         yield ok(subject, f"{where} opens; it is silent, as it is before a driver configures the drives")
 

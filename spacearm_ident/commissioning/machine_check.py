@@ -163,7 +163,7 @@ def _clock() -> CheckResult:
     try:
         source = file.read_text(encoding="ascii").strip()
     except OSError:
-        return ok("clock", "the kernel does not tell its source")
+        return ok("clock", "the kernel does not report its source")
     if source in SLOW_CLOCKS:
         return warn(
             "clock", f"{source}: reading it takes microseconds", "boot with clocksource=tsc if the CPU allows it"

@@ -95,4 +95,6 @@ def _one_arm(data: Mapping[str, Any]) -> Iterator[CheckResult]:
                 continue
             told.setdefault(arm.resolve(), f"{node} of {arm}")
     if len(told) > 1:
-        yield fail("parameters", f"nodes are told of different arms: {'; '.join(told.values())}", "name one arm file")
+        yield fail(
+            "parameters", f"nodes are configured for different arms: {'; '.join(told.values())}", "name one arm file"
+        )

@@ -43,7 +43,7 @@ MOST_BUSES: Final = 4
 HEARTBEAT_HZ: Final = 20.0
 _CHANNELS: Final = {"socketcan": "can", "local": "arm"}
 
-_HEAD = "# URDF: taken from there. ASSUMED: cautious, change it where you know better. FILL IN: nobody can guess it."
+_HEAD = "# URDF: taken from there. ASSUMED: cautious default, to be reviewed. FILL IN: needed, and has no default."
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ def _arm_yaml(
     full = completed(arm)
     reductions = gear_ratios(arm.urdf)
     lines = [
-        f"# What is known of {arm.name} before it is identified; everything on the output side of the gears, SI.",
+        f"# Data of {arm.name} before it is identified; everything on the output side of the gears, SI.",
         _HEAD,
         f"schema: {ARM_SCHEMA}",
         f"urdf: {_quoted(urdf)}  # kinematics, and CAD inertials as prior",
@@ -221,7 +221,10 @@ def _limit_entries(joint: Joint, whole: Joint) -> list[Entry]:
     if math.isfinite(joint.effort_limit):
         torque, source = whole.effort_limit, "URDF"
     elif math.isfinite(whole.effort_limit):
-        torque, source = whole.effort_limit, f"ASSUMED: {TORQUE_RESERVE:g} times what its CAD links ask; URDF has none"
+        torque, source = (
+            whole.effort_limit,
+            f"ASSUMED: {TORQUE_RESERVE:g} times the torque its CAD links need; URDF has none",
+        )
     else:
         torque, source = None, "the most gear and motor bear"
     return [
@@ -266,7 +269,7 @@ def _can_yaml(arm: Arm, eds: str | None, sheet: DataSheet, interface: str) -> st
         "  heartbeat_s: 0.05",
         "  heartbeat_timeout_s: 0.25",
         "  stale_feedback_s: 0.05",
-        "  extrapolation_s: 0.06  # ASSUMED: how long the drives go on without set-points; 0: they stand at once",
+        "  extrapolation_s: 0.06  # ASSUMED: how long the drives extrapolate without set-points; 0: they stop at once",
         "# Further keys of a joint: rated_torque_Nm instead of rated_current_A where 0x6077 is per mille of the rated",
         "# torque; peak_factor (1.414 where the drive reports RMS and the torque constant is for peak), direction and",
         "# torque_sign (1 or -1), zero_counts (0x6064 at joint angle zero), tracking_error_rad, any limit of the arm.",
@@ -282,7 +285,7 @@ def _can_yaml(arm: Arm, eds: str | None, sheet: DataSheet, interface: str) -> st
                 Entry(
                     "rated_current_A",
                     sheet.of("rated_current", number, count),
-                    "what 1000 per mille of 0x6077 stand for",
+                    "current at 1000 per mille of 0x6077",
                 )
             ),
         ]

@@ -111,7 +111,7 @@ class ConventionReport:
         wrong = [finding for finding in self.findings if finding.level is Level.UNFIT]
         if wrong:
             kinds = ", ".join(dict.fromkeys(finding.kind.replace("_", " ") for finding in wrong))
-            return f"data unfit: {kinds}; a model made of them is not to be believed"
+            return f"data unfit: {kinds}; a model identified from them would be wrong"
         if self.findings:
             return f"data fit, {len(self.findings)} {'notes' if len(self.findings) > 1 else 'note'}"
         return "data fit: no mistake of convention found"
@@ -139,9 +139,14 @@ class ConventionReport:
         }
 
 
+def _percent(probability: float) -> str:
+    """A probability that is never printed as certain."""
+    return "> 99.9 %" if probability > 0.999 else f"{probability:.1%}"
+
+
 def sureness(finding: Finding) -> str:
-    """How sure an inferred finding is, in words."""
-    words = f"{finding.probability:.0%} sure, log odds {finding.log_odds:.0f}"
+    """The probability of an inferred finding, in words."""
+    words = f"probability {_percent(finding.probability)}, log odds {finding.log_odds:.0f}"
     if finding.alternatives:
         others = ", ".join(
             f"{one.kind.replace('_', ' ')}{' of ' + ', '.join(one.joints) if one.joints else ''} {one.probability:.0%}"

@@ -26,9 +26,9 @@ def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
         case Kind.EFFORT_SIGN:
             return f"the torque of {names} has the wrong sign for its motion"
         case Kind.POSITION_SIGN:
-            return f"the position of {names} counts against its axis in the URDF"
+            return f"the position of {names} has the opposite sign of its axis in the URDF"
         case Kind.AXIS_REVERSED:
-            return f"position and torque of {names} count against its axis in the URDF"
+            return f"position and torque of {names} have the opposite sign of its axis in the URDF"
         case Kind.DEGREES:
             what = "all positions are" if len(change.joints) == len(arm.joints) > 1 else f"the position of {names} is"
             return f"{what} in degrees, not radians"
@@ -42,9 +42,9 @@ def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
             off = -change.value[0]
             return f"the encoder zero of {names} is off by {off:+.3f} rad ({np.rad2deg(off):+.1f}°)"
         case Kind.DELAY:
-            side = "late" if change.value[0] > 0 else "early"
+            side = "lags" if change.value[0] > 0 else "leads"
             where = "torque" if len(change.joints) == len(arm.joints) else f"the torque of {names}"
-            return f"{where} is {abs(change.value[0]) * 1e3:.0f} ms {side} against the motion"
+            return f"{where} {side} the motion by {abs(change.value[0]) * 1e3:.0f} ms"
         case Kind.TIME_REVERSED:
             return "time runs backwards: friction would drive every joint"
         case Kind.GRAVITY:
@@ -63,7 +63,7 @@ def _gravity(arm: Arm, change: Change) -> str:
     vector = np.array(change.value)
     told = " ".join(f"{g:.3g}" for g in arm.gravity)
     if not vector.any():
-        return f"the torque holds no gravity, where {told} m/s² is given (compensated by the controller, or in orbit?)"
+        return f"the torque contains no gravity, described as {told} m/s² (compensated by the controller, or in orbit?)"
     size = float(np.linalg.norm(arm.gravity)) or 1.0
     angle = float(np.degrees(np.arccos(np.clip(vector @ arm.gravity / np.linalg.norm(vector) / size, -1, 1))))
     how = "upside down" if angle > 150 else f"{angle:.0f}° off"
@@ -80,8 +80,8 @@ def _gain(arm: Arm, change: Change, evidence: Evidence) -> str:
         return f"the torque is not in N·m{_guess(gains)}: recorded over expected from CAD masses is {listed}"
     joint = change.joints[0]
     error = float(evidence.gain_errors[joint])
-    where = "that holds the arm up" if len(change.joints) > 1 else f"of {names[joint]}"
-    text = f"the torque {where} is {gains[joint]:.3g} (± {gains[joint] * error:.2g}) times what the CAD masses need"
+    where = "that carries the arm" if len(change.joints) > 1 else f"of {names[joint]}"
+    text = f"the torque {where} is {gains[joint]:.3g} (± {gains[joint] * error:.2g}) times that of the CAD masses"
     if is_unit(change, evidence):
         return f"{text}: another unit{_guess(gains)}"
     return (

@@ -73,7 +73,7 @@ def base_notes(recordings: Sequence[Recording], arm: Arm) -> list[str]:
             free = "needs no" if sensor.force is not None else "the arm's"
             notes.append(f"{where}: identified with the moving base it measures ({free} gravity)")
             continue
-        notes.append(f"{where}: the base stands still and is taken for fixed")
+        notes.append(f"{where}: the base does not move and is taken as fixed")
         if sensor.force is not None and (words := _odd_gravity(sensor, arm)):
             notes.append(f"{where}: {words}")
     return notes

@@ -143,7 +143,7 @@ class TorqueModel:
         """
         unknown = set(self.structure) - set(CATALOGUE)
         if unknown:
-            raise UserError(f"unknown term {sorted(unknown)[0]!r}: this version knows {', '.join(CATALOGUE)}")
+            raise UserError(f"unknown term {sorted(unknown)[0]!r}: this version has {', '.join(CATALOGUE)}")
         sliding = frozenset(joint.name for joint in self.arm.joints if not joint.revolute)
         built = (term for kind, options in self.structure.items() for term in CATALOGUE[kind].build(self.arm, options))
         return tuple(_in_own_units(term, sliding) for term in built)

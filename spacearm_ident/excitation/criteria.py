@@ -34,10 +34,10 @@ CONDITION, SCALED_CONDITION, D_OPTIMAL, PREDICTION = CRITERIA = (
 DEFAULT_CRITERION = PREDICTION
 """By the evidence in docs/excitation.md: the smallest errors of predicted torque."""
 CRITERION_WORDS = {
-    CONDITION: "condition number, raw (the paper's)",
-    SCALED_CONDITION: "condition number, columns scaled",
-    D_OPTIMAL: "D-optimal: volume of the confidence ellipsoid",
-    PREDICTION: "variance of the torque predicted on random test motions",
+    CONDITION: "condition number of the observation matrix",
+    SCALED_CONDITION: "condition number, columns scaled to unit norm",
+    D_OPTIMAL: "D-optimality: log volume of the confidence ellipsoid",
+    PREDICTION: "standard deviation of predicted torque / torque noise",
 }
 DEFAULT_NOISE_SHARE = 0.0035
 """Standard deviation of a torque sample as a share of the joint's torque limit, where nothing better is known."""

@@ -35,6 +35,8 @@ DRAWN_TOGETHER = 0.1
 SHRINK = (1.0, 0.7, 0.45, 0.25, 0.12, 0.05, 0.02)
 INFORMATION_HZ = 500.0
 RATE_HZ = 1000.0
+WAY_HOME = (0.75, 0.5, 0.25, 0.1)
+"""Shares of a motion about its start posture at which it is examined, too, before it is descended from; ratio."""
 LARGEST_HARMONICS = 10
 GENTLE = 0.4
 """Share of the velocity and acceleration limits that a first run uses, and of the way from its start posture."""
@@ -105,29 +107,47 @@ def optimise(
     sharpness, softness, steps, tolerance = STAGES[0]
     function = problem.function(sharpness, softness)
     report(0.0, "drawing starts")
-    drawn = draw_feasible(problem, problem.function(sharpness, softness, slopes=False), rng, DRAWN)
-    starts = [*known_point(problem, function, known), *drawn[:DESCENDED]]
+    values = problem.function(sharpness, softness, slopes=False)
+    drawn = draw_feasible(problem, values, rng, DRAWN)
+    starts = [*known_point(problem, function, known), *_reachable(problem, values, drawn, DESCENDED)]
     found = []
     for number, (_, point) in enumerate(starts):
         share = 0.5 / len(starts)
         stage = _staged(report, 0.1 + share * number, share, steps, f"descent {number + 1} of {len(starts)}")
         found.append(descend(function, point, problem.space.rows, steps, tolerance, stage))
-    best = min(found, key=lambda descent: descent.value).point
-    points = [best]
-    for number, (sharpness, softness, steps, tolerance) in enumerate(STAGES[1:]):
-        function = problem.function(sharpness, softness)
-        if np.isfinite(function(best)[0]):
-            stage = _staged(report, 0.6 + 0.15 * number, 0.15, steps, "refining")
-            best = descend(function, best, problem.space.rows, steps, tolerance, stage).point
-            points.append(best)
-    report(0.9, "checking all limits")
-    # Sharper is not always better once judged exactly.
-    points.sort(key=lambda point: exact_value(problem, problem.space.series(point, 1)))
-    return _best_finished(problem, [*points, *(point for _, point in known_point(problem, function, known))])
+    # A descent may end where clearance is broken between samples, and motion drawn towards the start posture comes no
+    # farther from the floor: then the next descent is refined as well.
+    refusal = UserError()
+    finished: list[tuple[float, Excitation]] = []
+    for descent in sorted(found, key=lambda descent: descent.value):
+        points = [descent.point]
+        for number, (sharpness, softness, steps, tolerance) in enumerate(STAGES[1:]):
+            function = problem.function(sharpness, softness)
+            if np.isfinite(function(points[-1])[0]):
+                stage = _staged(report, 0.6 + 0.15 * number, 0.15, steps, "refining")
+                points.append(descend(function, points[-1], problem.space.rows, steps, tolerance, stage).point)
+        report(0.9, "checking all limits")
+        # Sharper is not always better once judged exactly.
+        points.sort(key=lambda point: exact_value(problem, problem.space.series(point, 1)))
+        try:
+            excitation, whole = _best_finished(problem, points)
+        except UserError as error:
+            refusal = error
+            continue
+        finished.append((exact_value(problem, excitation.series), excitation))
+        if whole:
+            break
+    else:
+        for _, point in known_point(problem, function, known):
+            excitation = finish(problem, point)
+            finished.append((exact_value(problem, excitation.series), excitation))
+    if not finished:
+        raise refusal
+    return min(finished, key=lambda pair: pair[0])[1]
 
 
-def _best_finished(problem: Problem, points: Sequence[FloatArray]) -> Excitation:
-    """The first point that `finish` leaves nearly as good as it was; where it draws all of them together, the best.
+def _best_finished(problem: Problem, points: Sequence[FloatArray]) -> tuple[Excitation, bool]:
+    """The first point that `finish` leaves nearly as good as it was, and True; else the best of them, and False.
 
     Raises:
         UserError: None can be joined within the limits.
@@ -143,10 +163,10 @@ def _best_finished(problem: Problem, points: Sequence[FloatArray]) -> Excitation
         value = exact_value(problem, excitation.series)
         found.append((value, excitation))
         if value < exact_value(problem, problem.space.series(point, 1)) + DRAWN_TOGETHER:
-            break
+            return excitation, True
     if not found:
         raise refusal
-    return min(found, key=lambda pair: pair[0])[1]
+    return min(found, key=lambda pair: pair[0])[1], False
 
 
 def optimise_harmonics(
@@ -227,6 +247,24 @@ def draw_feasible(
         require(check(Trajectory(problem.joints, (smallest,)), problem.needs))
         raise UserError("no motion about the start posture keeps all limits; choose another start posture with --start")
     return sorted(drawn, key=lambda pair: pair[0])
+
+
+def _reachable(
+    problem: Problem, function: Function, drawn: Sequence[tuple[float, FloatArray]], count: int
+) -> list[tuple[float, FloatArray]]:
+    """The best `count` drawn points that keep all limits on the whole way towards rest in the start posture.
+
+    The others move where only a detour leads, as round the floor: such a motion can neither be joined to the start
+    posture by one smooth move nor be drawn together where a peak between samples breaks a limit. They fill up.
+    """
+    near: list[tuple[float, FloatArray]] = []
+    far: list[tuple[float, FloatArray]] = []
+    for value, point in drawn:
+        if len(near) == count:
+            break
+        ways = (function(problem.home + share * (point - problem.home))[0] for share in WAY_HOME)
+        (near if all(np.isfinite(way) for way in ways) else far).append((value, point))
+    return [*near, *far][:count]
 
 
 def known_point(

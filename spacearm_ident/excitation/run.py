@@ -117,7 +117,7 @@ def plan_run(excitation: Trajectory, limits: MotionLimits, start: FloatArray) ->
     if outside.size:
         i = int(outside[0])
         raise UserError(
-            f"{names[i]} stands at {start[i]:.4f} rad, outside its limits "
+            f"{names[i]} is at {start[i]:.4f} rad, outside its limits "
             f"[{limits.lower[i]:.4f}, {limits.upper[i]:.4f}]; move it inside by hand or with the vendor's tool"
         )
     match excitation.segments:

@@ -87,7 +87,7 @@ def find_payload(model: IdentifiedModel, recordings: Sequence[Recording], frame:
     mass, error = float(values[0]), float(np.sqrt(covariance[0, 0]))
     if not mass > SURE * error:
         raise UnfitDataError(
-            f"no payload that stands out: {mass:.3g} kg, standard error {error:.2g} kg; hold one, or move the last "
+            f"no payload detected: mass {mass:.4f} ± {error:.4f} kg (standard error); attach one, or move the last "
             "joints through larger angles against gravity for ten seconds"
         )
 

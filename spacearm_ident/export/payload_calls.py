@@ -9,10 +9,10 @@ from ..dynamics.arm import FloatArray
 from .payload import Held
 
 GAIN_CAVEAT = (
-    "mass and inertia are as right as the gains (N m for each unit of effort): a gain that is 5 % too high makes both "
-    "5 % too large; the centre stays. Hold a known weight once, or calibrate the gains, where the mass must be right"
+    "mass and inertia are proportional to the torque gains (N m per unit of effort): a gain 5 % too high makes both "
+    "5 % too large; the centre does not change. Verify the gains with a known weight where the mass must be exact"
 )
-"""What is said with every payload: torque from currents knows no absolute scale."""
+"""Stated with every payload: torque from motor currents has no absolute scale of its own."""
 
 
 def urscript(held: Held) -> str:

@@ -140,8 +140,8 @@ def _write_thresholds(
     """Thresholds for contact detection, YAML or, by the file's name, JSON."""
     if validation is None or not validation.traces or not validation.held_out:
         raise UnfitDataError(
-            "thresholds need held-out motion without contact: name a result folder that was validated on recordings "
-            "the fit has not seen, or name such recordings with --validate"
+            "thresholds need held-out motion without contact: name a result folder that was validated on "
+            "held-out recordings, or name such recordings with --validate"
         )
     if out.suffix not in (".yaml", ".yml", ".json"):
         raise UserError(f"{out}: thresholds are written as .yaml or .json; name one of them")

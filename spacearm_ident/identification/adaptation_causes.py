@@ -43,7 +43,7 @@ def reason(adaptation: Adaptation, change: Change) -> str:
         gone = change.after_error > 0 and abs(change.after) < CLEAR * change.after_error
         if share is not None and _gone(adaptation):
             return "vacuum: nothing left of it" if gone else "vacuum, but not gone"
-        return "not told apart from the ground" if not change.moved else "moved by itself"
+        return "not distinguishable from the ground" if not change.moved else "moved by itself"
     if change.symbol.startswith("alpha"):
         if not change.moved:
             return "no slope over temperature"
@@ -98,7 +98,7 @@ def _vacuum(adaptation: Adaptation) -> Cause:
         return Cause("vacuum", None, "the ground model has no k_v2 and k_v3 that could vanish")
     text = f"{with_error(share.value, share.error)} of the ground's k_v2 and k_v3 is gone, all joints together"
     if share.error > 1.0 / CLEAR:
-        return Cause("vacuum", None, f"{text}: faster motion would tell")
+        return Cause("vacuum", None, f"{text}: faster motion would determine it")
     if _gone(adaptation):
         return Cause("vacuum", True, f"{text}; they are nothing now, within the error")
     if abs(share.value) < CLEAR * share.error:

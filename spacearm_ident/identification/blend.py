@@ -65,8 +65,8 @@ def blended(model: IdentifiedModel, fit: Fit, allow_plain: bool = True) -> Ident
 def blend_notes(model: IdentifiedModel) -> tuple[str, ...]:
     """What is blended into the prediction and why, for the user; empty where nothing is."""
     parts = {
-        "least squares without physical bounds": model.unbounded,
-        "a plain model of rigid bodies, Coulomb and viscous friction and offset": model.plain,
+        "least squares without the bounds of physical consistency": model.unbounded,
+        "a model with Coulomb and viscous friction alone": model.plain,
     }
     names = model.model.arm.joint_names
     described = [
@@ -77,9 +77,8 @@ def blend_notes(model: IdentifiedModel) -> tuple[str, ...]:
     if not described:
         return ()
     return (
-        f"predicted torque is in part that of {' and of '.join(described)}, which predict held-out data better or as "
-        "well: the physically consistent parameters leave something out there. Bodies, simulations and the URDF keep "
-        "them",
+        f"predicted torque is weighted with {' and '.join(described)}, which predict held-out data as well or better; "
+        "masses, inertias, the URDF and simulations use the physically consistent parameters alone",
     )
 
 

@@ -63,10 +63,9 @@ class CouplingTrial:
             f"{self.after[1]:.0%} of the torque (held-out data, moving, plain friction law)"
         )
         if self.helps:
-            return (
-                f"a last motor that turns with {first} and {last} was tried: {change}; add to the arm YAML: {self.line}"
-            )
-        return f"a last motor that turns with {first} and {last} was tried and is not the remedy: {change}"
+            remedy = f"add to the arm YAML: {self.line}"
+            return f"tried: a coupling of the last motor with {first} and {last}: {change}; {remedy}"
+        return f"tried, no improvement: a coupling of the last motor with {first} and {last}: {change}"
 
     def as_dict(self) -> dict[str, object]:
         """For programs."""

@@ -71,7 +71,7 @@ def judge(
         if determination is Determination.DATA and left[k] < BOUND_DECIDES:
             determination, note = Determination.BOUND, "held by what a body's inertia can be, more than by the data"
         if parameter.symbol == "f_b" and parameter.joint in unseen_constants and determination is Determination.DATA:
-            determination, note = Determination.PRIOR, "its Stribeck velocity is not seen by the data"
+            determination, note = Determination.PRIOR, "its Stribeck velocity is not excited in these data"
         error = float("nan") if determination in (Determination.FIXED, Determination.PRIOR) else float(errors[k])
         if determination is Determination.COMBINED:
             error = float("nan")
@@ -156,7 +156,7 @@ def _constant(
         edge = "lower" if value <= positive[0] * 1.0001 else "upper"
         return estimate(nan, Determination.BOUND, f"at the {edge} end of its range: the data cannot see it")
     if unbounded:
-        return estimate(nan, Determination.BOUND, "the data do not tell it from an end of its range")
+        return estimate(nan, Determination.BOUND, "the data do not distinguish it from an end of its range")
     if error > KNOWN_LOGARITHM * value or error == 0.0:
         return estimate(error or nan, Determination.PRIOR, "this motion hardly reveals it")
     return estimate(error, Determination.DATA, "")

@@ -190,9 +190,9 @@ class GravityEstimate:
                 text += f", {tilt[0]:.2f} ± {tilt[1]:.2g} degrees from {triple(self.before)}"
             text += f", size {size:.2f} " + ("held" if self.size_held else f"± {error:.2g}")
             if not self.size_held and error > SEEN_SHARE * GRAVITY_SCALE:
-                text += ", which this motion does not tell from the masses"
+                text += ", which this motion does not separate from the masses"
         dark = [axis for axis, seen in zip("xyz", self.seen) if not seen]
-        return text + (f"; {', '.join(dark)} not seen, from the prior" if dark and not self.size_held else "")
+        return text + (f"; {', '.join(dark)} not excited, from the prior" if dark and not self.size_held else "")
 
 
 @dataclass(frozen=True)

@@ -277,7 +277,7 @@ def _notes(motions: Sequence[Motion], at_rest: Sequence[str]) -> tuple[str, ...]
             f"{len(motion.position) / motion.rate_hz:.4g} s averaged"
         )
     for joint in at_rest:
-        notes.append(f"{joint} never moves: nothing is known of its friction, and less of its inertia")
+        notes.append(f"{joint} does not move: its friction cannot be identified, its inertia only in part")
     return tuple(notes)
 
 

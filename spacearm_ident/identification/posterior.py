@@ -82,7 +82,7 @@ def posterior(regression: Regression, matrices: list[FloatArray], targets: list[
         hats = np.array([np.sum((m @ spread) * m * weight[:, None]) for m, weight in zip(matrices, weights)])
     effective = np.array([one.effective for one in noise])
     if not effective.any():
-        raise UnfitDataError("no joint moves long enough to tell anything: record a few seconds of motion")
+        raise UnfitDataError("no joint moves long enough to identify anything: record a few seconds of motion")
     freedom = (effective - hats / 2.0) / np.array([one.squared_share for one in noise])
     sigma = np.array([one.sigma for one in noise])
     return Posterior(mean, spread, sigma, effective, np.maximum(freedom, LEAST_FREEDOM))

@@ -134,14 +134,14 @@ def _headline(level: Level, identified: Identified, validation: Validation) -> s
 
 def _joint(name: str, identified: Identified, validation: Validation) -> JointVerdict:
     """The verdict by how well the joint is predicted."""
-    rests = ("it never moves in the data of the fit: nothing is known of its friction, and less of its inertia",)
+    rests = ("it does not move in the data of the fit: its friction cannot be identified, its inertia only in part",)
     at_rest = rests if name in identified.joints_at_rest else ()
     joint = validation.joints.get(name)
     if joint is None or not math.isfinite(joint.moving.relative_rms):
         return JointVerdict(Level.UNKNOWN, at_rest or (_why_unknown(joint),))
     share = joint.moving.relative_rms
     if share > NO_BETTER_THAN_NOTHING:
-        words = f"the residual is {_percent(share)} of the torque: a prediction of no torque would be nearer"
+        words = f"the residual is {_percent(share)} of the torque: predicting zero torque would be more accurate"
         return JointVerdict(Level.SUSPECT, (*at_rest, words))
     if share > FAIR:
         return JointVerdict(Level.POOR, (*at_rest, f"the residual is {_percent(share)} of the torque"))
@@ -203,12 +203,12 @@ def _contradiction(identified: Identified) -> str:
         return ""
     words = f"The bound of physical consistency moved a base parameter by {shift:.2g} of its standard errors: "
     if shift <= IMPOSSIBLE:
-        return words + "the masses and inertias rest on the bound, and errors of such parameters are too small"
+        return words + "masses and inertias lie at the bound, and their standard errors are too small"
     held = [f"J_m of {item.joint}" for item in identified.estimates if _at_zero(item)]
     if held:
-        words += f"it alone keeps the masses and inertias possible ({', '.join(held)} at zero); "
+        words += f"only the bound keeps masses and inertias possible ({', '.join(held)} at zero); "
     else:
-        words += "it alone keeps the masses and inertias possible; "
+        words += "only the bound keeps masses and inertias possible; "
     return words + "check the signs and constants of the torques, the gravity vector and the kinematics"
 
 

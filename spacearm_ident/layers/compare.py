@@ -346,7 +346,7 @@ def _suspicions(suspected: Sequence[Suspicion]) -> tuple[str, ...]:
     return tuple(
         f"suspected, {one.probability:.0%}: "
         + ", ".join(f"{_wiring_words(name)} {value:.3g}" for name, value in zip(one.names, one.values))
-        + "; links of other mass say nearly the same, so nothing was corrected for it"
+        + "; statistically indistinguishable from links of another mass, and therefore not corrected"
         for one in suspected
     )
 
@@ -361,10 +361,10 @@ def _unnamed(small: Sequence[Added], gone: Sequence[Added]) -> tuple[str, ...]:
     notes = []
     if small:
         words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in small)
-        notes.append(f"in the model, for held-out parts are predicted better with it, but within its error: {words}")
+        notes.append(f"in the model since it predicts held-out data better, but not significant: {words}")
     if gone:
         words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in gone)
-        notes.append(f"found, but another recording does not show it, and left out: {words}")
+        notes.append(f"found in the fit but not replicated in held-out recordings, and left out: {words}")
     return tuple(notes)
 
 

@@ -10,7 +10,7 @@ from ..dynamics.arm import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..mismatch.finding import Detectable, Explanation
 from .conventions import Suspicion
-from .item import Layer
+from .item import CONVENTIONS, PARAMETERS, PHYSICS, Layer
 from .wiring import Wiring
 
 
@@ -27,6 +27,10 @@ class Trace:
     measured: FloatArray
     simulated: FloatArray
     mended: FloatArray
+
+
+COUNTED = {CONVENTIONS: "convention", PARAMETERS: "parameter", PHYSICS: "physical effect"}
+"""Layer -> what one of its items is."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +84,13 @@ class Comparison:
         """The answer in one line."""
         if not self.fit:
             return f"data unfit: {'; '.join(self.reasons)}"
-        counted = [f"{len(layer.items)} of {layer.name}" for layer in self.layers[:3] if layer.items]
+        counted = [
+            f"{len(layer.items)} {COUNTED[layer.name]}{'s' if len(layer.items) > 1 else ''}"
+            for layer in self.layers[:3]
+            if layer.items
+        ]
         with np.errstate(invalid="ignore", divide="ignore"):
             before, after = (float(np.nanmedian(rms / self.torque_Nm)) for rms in (self.before_Nm, self.after_Nm))
-        what = ", ".join(counted) or "nothing beyond its error"
-        return f"simulation against arm: {what}; residual {before:.0%} -> {after:.1%} of the torque (median joint)"
+        what = ", ".join(counted) or "no significant difference"
+        share = f"residual {before:.0%} -> {after:.1%} of the torque (median joint)"
+        return f"simulation compared with the arm: {what}; {share}"

@@ -199,7 +199,7 @@ def where_words(symbol: str, joint: str, simulation: Simulation, alone: bool) ->
         "mc": f"first moment of {body} along its {axis} axis",
         "I": f"inertia of {body} ({axis}, about {joint})",
     }[symbol.rstrip("xyz")]
-    return what if alone else f"{what}, with what of the links beyond acts like it"
+    return what if alone else f"{what}, with the indistinguishable part of the outer links"
 
 
 def combination_of(change: Change, linear: Linear, simulation: Simulation) -> dict[str, float]:

@@ -120,7 +120,7 @@ def _without_position(log: Search, chosen: dict[str, Group]) -> dict[str, Group]
                 f"{log.where}: no columns of the positions of {len(log.arm.joints)} joints found; is --arm its "
                 f"arm? It has {', '.join(list(log.table.columns)[:12])}"
             )
-        log.ask(f"position of the joints is not told by any name ({there})", "position=NAME")
+        log.ask(f"position of the joints is not found by any name ({there})", "position=NAME")
     return {}
 
 

@@ -174,7 +174,7 @@ def _torque_by_weight(log: Search, group: Group, position: FloatArray) -> str:
                 log.tell("effort", group.name, unit, why)
                 return unit
     log.ask(
-        f"{group.name}: the unit is not written, and the weight of the arm does not tell",
+        f"{group.name}: the unit is not written, and the weight of the arm does not decide it",
         "effort_unit='N m'|A|mA|percent",
     )
     return "N m"

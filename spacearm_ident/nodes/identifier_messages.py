@@ -64,7 +64,7 @@ def tracked_statuses(arm: str, state: TrackingState) -> list[DiagnosticStatus]:
     """
     statuses = []
     for item in state.parameters:
-        note = "" if item.informed else "no motion has told of it yet"
+        note = "" if item.informed else "not excited by any motion yet"
         entry = _Entry(item.symbol, item.joint, item.unit, item.value, item.standard_error, TRACKED, note)
         status = _status(arm, entry)
         status.name = f"{TRACKED} {status.name}"

@@ -15,6 +15,9 @@ from .identifier_environment import surroundings_of
 from .runtime import LiveNode
 from .tracking_stream import TrackingChoice
 
+DEFAULT_FOLDER = "identified"
+"""Result folder where the parameter `result_directory` is not set; below the working directory."""
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -71,12 +74,12 @@ def declare(node: LiveNode) -> IdentifierSettings:
     reference = _file(node, "mismatch_reference", text)
     simulation = _file(node, "simulation", "MJCF, URDF, SDF or model.yaml to compare every run with; empty: not")
     if reference is not None and simulation is not None:
-        raise UserError("parameters simulation and mismatch_reference: give one of them, the other empty")
+        raise UserError("parameters simulation and mismatch_reference: set one of them, leave the other empty")
     return IdentifierSettings(
         how=how,
         buffer_s=buffer_s,
         auto=node.parameter("auto_identify", True, "Identify (then validate) when a run has ended"),
-        directory=Path(node.parameter("result_directory", "identified", "Result folder")).expanduser(),
+        directory=_result_directory(node),
         row_rate_hz=node.parameter("residual_rate_hz", 50.0, "Rate of /identifier/residuals, Hz", low=0.1, high=1000.0),
         model=_file(node, "model", "model.yaml to watch the residual of from the start"),
         replay=_replay(node),
@@ -85,6 +88,14 @@ def declare(node: LiveNode) -> IdentifierSettings:
         tracking=tracking,
         change_window_s=_change_window(node, tracking is not None, buffer_s),
     )
+
+
+def _result_directory(node: LiveNode) -> Path:
+    """The result folder; that of a namespace lies below the default one, so that two arms never share a folder."""
+    place = node.get_namespace().strip("/")
+    text = "Result folder; in a namespace and left at its default: a folder of that name in it"
+    chosen = Path(node.parameter("result_directory", DEFAULT_FOLDER, text)).expanduser()
+    return chosen / place if place and chosen == Path(DEFAULT_FOLDER) else chosen
 
 
 def _how(node: LiveNode) -> Options:
@@ -126,7 +137,7 @@ def _tracking(node: LiveNode) -> TrackingChoice | None:
         node.parameter("tracking_payload", False, "Follow a body on the last link as well: where there is a gripper"),
         node.parameter("tracking_temperature", False, "Follow how friction goes with the joint temperatures as well"),
         node.parameter(
-            "tracking_memory_s", 60.0, "Moving time after which what was learned has faded, s", low=5.0, high=3600.0
+            "tracking_memory_s", 60.0, "Moving time after which what was estimated has faded, s", low=5.0, high=3600.0
         ),
     )
     return choice if wanted else None

@@ -80,7 +80,7 @@ class LiveTracking:
     def status(self) -> Status:
         """For `/diagnostics`."""
         if self._broken:
-            return Status(Level.ERROR, f"{self._broken}; it begins anew with the next model", self._figures, PART)
+            return Status(Level.ERROR, f"{self._broken}; it restarts with the next model", self._figures, PART)
         if self.state is None:
             return Status(Level.OK, "waiting for joint states", part=PART)
         parameters = self.state.parameters

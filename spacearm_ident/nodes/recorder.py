@@ -29,7 +29,9 @@ class Recorder(LiveNode):
         self._directory = Path(
             self.parameter("directory", ".", "folder the bags are put into; made if missing")
         ).expanduser()
-        self._prefix = self.parameter("prefix", "run", "first part of a bag's name; date and time follow")
+        # Two recorders that are started in one folder name their bags by their arms.
+        usual = "_".join([*filter(None, self.get_namespace().split("/")), "run"])
+        self._prefix = self.parameter("prefix", usual, "first part of a bag's name; date and time follow")
         self._buffer_bytes = 2**20 * self.parameter(
             "buffer_mb", 64, "messages that may wait for the disk, MiB; more are dropped and counted", low=1, high=4096
         )

@@ -42,7 +42,7 @@ class SimulatedArm(LiveNode):
             low=COLDEST,
             high=WARMEST,
         )
-        conceal = self.parameter("conceal", "", "file of physics the model does not know; empty: none")
+        conceal = self.parameter("conceal", "", "file of physics that the model lacks; empty: none")
         priority = self.parameter("realtime_priority", 60, "SCHED_FIFO priority of the drives; 0: none", low=0, high=99)
         config = load_arm_can(Path(file) if file else config_path("paper_arm_can.yaml"))
         self.hardware_id = f"{config.arm.name} (simulated)"

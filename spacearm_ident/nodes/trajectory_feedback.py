@@ -83,7 +83,7 @@ class Feedback:
             raise UserError("/joint_states is not a number; check the driver")
         fast = np.flatnonzero(np.abs(velocity) > slow)
         if fast.size:
-            raise UserError(f"{joints[fast[0]]} moves at {velocity[fast[0]]:.3f} rad/s; wait until the arm stands")
+            raise UserError(f"{joints[fast[0]]} moves at {velocity[fast[0]]:.3f} rad/s; wait until the arm is at rest")
         return position
 
     def _columns(self, block: cdr.JointStateBlock) -> list[int]:

@@ -136,10 +136,10 @@ def look_once(wait_s: float, most_parameters: int, namespace: str = "") -> View:
         while not listener.state.nodes_heard:
             if time.monotonic() > end and listener.elsewhere:
                 heard = ", ".join(sorted(listener.elsewhere))
-                raise UnfitDataError(f"no node was heard in /{namespace}, but in {heard}: say --namespace")
+                raise UnfitDataError(f"no node was found in /{namespace}, but in {heard}: say --namespace")
             if time.monotonic() > end:
                 raise UnfitDataError(
-                    f"no node of spacearm_ident was heard within {wait_s:g} s: start them (docs/live.md), or set "
+                    f"no node of spacearm_ident was found within {wait_s:g} s: start them (docs/live.md), or set "
                     "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as theirs are"
                 )
             listener.spin(SPIN_S)

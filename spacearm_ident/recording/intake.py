@@ -211,11 +211,11 @@ class Intake:
         log_times = int64_ns(stream.log_times_ns)
         constant = bool(decoded.any()) and _carries_no_time(stamps[decoded])
         if constant:
-            text = f"the {decoded.sum()} header stamps carry no time; that of recording stands in"
+            text = f"the {decoded.sum()} header stamps carry no time; the time of recording is used"
             notes.append(("log_time_used", text, int(decoded.sum())))
         backward = not constant and bool(decoded.any()) and _counts_backwards(stamps[decoded])
         if backward:
-            text = "the header stamps count backwards; the order of recording stands"
+            text = "the header stamps count backwards; the order of recording is kept"
             notes.append(("backward_clock", text, len(stamps)))
         on_log_time = constant or use_log_time
         if backward:

@@ -8,7 +8,7 @@ from typing import Any
 from ..identification.identified import Identified
 from ..identification.updated import TOLD
 from .markup import Markup, element, join, measured, number, unit_text
-from .provenance import FITTED, OPTIONS, RECORDED, VALIDATED
+from .provenance import EPOCH, FITTED, OPTIONS, RECORDED, VALIDATED
 
 
 def structure(identified: Identified) -> Markup:
@@ -33,12 +33,13 @@ def structure(identified: Identified) -> Markup:
             )
             for choice in ordered
         ]
-        parts.append(element("table", element("thead", header), element("tbody", *rows)))
+        table = element("table", element("thead", header), element("tbody", *rows))
+        parts.append(element("div", table, class_="wide"))
         parts.append(
             element(
                 "p",
-                "How much better held-out blocks of the data are predicted with the term, everything fitted again: "
-                "mean drop over its standard error. A term joins where chance would hardly give as much.",
+                "Gain: mean reduction of the squared error on held-out blocks by the term, all refitted, over its "
+                "standard error. A term of friction is added where its gain is significant.",
                 class_="quiet",
             )
         )
@@ -49,7 +50,7 @@ def since_the_prior(identified: Identified) -> Markup | None:
     """What an update moved, the farthest first; nothing without a prior."""
     if not identified.moves:
         return None
-    heads = ("", "prior ± sd", "now ± standard error", "moved, sd of the prior", "told by the data", "unit")
+    heads = ("", "prior ± sd", "now ± standard error", "moved, sd of the prior", "determined by the data", "unit")
     header = element(
         "tr", *(element("th", head, class_="text" if k in (0, 5) else None) for k, head in enumerate(heads))
     )
@@ -70,8 +71,8 @@ def since_the_prior(identified: Identified) -> Markup | None:
         element("h2", "Since the prior"),
         element(
             "p",
-            "The prior's standard deviation has room for a change of friction since. Told by the data: the share of "
-            "the prior's variance that they took away; grey rows are the prior's.",
+            "The prior's standard deviation allows for a change of friction since then. Determined by the data: the "
+            "reduction of the prior's variance; grey rows rest on the prior.",
             class_="quiet",
         ),
         element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide"),
@@ -94,11 +95,11 @@ def obtained(identified: Identified) -> Markup:
     ]
     facts: list[tuple[str, object]] = [
         ("bandwidth", f"{number(bandwidth.cutoff_hz)} Hz: {bandwidth.reason}"),
-        ("solver", identified.solver or "not said"),
+        ("solver", identified.solver or "not recorded"),
         ("rows fitted", " · ".join(rows)),
         ("physical consistency", _consistency(identified.consistency_shift)),
         ("gravity", f"({', '.join(number(float(g), 4) for g in arm.gravity)}) m/s² in the base frame"),
-        *([("recorded, UTC", "; ".join(_when(run) for run in runs))] if isinstance(runs, list) else ()),
+        *recorded(runs),
         *((str(key).replace("_", " "), fact(value)) for key, value in known.items()),
     ]
     return join(
@@ -118,14 +119,21 @@ def obtained(identified: Identified) -> Markup:
 
 def _consistency(shift: float) -> str:
     if shift == 0.0:
-        return "the data's estimate was physically consistent by itself"
+        return "the estimate was physically consistent without the bound"
     return f"imposing it moved no base parameter by more than {number(shift, 2)} of its standard errors"
+
+
+def recorded(runs: Any) -> tuple[tuple[str, str], ...]:
+    """The fact of when runs were recorded, for a page; none where the provenance does not say."""
+    return (("recorded, UTC", "; ".join(_when(run) for run in runs)),) if isinstance(runs, list) else ()
 
 
 def _when(run: Any) -> str:
     """Start and length of a run, and how warm its joints were."""
     known = run if isinstance(run, Mapping) else {}
-    text = f"{known.get('start', '')}, {_plain(known.get('duration_s', ''))} s"
+    start = str(known.get("start", ""))
+    when = "no date" if start.startswith(EPOCH) else start[:16].replace("T", " ")
+    text = f"{when}, {_plain(known.get('duration_s', ''))} s"
     warm = known.get("temperature_C")
     return text + (f" at {fact(warm)} °C" if isinstance(warm, Mapping) else "")
 
@@ -156,7 +164,8 @@ def source_table(sources: Any, title: str) -> Markup | None:
     header = (
         element("th", head, class_=kind) for head, kind in ((title, "text"), ("bytes", None), ("SHA-256", "text"))
     )
-    return element("table", element("thead", element("tr", *header)), element("tbody", *_source_rows(named)))
+    table = element("table", element("thead", element("tr", *header)), element("tbody", *_source_rows(named)))
+    return element("div", table, class_="wide")
 
 
 def _source_rows(sources: Iterable[Mapping[str, Any]]) -> Iterable[Markup]:

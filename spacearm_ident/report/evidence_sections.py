@@ -39,8 +39,8 @@ def why_two_bandwidths(result: Result) -> Markup | None:
         "p",
         f"Why the two differ: {above} of the unfiltered residual's power lies above {cutoff:.3g} Hz. There the "
         "torque signal holds measurement noise, friction transitions at velocity reversals and vibration, which a "
-        "rigid-body model does not predict. The filtered figure says how good the model is, the unfiltered one how far "
-        "a single torque sample is from it. The spectra below show which frequencies they are.",
+        "rigid-body model does not predict. The filtered figure measures the model, the unfiltered one the error of "
+        "a single torque sample. The spectra below show the frequencies.",
         class_="quiet",
     )
 
@@ -54,8 +54,8 @@ def spectrum(result: Result) -> Iterable[Markup]:
     yield _captioned(
         figures.spectrum(known, result.identified.bandwidth.cutoff_hz, result.identified.model.model.arm),
         "Power spectral density of the unfiltered torque (grey) and of the residual (orange) on the validation data; "
-        "dashed: the bandwidth of the fit. Left of it the residual should lie far below the torque; a line that stands "
-        "out is an effect at that frequency.",
+        "dashed: the bandwidth of the fit. Left of it the residual should lie far below the torque; a peak is "
+        "an effect at that frequency.",
     )
 
 
@@ -149,8 +149,8 @@ def masses_on_the_arm(result: Result) -> Markup | None:
         _captioned(
             figures.masses(identified, pose),
             "Each link\u2019s mass as a disc at its centre of mass, area by mass. Ring: CAD. Filled blue: determined "
-            "by the data; filled grey: known only in a combination with others, at a bound, or from CAD, so it "
-            "says little on its own. The arm is drawn in the first posture of the "
+            "by the data; filled grey: known only in a combination with others, at a bound, or from CAD, "
+            "and not determined by itself. The arm is drawn in the first posture of the "
             "validation, from the side; numbers as above.",
         ),
     )
@@ -173,7 +173,7 @@ def correlated(identified: Identified) -> Markup | None:
     words = (
         f"Pairs with a correlation of {STRONG:g} or more in size: "
         + "; ".join(f"{names[a]} and {names[b]} {number(float(matrix[a, b]), 2)}" for a, b in strong)
-        + ". The data fix their combination better than either of them."
+        + ". The data determine their combination better than either of them."
         if strong
         else f"No two of the {len(chosen)} parameters that the data determine are correlated by {STRONG:g} or more."
     )

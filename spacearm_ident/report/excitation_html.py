@@ -44,10 +44,10 @@ def excitation_html(needs: Requirements, runs: Sequence[Run], margins: Sequence[
             element("h2", f"All limits of {len(arm.joints)} joints kept"),
             element(
                 "p",
-                f"Nearest: {nearest.kind} of {nearest.where}, {percent(nearest.used)} of what is allowed. Record the "
+                f"Closest to its limit: {nearest.kind} of {nearest.where}, {percent(nearest.used)} of it. Record the "
                 "gentle run first: a wrong sign, limit or brake shows there at less than half the speed."
                 if len(runs) > 1
-                else f"Nearest: {nearest.kind} of {nearest.where}, {percent(nearest.used)} of what is allowed.",
+                else f"Closest to its limit: {nearest.kind} of {nearest.where}, {percent(nearest.used)} of it.",
             ),
             class_="verdict good",
         ),
@@ -74,7 +74,7 @@ def _margins(margins: Sequence[Margin]) -> Markup:
         "tr",
         *(
             element("th", text, scope="col", class_=None if k > 1 else "text")
-            for k, text in enumerate(("limit", "nearest to it", "value", "allowed", "at", "used"))
+            for k, text in enumerate(("quantity", "closest to its limit", "value", "limit", "at", "used"))
         ),
     )
     rows = [
@@ -91,7 +91,7 @@ def _margins(margins: Sequence[Margin]) -> Markup:
     ]
     table = element("table", element("thead", head), element("tbody", *rows))
     return join(
-        element("h2", "Nearest to each limit"),
+        element("h2", "Margin of every limit"),
         element("div", table, class_="wide"),
         element("p", "Of the full run, checked every 2 ms, approach and return included.", class_="quiet"),
     )
@@ -103,12 +103,12 @@ def _run(needs: Requirements, name: str, run: Trajectory) -> Markup:
         element("h2", name),
         captioned(
             _signals(needs, times, run),
-            "Position, velocity and predicted torque of every joint. Dashed: what is allowed; where it lies outside "
-            "the panel it is far away. The torque is the model's, or that of the CAD links where none is given.",
+            "Position, velocity and predicted torque of every joint. Dashed: the limit, where it is within "
+            "the panel. The torque is that of the model, or of the CAD inertials without one.",
         ),
         captioned(
             _postures(needs.identified.model.arm, run),
-            "The arm's joints in postures of the run, even in time, m; the thick one is the posture of rest.",
+            "The arm's joints in postures at equal times of the run, m; thick: the start posture.",
         ),
     )
 

@@ -38,17 +38,17 @@ def exports(model: IdentifiedModel, validation: Validation) -> Markup:
             "tr",
             element("td", who, class_="text wrap"),
             element("td", element("code", f"spacearm export . --to {name} --out {file}"), class_="text"),
-            element("td", ", ".join(lost) or "nothing", class_="text wrap"),
+            element("td", ", ".join(lost) or "nothing", class_="text wrap note"),
         )
         for name, who, file, lost in offers
     ]
-    header = element("tr", *(element("th", text, class_="text") for text in ("for", "command", "does not hold")))
+    header = element("tr", *(element("th", text, class_="text") for text in ("for", "command", "cannot represent")))
     return join(
         element("h2", "For simulators and controllers"),
         element(
             "p",
-            "Run in the folder of this page. What a format does not hold is not cut off: its own parameters are fitted "
-            "to it, and what that costs at each joint, in N·m, is printed and stands at the head of the file.",
+            "Run in the folder of this page. Where a format cannot represent a term, its parameters are fitted to it; "
+            "the remaining error of each joint's torque is printed and written at the head of the file.",
             class_="quiet",
         ),
         element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide"),

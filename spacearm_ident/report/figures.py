@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +16,7 @@ from ..dynamics.model import IdentifiedModel
 from ..identification.identified import Determination, Estimate, Identified, Trace
 from .markup import MINUS, Markup, unit_text
 from .plotting import CLOUD_MOVING, CLOUD_STANDING, COLOUR, decimated, grid, stacked, thinned, to_svg
-from .tables import by_joint
+from .tables import by_joint, shown_value
 
 BINS, FEWEST_IN_BIN = 30, 5
 JOIN_SHARE = 0.015
@@ -235,7 +235,7 @@ def parameters(identified: Identified) -> Markup:
     symbols: dict[str, list[Estimate]] = {}
     for estimates in listing.values():
         for item in estimates:
-            symbols.setdefault(item.symbol, []).append(item)
+            symbols.setdefault(item.symbol, []).append(replace(item, value=shown_value(item)))
     with grid(len(symbols), 6, 1.4, left_in=0.46, below_in=0.26) as (figure, panels):
         for axes, (symbol, items) in zip(panels, symbols.items()):
             axes.axhline(0.0, color=COLOUR["muted"], linewidth=0.5)

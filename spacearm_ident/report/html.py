@@ -10,14 +10,15 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from ..dynamics.arm import Arm
 from ..identification.counts import DEFINITION
-from ..identification.identified import Fit, JointValidation
+from ..identification.identified import Fit, Identified, JointValidation
 from ..identification.verdict import FAIR, GOOD
 from . import figures
 from .details import obtained, since_the_prior, structure
 from .evidence_sections import correlated, masses_on_the_arm, recordings, spectrum, why_two_bandwidths
 from .exports import exports
-from .markup import NOTHING, Markup, breakable, element, join, number, percent, unit_text
+from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent
 from .opening import Opening, opening
 from .parameter_tables import base_table, determination_key, matrix, whole_list
 from .store import Result
@@ -87,7 +88,7 @@ def _verdict(first: Opening) -> Markup:
         element(
             "p",
             f"Good: the worst joint's residual is at most {100 * GOOD:g} % of its torque (RMS) while it moves; "
-            f"fair: at most {100 * FAIR:g} %. Suspect: the model says what no arm can be, however well it fits.",
+            f"fair: at most {100 * FAIR:g} %. Suspect: physically impossible, however well it fits.",
             class_="quiet",
         ),
     )
@@ -99,7 +100,7 @@ def _validation(result: Result) -> Markup:
         return join(element("h2", "Validation"), element("p", "No joint was validated."))
     tested = any(joint.lack_of_fit for joint in joints.values())
     names = ["rows", "RMSE", "MAE", "max", "R", "residual / torque"]
-    unit = unit_text(result.identified.model.model.arm.effort_unit)
+    unit = _effort_units(result.identified.model.model.arm)
     heads = [element("th", name) for name in (*names, *(["lack of fit F"] if tested else []))]
     shares = [fit.relative_rms for joint in joints.values() for _, fit in _kinds(joint)]
     widest = max((share for share in shares if np.isfinite(share)), default=1.0) or 1.0
@@ -110,9 +111,8 @@ def _validation(result: Result) -> Markup:
             "p",
             f"Torque and prediction are compared up to {result.identified.bandwidth.cutoff_hz:.3g} Hz, the "
             "bandwidth of the fit, and as recorded (unfiltered). RMSE, MAE and maximum in "
-            f"{unit}. At standstill friction "
-            "holds whatever the rest of the torque is, so a low figure cannot be expected there. All bars have one "
-            f"scale: a full cell is {percent(widest)}.",
+            f"{unit}. At standstill static friction takes any value up to its limit, which no friction model predicts: "
+            f"the residual is large there. All bars have one scale: a full cell is {percent(widest)}.",
             class_="quiet",
         ),
         why_two_bandwidths(result),
@@ -124,12 +124,20 @@ def _validation(result: Result) -> Markup:
         element(
             "p",
             "Lack of fit: mean square of the residual that repeats from period to period over that of the scatter "
-            "between periods; about 1 when the model leaves nothing out.",
+            "between periods; near 1 for a complete model.",
             class_="quiet",
         )
         if tested
         else None,
     )
+
+
+def _effort_units(arm: Arm) -> str:
+    """Units of a table over all joints, in words: `N·m`, `N`, or `N·m (N for slide)`."""
+    sliding = [joint.name for joint in arm.joints if not joint.revolute]
+    if not sliding:
+        return "N·m"
+    return "N" if len(sliding) == len(arm.joints) else f"N·m (N for {listed(sliding)})"
 
 
 def _joint_rows(name: str, joint: JointValidation, widest: float, tested: bool) -> Markup:
@@ -205,21 +213,27 @@ def _signals(result: Result) -> Iterable[Markup]:
     yield element("h2", "Residual over velocity")
     yield captioned(
         figures.over_velocity(signals),
-        "Blue: the joint moves; grey: it stands still. Line: mean over ranges of equally many moving samples. "
-        "A line that leaves zero is friction the model does not have.",
+        "Blue: the joint moves; grey: it is at rest. Line: mean over ranges of equally many moving samples. "
+        "Where it differs from zero, the model lacks a friction term.",
     )
     yield element("h2", "Friction")
     pose = np.mean(np.concatenate([trace.position for trace in validation.traces if len(trace.time)]), axis=0)
     yield captioned(
         figures.friction(model, signals, pose),
         "Line: the model's friction in steady motion, in the mean pose of the recording. Dots: the same plus the "
-        "residual, that is the measured torque less everything else in the model, while the joint moves.",
+        "residual, which is the measured torque minus all other terms of the model, while the joint moves.",
     )
 
 
 def captioned(drawing: Markup, caption: str) -> Markup:
     """A figure with its caption."""
     return element("figure", drawing, element("figcaption", caption))
+
+
+def _slide_units(identified: Identified) -> str:
+    """What the units of prismatic joints are in a figure whose panels are labelled with those of revolute ones."""
+    sliding = [joint.name for joint in identified.model.model.arm.joints if not joint.revolute]
+    return f" Prismatic, with m in place of rad and N in place of N·m: {listed(sliding)}." if sliding else ""
 
 
 def _parameters(result: Result) -> Markup:
@@ -232,7 +246,8 @@ def _parameters(result: Result) -> Markup:
         determination_key(),
         captioned(
             figures.parameters(identified),
-            f"Values with their 95 % intervals, where the data give one. {' · '.join(key)}.",
+            f"Values with their 95 % intervals, where the data determine one. {' · '.join(key)}."
+            f"{_slide_units(identified)}",
         ),
         element("h3", "Values ± standard errors"),
         matrix(identified),

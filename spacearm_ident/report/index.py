@@ -22,7 +22,7 @@ from .folder import REPORT, replacing
 from .html import page
 from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent
 from .mismatch_folder import DOCUMENT
-from .provenance import moment
+from .provenance import EPOCH, moment
 from .store import FIGURES, Result, load_result
 from .trend_figures import arm_section
 from .trends import arm_of, date_text, runs_by_arm
@@ -52,7 +52,8 @@ class Entry:
     def recorded(self) -> str:
         """When its first run was, `2025-01-31 12:05` UTC; empty where it does not say."""
         when = moment(self.result.identified.model.provenance) if self.result else None
-        return date_text(when.start) if when else ""
+        text = date_text(when.start) if when else ""
+        return "" if text.startswith(EPOCH) else text
 
     @property
     def written(self) -> str:
@@ -86,9 +87,7 @@ def write_index(directory: Path, progress: Progress = lambda share, what: None) 
     entries = with_failures(find_results(directory, progress), directory, *_failures(directory))
     mismatches = find_mismatches(directory)
     if not entries and not mismatches:
-        raise UserError(
-            f"no result in {directory} or below: give a folder that holds some of 'spacearm identify --out'"
-        )
+        raise UserError(f"no result in {directory} or below: name a folder with results of 'spacearm identify --out'")
     with replacing(directory, marker=None) as staging:
         (staging / INDEX).write_text(index_html(directory.resolve().name, entries, mismatches), encoding="utf-8")
     return directory / INDEX
@@ -166,6 +165,9 @@ def find_mismatches(directory: Path) -> list[MismatchEntry]:
         try:
             data = json.loads((folder / DOCUMENT).read_text(encoding="utf-8"))
             found = tuple(f"{item['effect']} at {', '.join(item['joints'])}" for item in data["findings"])
+            found += tuple(
+                f"{layer['layer']}: {len(layer['items'])} differ" for layer in data.get("layers", ()) if layer["items"]
+            )
             entries.append(MismatchEntry(name, str(data["verdict"]), found))
         except (OSError, ValueError, KeyError, TypeError) as error:
             entries.append(MismatchEntry(name, f"cannot be read ({type(error).__name__} {error})", ()))
@@ -216,7 +218,7 @@ def _runs(entries: Sequence[Entry]) -> Markup:
         "verdict",
         "worst residual, moving",
         "lowest R",
-        "moved since the run before",
+        "changed since the run before",
     )
     kinds = ("text", "text", "text", "text", "text", "wrap", "wrap", "text wrap")
     header = element("tr", *(element("th", head, class_=kind) for head, kind in zip(heads, kinds)))
@@ -234,8 +236,8 @@ def _runs(entries: Sequence[Entry]) -> Markup:
         element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide"),
         element(
             "p",
-            f"Moved: by more than {FAR:g} standard errors of the difference, since the run before of the same arm; of "
-            "those parameters that have an error in both. Side by side: ",
+            f"Changed: by more than {FAR:g} standard errors of the difference to the run before of the arm; counted "
+            "among parameters with a standard error in both. Side by side: ",
             element("code", "spacearm report DIR --compare RUN RUN"),
             ".",
             class_="quiet",
@@ -255,7 +257,7 @@ def _run_row(entry: Entry, result: Result, before: Entry | None) -> Markup:
         element("td", verdict.level, class_=f"text {verdict.level}", title=verdict.headline),
         element("td", percent(worst)),
         element("td", f"{lowest:.4f}" if math.isfinite(lowest) else NOTHING),
-        element("td", *_since(result, before), class_="text wrap"),
+        element("td", *_since(result, before), class_="text wrap note"),
     )
 
 

@@ -25,7 +25,7 @@ def waterfall(comparison: Comparison) -> Markup:
     """
     whole = comparison.before_Nm**2
     rows = len(comparison.joints)
-    with grid(1, 1, 0.5 + 0.34 * rows, left_in=1.4) as (figure, (axes,)):
+    with grid(1, 1, 0.5 + 0.34 * rows, left_in=1.7) as (figure, (axes,)):
         places = np.arange(rows)[::-1]
         start = np.zeros(rows)
         for layer in comparison.layers:
@@ -49,7 +49,7 @@ def waterfall(comparison: Comparison) -> Markup:
             if np.isfinite(value):
                 axes.plot([value] * 2, [place - 0.42, place + 0.42], color=COLOUR["ink"], linewidth=1.6)
         axes.set_yticks(places, [short(name, 24) for name in comparison.joints])
-        axes.set_xlim(0.0, 1.0)
+        axes.set_xlim(0.0, 1.02)
         axes.set_xticks(np.arange(0.0, 1.01, 0.2), [f"{share:.0%}" for share in np.arange(0.0, 1.01, 0.2)])
         axes.set_xlabel("share of the simulation's residual variance, held-out recordings")
         axes.grid(visible=False, axis="y")
@@ -63,15 +63,15 @@ def torques(comparison: Comparison) -> Markup | None:
     if not traces:
         return None
     trace = traces[0]
-    with stacked([0.95] * len(comparison.joints)) as (figure, panels):
+    with stacked([0.85] * len(comparison.joints), titled=True) as (figure, panels):
         for row, (axes, name) in enumerate(zip(panels, comparison.joints)):
             for values, role, style, width in _lines(trace):
                 look = {"color": COLOUR[role], "linestyle": style, "linewidth": width}
                 gapped_line(axes, trace.time, values[:, row], LINE_POINTS, **look)
-            axes.set_ylabel(short(name, 14))
+            axes.set_title(name)
             axes.margins(x=0.005)
         panels[-1].set_xlabel("time, s")
-        return to_svg(figure, "Measured torque, torque of the simulation and of the mended simulation over time")
+        return to_svg(figure, "Measured torque, torque of the simulation and of the corrected simulation over time")
 
 
 def _lines(trace: Trace) -> Sequence[tuple[FloatArray, str, object, float]]:

@@ -14,23 +14,23 @@ from ..layers.item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer, M
 from ..simulations import Simulation
 from . import layers_figures as figures
 from . import mismatch_figures
-from .details import fact, source_table
+from .details import fact, recorded, source_table
 from .html import captioned, page
 from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent, unit_text
 from .mismatch_html import card_id, finding_cards
-from .provenance import FITTED, VALIDATED
+from .provenance import FITTED, RECORDED, VALIDATED
 
 TITLES = {
     CONVENTIONS: "Conventions and wiring",
-    PARAMETERS: "Parameters the simulation has, and has wrong",
-    PHYSICS: "Physics the simulation does not have",
-    REST: "What is left",
+    PARAMETERS: "Parameters that differ",
+    PHYSICS: "Physics that the simulation lacks",
+    REST: "Remaining residual",
 }
 KEY = {
     CONVENTIONS: ("prior", "conventions"),
     PARAMETERS: ("predicted", "parameters (hatched)"),
     PHYSICS: ("before", "physics (dotted)"),
-    REST: ("residual", "left, above the noise"),
+    REST: ("residual", "remaining, above the noise"),
 }
 MOST_ITEMS = 12
 """Items of a layer that are shown at once; the others open on request."""
@@ -42,7 +42,7 @@ def comparison_html(
 ) -> str:
     """The whole page."""
     title = f"From the simulation to the arm: {simulation.arm.name}"
-    judged = f" · judged on {comparison.judged_on}" if comparison.judged_on else ""
+    judged = f" · validated on {comparison.judged_on}" if comparison.judged_on else ""
     body = join(
         element("h1", title),
         element("p", f"{simulation.source} · {len(comparison.joints)} joints{judged}", class_="quiet"),
@@ -63,21 +63,21 @@ def _verdict(comparison: Comparison, mended: Mended | None) -> Markup:
         lines: Iterable[str] = comparison.reasons
         return element(
             "section",
-            element("h2", "The data cannot carry the question"),
+            element("h2", "The data are unfit for a comparison"),
             *(element("p", line) for line in lines),
             class_="verdict unknown",
         )
     before, after = (_relative(comparison, rms) for rms in (comparison.before_Nm, comparison.after_Nm))
-    headline = f"The simulation misses {before} of the torque; with all layers {after} is left"
-    sentences = [_layers_sentence(comparison), "RMS of the residual over that of the torque, of the median joint."]
+    headline = f"The residual of the simulation is {before} of the torque; with all layers {after}"
+    sentences = [_layers_sentence(comparison), "Residual RMS over torque RMS, median joint."]
     share = replicated_share(comparison)
     if math.isfinite(share):
-        lost = (
-            f"; not confirmed, and not counted: {', '.join(comparison.unconfirmed)}" if comparison.unconfirmed else ""
+        lost = f"; not replicated, and left out: {', '.join(comparison.unconfirmed)}" if comparison.unconfirmed else ""
+        sentences.append(
+            f"Replicated in the held-out recordings: {percent(share)} of the items that they can test{lost}."
         )
-        sentences.append(f"The held-out recordings confirm {percent(share)} of what they can{lost}.")
     if mended is not None:
-        sentences.append(f"The simulation with new values is {mended.name}, beside this page.")
+        sentences.append(f"The corrected simulation is {mended.name}, beside this page.")
     items = sum(len(layer.items) for layer in comparison.layers[:3])
     level = "found" if items else "good"
     return element(
@@ -99,7 +99,7 @@ def _layers_sentence(comparison: Comparison) -> str:
             largest = layer.items[0]
             more = f" and {len(layer.items) - 1} more" if len(layer.items) > 1 else ""
             parts.append(f"{TITLES[layer.name].lower()}: {_name(largest)} at {listed(largest.joints)}{more}")
-    return "; ".join(parts).capitalize() + "." if parts else "Nothing in it is wrong beyond its error."
+    return "; ".join(parts).capitalize() + "." if parts else "No significant difference."
 
 
 def _name(item: Item) -> str:
@@ -113,7 +113,7 @@ def _glance(comparison: Comparison) -> list[Markup | None]:
         for role, words in KEY.values()
     )
     torques = figures.torques(comparison)
-    lines = (("measured", "measured"), ("before", "simulation (dashed)"), ("after", "mended simulation"))
+    lines = (("measured", "measured"), ("before", "simulation (dashed)"), ("after", "corrected simulation"))
     drawn = (
         element("span", element("span", class_="swatch", style=f"border-color: var(--{role})"), words)
         for role, words in lines
@@ -132,7 +132,10 @@ def _glance(comparison: Comparison) -> list[Markup | None]:
         None if torques is None else element("div", *drawn, class_="key"),
         None
         if torques is None
-        else captioned(torques, "N·m, the first held-out recording. Gaps: standstill and velocity reversals."),
+        else captioned(
+            torques,
+            "N·m (N of prismatic joints), the first held-out recording. Gaps: standstill and velocity reversals.",
+        ),
     ]
 
 
@@ -140,7 +143,7 @@ def _table(comparison: Comparison) -> Markup:
     heads = (
         "torque",
         "simulation",
-        *(TITLES[layer.name].split(",")[0] for layer in comparison.layers[:3]),
+        *(layer.name for layer in comparison.layers[:3]),
         "noise",
         "ceiling",
     )
@@ -159,7 +162,9 @@ def _table(comparison: Comparison) -> Markup:
         "tr", element("th", "joint", class_="text", scope="col"), *(element("th", head, scope="col") for head in heads)
     )
     table = element("table", element("thead", header), element("tbody", *rows))
-    caption = element("p", "RMS on held-out recordings, N·m, after each layer.", class_="quiet")
+    caption = element(
+        "p", "Residual RMS on held-out recordings after each layer, N·m (N of prismatic joints).", class_="quiet"
+    )
     return element("details", element("summary", "The same in figures"), caption, element("div", table, class_="wide"))
 
 
@@ -173,7 +178,7 @@ def _layer(layer: Layer, cards: frozenset[str]) -> Markup:
     shown, hidden = layer.items[:MOST_ITEMS], layer.items[MOST_ITEMS:]
     body: list[Markup | None] = [element("h2", TITLES[layer.name])]
     if not layer.items:
-        body.append(element("p", "Nothing beyond its error." if layer.name != REST else "Nothing above the noise."))
+        body.append(element("p", "No significant difference." if layer.name != REST else "None above the noise floor."))
     else:
         body.append(_items(layer.name, shown, cards))
     if hidden:
@@ -198,12 +203,12 @@ def _items(layer: str, items: Iterable[Item], cards: frozenset[str]) -> Markup:
             )
             for item in items
         ]
-        return element("table", element("thead", header), element("tbody", *rows))
+        return element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide")
     heads = (
         ("what", "text"),
         ("where", "text"),
-        ("was", None),
-        ("is", None),
+        ("simulation", None),
+        ("arm", None),
         ("95 %", None),
         ("share", None),
         ("replicated", None),
@@ -219,17 +224,23 @@ def _row(item: Item, cards: frozenset[str]) -> Markup:
     name: object = _name(item)
     if (anchor := card_id(item.name, item.joints)) in cards:
         name = element("a", _name(item), href=f"#{anchor}")
-    replicated = {True: "yes", False: "no", None: "not asked"}[item.replicated]
+    replicated = {True: "yes", False: "no", None: "not testable"}[item.replicated]
     return element(
         "tr",
         element("th", name, class_="text wrap", scope="row"),
-        element("td", item.where, class_="text wrap"),
-        element("td", f"{number(item.was)} {unit}".rstrip() if math.isfinite(item.was) else "not there"),
+        element("td", _place(item), class_="text wrap"),
+        element("td", f"{number(item.was)} {unit}".rstrip() if math.isfinite(item.was) else "absent"),
         element("td", f"{number(item.value)} {unit}".rstrip()),
         element("td", interval),
         element("td", percent(item.share)),
         element("td", replicated),
     )
+
+
+def _place(item: Item) -> str:
+    """Where an item is, with its joints where the words do not name them."""
+    named = any(joint in item.where for joint in item.joints)
+    return item.where if named or not item.joints else f"{item.where} at {listed(item.joints)}"
 
 
 def _cards(comparison: Comparison, simulation: Simulation) -> Iterable[Markup]:
@@ -258,18 +269,20 @@ def _mended(mended: Mended | None) -> Markup | None:
         )
         for joint, cost in mended.cost_Nm.items()
     ]
-    heads = (("joint", "text"), ("costs, N·m RMS", None), ("of the torque", None))
+    heads = (("joint", "text"), ("error, N·m RMS", None), ("of the torque", None))
     header = element("tr", *(element("th", head, class_=kind, scope="col") for head, kind in heads))
     lost = ", ".join(mended.lost) or "nothing"
     return join(
-        element("h2", "The simulation, mended"),
+        element("h2", "The corrected simulation"),
         element(
             "p",
             element("code", mended.name),
-            f" is the simulation's own file with identified values. It does not hold: {lost}; its own parameters are "
-            "fitted to come nearest, and what that costs is below. The whole model is extended_model.yaml.",
+            f" is the simulation's own file with identified values. Its format cannot represent: {lost}; its "
+            "parameters are fitted to minimise the error below. The complete model is extended_model.yaml.",
         ),
-        element("table", element("thead", header), element("tbody", *rows), class_="narrow"),
+        element(
+            "div", element("table", element("thead", header), element("tbody", *rows), class_="narrow"), class_="wide"
+        ),
     )
 
 
@@ -286,16 +299,18 @@ def _seen(comparison: Comparison) -> Markup | None:
         )
         for one in comparison.would_have_seen
     ]
-    heads = (("unchanged", "text"), ("at", "text"), ("a change from here on would have been named", None))
+    heads = (("unchanged", "text"), ("at", "text"), ("smallest change that would have been detected", None))
     header = element("tr", *(element("th", head, class_=kind, scope="col") for head, kind in heads))
     table = element("table", element("thead", header), element("tbody", *rows), class_="narrow")
-    return element("details", element("summary", "What agrees, and how well that is known"), table)
+    summary = element("summary", "Parameters that agree, with the smallest detectable change")
+    return element("details", summary, element("div", table, class_="wide"))
 
 
 def _obtained(comparison: Comparison, sources: Mapping[str, Any]) -> Markup:
     known = dict(sources)
     tables = [source_table(known.pop(which, None), title) for which, title in SOURCES]
     facts: list[tuple[str, object]] = [("bandwidth", f"{number(comparison.cutoff_hz)} Hz")]
+    facts += recorded(known.pop(RECORDED, None))
     facts += [(str(key).replace("_", " "), fact(value)) for key, value in known.items() if value]
     return join(
         element("h2", "How it was obtained"),
@@ -303,10 +318,10 @@ def _obtained(comparison: Comparison, sources: Mapping[str, Any]) -> Markup:
         *tables,
         element(
             "p",
-            "Share: part of the simulation's residual variance above the noise, mean over the joints, that is back "
-            "when this alone is as in the simulation. Replicated: estimated from the held-out recordings by "
+            "Share: part of the simulation's residual variance above the noise, mean over the joints, that returns "
+            "when this item alone is left as in the simulation. Replicated: estimated from the held-out recordings by "
             "themselves, with the same sign and within 99 % of the errors of both. Beside this page: mismatch.json "
-            "says the same to programs; extended_model.yaml is the model of all layers.",
+            "has the same for programs; extended_model.yaml is the model of all layers.",
             class_="quiet",
         ),
     )

@@ -6,6 +6,7 @@ of the residual varied most and no longer does. Where none stands out, over time
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -120,7 +121,7 @@ def overview(explanation: Explanation) -> Markup:
     """Bars that grow out of each joint's noise floor: the residual before and after, in multiples of the floor."""
     names, floor = explanation.joints, explanation.noise_floor_Nm
     labels = [_labels(explanation.findings, joint) for joint in names]
-    lines = max(map(len, labels), default=0)
+    lines = max(map(len, labels), default=0) + max(len(_broken(name)) - 1 for name in names)
     with grid(1, 1, 2.75 + 0.16 * lines, left_in=0.62, below_in=0.3 + 0.16 * lines) as (figure, (axes,)):
         axes.set_yscale("log")
         highest, lowest = OVERVIEW_TOP, 1 / 1.4
@@ -138,7 +139,7 @@ def overview(explanation: Explanation) -> Markup:
         axes.axhline(1.0, color=COLOUR["ink"], linewidth=1.0)
         axes.set_ylim(lowest, highest)
         axes.set_xlim(-0.6, len(names) - 0.4)
-        axes.set_xticks(range(len(names)), ["\n".join((short(n, 16), *own)) for n, own in zip(names, labels)])
+        axes.set_xticks(range(len(names)), ["\n".join((*_broken(n), *own)) for n, own in zip(names, labels)])
         axes.tick_params(axis="x", length=0, labelcolor=COLOUR["ink"])
         axes.grid(visible=False, axis="x")
         axes.yaxis.set_minor_locator(NullLocator())
@@ -146,6 +147,16 @@ def overview(explanation: Explanation) -> Markup:
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}×"))
         axes.set_ylabel("residual over noise floor")
         return to_svg(figure, "Residual before and after in multiples of each joint's noise floor")
+
+
+def _broken(name: str) -> list[str]:
+    """A name in lines of at most `LONGEST_LABEL` characters, broken after underscores where it can be."""
+    lines = [""]
+    for part in re.findall(r"[^_]*_+|[^_]+", name):
+        if lines[-1] and len(lines[-1]) + len(part) > LONGEST_LABEL:
+            lines.append("")
+        lines[-1] += part
+    return [short(line, LONGEST_LABEL) for line in lines]
 
 
 def _labels(findings: Sequence[Finding], joint: str) -> list[str]:
@@ -171,7 +182,7 @@ def dependence(finding: Finding, arm: Arm, of: Signals, floor: FloatArray) -> tu
                 axes.axhline(0.0, color=COLOUR["muted"], linewidth=0.6)
                 unit = "N·m" if arm.joints[row].revolute else "N"
                 beside = f"residual along the motion, {unit}" if view.along else f"residual, {unit}"
-                name_axes(axes, f"{short(arm.joint_names[row], 22)}: {when}", _below(view, arm), beside)
+                name_axes(axes, f"{when}: {arm.joint_names[row]}", _below(view, arm), beside)
                 axes.set_ylim(-limit, limit)
         described = f"Residual before and after, {finding.effect} at {', '.join(arm.joint_names[row] for row in rows)}"
         return to_svg(figure, described), _caption(views)
@@ -277,22 +288,22 @@ def _below(view: View, arm: Arm) -> str:
 def _caption(views: Sequence[View]) -> str:
     parts = ["Left without anything added to the base model, right with every finding, on one scale"]
     if any(view.signal != TIME or view.along for view in views):
-        parts.append("line: mean over ranges of equally many samples, which a right model leaves along zero")
+        parts.append("line: mean over ranges of equally many samples, near zero for a complete model")
     if any(view.along for view in views):
-        parts.append("along the motion: positive holds the joint back, as friction does")
-    return "; ".join([*parts, "band: noise, two standard deviations either way"]) + "."
+        parts.append("along the motion: positive resists it, as friction does")
+    return "; ".join([*parts, "band: noise, ± two standard deviations"]) + "."
 
 
 def over_time(names: Sequence[str], of: Signals, floor: FloatArray) -> Markup:
     """Residual of every joint over time, before and after."""
-    with stacked([0.82] * len(names)) as (figure, panels):
+    with stacked([0.75] * len(names), titled=True) as (figure, panels):
         for row, (axes, name) in enumerate(zip(panels, names)):
             for when in ("before", "after"):
                 gapped_line(axes, of.time, getattr(of, when)[:, row], LINE_POINTS, color=COLOUR[when], linewidth=0.8)
             _noise(axes, floor[row])
             for start in of.starts[1:]:
                 axes.axvline(float(of.time[start]), color=COLOUR["muted"], linewidth=0.6, linestyle=":")
-            axes.set_ylabel(short(name, 14))
+            axes.set_title(name)
             axes.margins(x=0.005)
             limit = _limit(of, row, floor[row])
             axes.set_ylim(-limit, limit)

@@ -14,25 +14,25 @@ from ..dynamics.effects import EFFECTS
 from ..mismatch.document import EXTENDED_MODEL
 from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Alternative, Explanation, Finding, Quantity
 from . import mismatch_figures as figures
-from .details import fact, source_table
+from .details import fact, recorded, source_table
 from .html import captioned, page
 from .markup import MINUS, NOTHING, Markup, breakable, element, join, listed, number, unit_text
-from .provenance import FITTED, VALIDATED
+from .provenance import FITTED, RECORDED, VALIDATED
 
 UNKNOWN = "unknown"
 SURE = ((0.95, "almost certainly"), (0.8, "probably"), (0.5, "perhaps"), (0.0, "possibly"))
 """Confidence from which a name is said so."""
 LITTLE = 0.3
-"""A finding that removes less than this share on unseen data is a hint."""
+"""A finding that removes a smaller share of the held-out residual variance is a hint; ratio."""
 REFERENCE = "reference"
-SOURCES = ((FITTED, "Explained"), (REFERENCE, "Reference"), (VALIDATED, "Judged on"))
+SOURCES = ((FITTED, "Explained"), (REFERENCE, "Reference"), (VALIDATED, "Validated on"))
 
 
 def mismatch_html(explanation: Explanation, arm: Arm, sources: Mapping[str, Any]) -> str:
     """The whole page."""
     title = f"Mismatch of {arm.name}"
     drawn = figures.signals(explanation.traces)
-    judged = f" · judged on {explanation.judged_on}" if explanation.judged_on else ""
+    judged = f" · validated on {explanation.judged_on}" if explanation.judged_on else ""
     body = join(
         element("h1", title),
         element("p", f"{len(explanation.joints)} joints{judged}", class_="quiet"),
@@ -69,18 +69,18 @@ def _judged(explanation: Explanation) -> tuple[str, str, list[object]]:
     """Level, headline and what follows it."""
     findings = explanation.findings
     if explanation.verdict == DATA_UNFIT:
-        return "unknown", "The data cannot carry the question", list(explanation.reasons)
+        return "unknown", "The data are unfit for a comparison", list(explanation.reasons)
     if explanation.verdict == NO_MISMATCH or not findings:
         above = listed([joint for left in explanation.unexplained for joint in left.joints])
-        rest = f"A little more than noise is left at {above}, see below." if above else None
+        rest = f"A residual slightly above the noise remains at {above}, see below." if above else None
         return "good", "No mismatch: the reference explains the recordings", [rest] if rest else []
     first, more = findings[0], findings[1:]
     headline = f"Mismatch at {_at(first)}: {_name(first.effect)}, {_size(first)}"
     sentences: list[object] = [_surety(first)]
     if math.isfinite(first.explained):
         sentences.append(
-            f"On {explanation.judged_on or 'data held out'} it removes {_rounded(first.explained)} of the residual "
-            "above the noise there."
+            f"On {explanation.judged_on or 'held-out data'} it removes {_rounded(first.explained)} of the residual "
+            "variance above the noise floor there."
         )
     if more:
         sentences.append(f"Also found: {'; '.join(f'{_name(other.effect)} at {_at(other)}' for other in more)}.")
@@ -90,13 +90,13 @@ def _judged(explanation: Explanation) -> tuple[str, str, list[object]]:
 
 def _surety(finding: Finding) -> str:
     if finding.effect == UNKNOWN:
-        return f"What is known of it: {finding.where}. No physics of the catalogue explains it as well."
+        return f"Where it appears: {finding.where}. No effect of the catalogue explains it as well."
     word = next(word for least, word in SURE if not finding.confidence < least)
-    sure = f"It is {word} this ({_rounded(finding.confidence)} against the other explanations)"
+    sure = f"{_sentence(word)} so: {_rounded(finding.confidence)} confidence against the other explanations"
     sentence = f"{sure}." if finding.where == _name(finding.effect) else f"{sure}: {finding.where}."
     close = [other for other in finding.alternatives if other.effect != UNKNOWN and other.score > 0.9]
     if close:
-        return f"{sentence} These data hardly tell it from {_name(close[0].effect)}."
+        return f"{sentence} Nearly indistinguishable in these data: {_name(close[0].effect)}."
     return sentence
 
 
@@ -127,7 +127,7 @@ def _size(finding: Finding) -> str:
         if math.isfinite(before) and math.isfinite(finding.after_Nm.get(joint, math.nan))
     }
     if not sizes or not max(sizes.values()) > 0:
-        return "not seen on the data it is judged on"
+        return "not visible in the held-out data"
     joint = max(sizes, key=sizes.__getitem__)
     where = f" at {joint}" if len(sizes) > 1 else ""
     return f"{number(sizes[joint], 2)} N·m RMS{where}"
@@ -158,13 +158,13 @@ def _glance(explanation: Explanation, arm: Arm) -> Markup:
         colour_key("before", "after"),
         captioned(
             figures.overview(explanation),
-            "Bars grow out of the noise floor (1×); over them the RMS residual in N·m; below the joint what was found "
-            "there. Before: the reference's model alone; after: with every finding.",
+            "Residual RMS over the noise floor (1×), on a logarithmic axis; on each bar the residual RMS in N·m (N of "
+            "prismatic joints); below the joint the finding. Before: the reference model alone; after: all findings.",
         ),
         element(
             "details",
             element("summary", "The same in figures"),
-            element("table", element("thead", header), element("tbody", *rows)),
+            element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide"),
         ),
     )
 
@@ -217,11 +217,19 @@ def _facts(finding: Finding) -> Markup:
     facts: list[tuple[str, object]] = [
         ("physics", join(element("code", typeset(finding.equation)), f" · {finding.source}")),
         ("confidence", _meter(finding.confidence, "of the name, against the other explanations")),
-        ("explains", _meter(finding.explained, "of the residual above the noise there, on unseen data")),
+        (
+            "explains",
+            _meter(finding.explained, "of the residual variance above the noise floor there, on held-out data"),
+        ),
         ("RMS without → with it", f"{', '.join(rms) or NOTHING} N·m"),
     ]
     if math.isfinite(finding.visibility):
-        facts.append(("visibility", f"{_rounded(finding.visibility)} of it is nothing the base model could take over"))
+        facts.append(
+            (
+                "visibility",
+                f"{_rounded(finding.visibility)} of its torque cannot be absorbed by the base model's parameters",
+            )
+        )
     return element("dl", *(element(tag, text) for named in facts for tag, text in zip(("dt", "dd"), named)))
 
 
@@ -248,12 +256,13 @@ def _parameters(parameters: Mapping[str, Quantity]) -> Markup | None:
                 class_="minor" if known and low <= 0.0 <= high else None,
             )
         )
-    return element("table", element("thead", header), element("tbody", *rows), class_="narrow")
+    table = element("table", element("thead", header), element("tbody", *rows), class_="narrow")
+    return element("div", table, class_="wide")
 
 
 def _alternatives(others: tuple[Alternative, ...]) -> Markup:
     if not others:
-        return element("p", "No other explanation came near it.", class_="quiet")
+        return element("p", "No other explanation scored close to it.", class_="quiet")
     heads = (("instead", "text"), ("at", "text"), ("score, of this", None), ("why not", "text"))
     header = element("tr", *(element("th", head, class_=kind) for head, kind in heads))
     rows = (
@@ -266,7 +275,7 @@ def _alternatives(others: tuple[Alternative, ...]) -> Markup:
         )
         for other in others
     )
-    return element("table", element("thead", header), element("tbody", *rows))
+    return element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide")
 
 
 _LETTERS = {
@@ -293,8 +302,8 @@ def _over_time(explanation: Explanation, drawn: figures.Signals) -> Markup:
         colour_key("before", "after"),
         captioned(
             figures.over_time(explanation.joints, drawn, explanation.noise_floor_Nm),
-            "Measured minus predicted, N·m, a joint a row; rare peaks run out of the picture. Gaps: standstill and "
-            "what else does not count. Band: noise, two standard deviations either way.",
+            "Measured minus predicted torque, N·m (N of prismatic joints), one row per joint; rare peaks are clipped. "
+            "Gaps: standstill and samples left out. Band: noise, ± two standard deviations.",
         ),
     )
 
@@ -304,12 +313,13 @@ def _unexplained(explanation: Explanation) -> Markup | None:
         return None
     if not explanation.unexplained:
         finite = np.isfinite(explanation.after_Nm).any()
-        what = "Nothing above the noise." if finite else "Not known: no residual could be judged."
-        return join(element("h2", "What remains unexplained"), element("p", what))
+        what = "None above the noise floor." if finite else "Not determined: there is no residual on held-out data."
+        return join(element("h2", "Unexplained residual"), element("p", what))
     return _listing(
-        "What remains unexplained",
+        "Unexplained residual",
         [
-            f"{listed(left.joints)}: {_rounded(left.fraction)} of the variance left is above the noise; {left.where}."
+            f"{listed(left.joints)}: {_rounded(left.fraction)} of the remaining variance is above the noise floor; "
+            f"{left.where}."
             for left in explanation.unexplained
         ],
     )
@@ -327,12 +337,11 @@ def _listing(title: str, items: Iterable[str]) -> Markup | None:
 def _obtained(explanation: Explanation, sources: Mapping[str, Any]) -> Markup:
     known = dict(sources)
     tables = [source_table(known.pop(which, None), title) for which, title in SOURCES]
-    facts: list[tuple[str, object]] = [
-        (str(key).replace("_", " "), fact(value)) for key, value in known.items() if value
-    ]
+    facts: list[tuple[str, object]] = list(recorded(known.pop(RECORDED, None)))
+    facts += [(str(key).replace("_", " "), fact(value)) for key, value in known.items() if value]
     if explanation.model is not None and explanation.model.cutoff_hz is not None:
         facts.insert(0, ("bandwidth", f"{number(explanation.model.cutoff_hz)} Hz"))
-    files = "Beside this page: mismatch.json says the same to programs"
+    files = "Beside this page: mismatch.json has the same for programs"
     extended = f"; {EXTENDED_MODEL} is the base model with the findings, for simulate and identify"
     return join(
         element("h2", "How it was obtained"),

@@ -40,8 +40,7 @@ def opening(identified: Identified, validation: Validation) -> Opening:
 
 
 def _sentences(identified: Identified, validation: Validation) -> tuple[str, ...]:
-    seen = "which the fit had not seen" if validation.held_out else "which the fit had seen"
-    sentences = [f"Validated {validation.what}, {seen}."]
+    sentences = [f"Validated {validation.what}{'' if validation.held_out else ', not held out'}."]
     shares = _known(validation, lambda joint: joint.everything.relative_rms)
     moving = relative_rms(validation)
     if shares:
@@ -51,8 +50,8 @@ def _sentences(identified: Identified, validation: Validation) -> tuple[str, ...
     still = [name for name in moving if shares.get(name, 0.0) > FAIR >= moving[name]]
     if still:
         sentences.append(
-            f"{listed(still)}: the large residual is from standstill, where friction holds whatever is asked of it "
-            "and no model of this kind can tell how much."
+            f"{listed(still)}: the large residual is from standstill, where static friction takes any value up to its "
+            "limit and cannot be predicted."
         )
     correlations = _known(validation, lambda joint: joint.everything.correlation)
     if correlations:
@@ -86,14 +85,14 @@ def _warnings(validation: Validation) -> tuple[str, ...]:
     warnings = []
     if not validation.held_out:
         warnings.append(
-            "The figures are on data the model was fitted to, which flatters it: "
+            "The figures are on data the model was fitted to, and therefore too small: "
             "validate on another recording (spacearm identify … --validate BAG)."
         )
     lacking = [name for name, joint in validation.joints.items() if _lacks(joint)]
     if lacking:
         warnings.append(
             f"The residual of {listed(lacking)} repeats from period to period, so it is not noise: "
-            "the model leaves something out."
+            "the model lacks a term."
         )
     return tuple(warnings)
 

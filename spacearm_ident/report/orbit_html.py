@@ -16,7 +16,7 @@ from .provenance import FITTED, VALIDATED
 
 MODELS = ("ground, on the ground", "ground, in orbit", "ground, gravity set", "adapted, in orbit")
 """The four validations, in the order in which they are handed about."""
-SAID: Mapping[bool | None, str] = {True: "yes", False: "no", None: "not told"}
+SAID: Mapping[bool | None, str] = {True: "yes", False: "no", None: "not determined"}
 
 
 def orbit_html(
@@ -36,7 +36,7 @@ def orbit_html(
         _key(),
         captioned(
             figures.fits(validations, MODELS, wanted_r),
-            "On runs that neither the identification nor the adaptation has seen. R over all samples, in which no "
+            "On held-out runs of both. R over all samples, in which no "
             "model knows what friction holds at standstill; residual while the joint moves.",
         ),
         _fits(validations),
@@ -133,7 +133,7 @@ def _changes(adaptation: Adaptation) -> Markup:
     rows = (_row(adaptation, change) for change in adaptation.changes)
     note = element(
         "p",
-        "The error of a change has in it what the ground did not know. f_c is the level at 20 °C where alpha is "
+        "The error of a change includes the uncertainty of the ground model. f_c is the level at 20 °C where alpha is "
         "known. f_b and v_b, which these motions do not show, follow f_c.",
         class_="quiet",
     )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from ..identification.identified import GAIN_DEVIATION, Determination, Estimate, Identified
 from .markup import Markup, breakable, element, join, measured, number, unit_text
-from .tables import base, by_joint
+from .tables import base, by_joint, shown_value
 
 MARK = {
     Determination.DATA: ("data", "●"),
@@ -43,7 +43,7 @@ def matrix(identified: Identified) -> Markup:
         mine = [cells.get((symbol, joint)) for joint in listing]
         unit = next((item.unit for item in mine if item and item.unit), "")
         label = element("th", symbol, " ", element("span", unit_text(unit), class_="quiet"), class_="text")
-        rows.append(element("tr", label, *map(_cell, mine)))
+        rows.append(element("tr", label, *(_cell(item, unit) for item in mine)))
     table = element(
         "table",
         element("thead", element("tr", element("th"), *header)),
@@ -53,13 +53,16 @@ def matrix(identified: Identified) -> Markup:
     return element("div", table, class_="wide")
 
 
-def _cell(item: Estimate | None) -> Markup:
+def _cell(item: Estimate | None, unit: str) -> Markup:
+    """A value of a row in `unit`; a prismatic joint's own unit stands behind its value."""
     if item is None:
         return element("td")
+    other = item.value != 0.0 and item.unit not in ("", unit)
     rested = item.determination in (Determination.PRIOR, Determination.FIXED)
     return element(
         "td",
-        measured(item.value, item.standard_error),
+        measured(shown_value(item), item.standard_error),
+        element("span", f" {unit_text(item.unit)}", class_="quiet") if other else None,
         _mark(item.determination),
         class_="rested" if rested else None,
         title=item.note or None,
@@ -81,7 +84,7 @@ def whole_list(identified: Identified) -> Markup:
         )
         for joint, items in by_joint(identified).items()
     ]
-    return element("div", element("table", element("thead", header), *groups), class_="wide")
+    return element("div", element("table", element("thead", header), *groups, class_="list"), class_="wide")
 
 
 def _list_row(item: Estimate) -> Markup:
@@ -101,7 +104,7 @@ def _numbers(item: Estimate) -> Sequence[Markup]:
     low, high = item.interval
     known = math.isfinite(low)
     return (
-        element("td", number(item.value, 5)),
+        element("td", number(shown_value(item), 5)),
         element("td", number(item.standard_error, 2)),
         element("td", f"{number(low, 4)} … {number(high, 4)}" if known else ""),
         element("td", _drawn(item) if known else None),

@@ -96,7 +96,7 @@ def _drawing() -> Iterator[None]:
 
 @contextmanager
 def grid(
-    count: int, columns: int, height_in: float, left_in: float = 0.5, below_in: float = 0.42
+    count: int, columns: int, height_in: float, left_in: float = 0.6, below_in: float = 0.42
 ) -> Iterator[tuple[Figure, list[Axes]]]:
     """`count` axes, `columns` in a row, in the report's style; to be drawn and turned to SVG inside the block."""
     with _drawing():
@@ -113,9 +113,9 @@ def grid(
 
 
 @contextmanager
-def stacked(heights_in: Sequence[float]) -> Iterator[tuple[Figure, list[Axes]]]:
-    """Axes above each other that share the horizontal axis; used as `grid` is."""
-    gap_in, below_in, above_in, left_in = 0.1, 0.42, 0.08, 0.62
+def stacked(heights_in: Sequence[float], titled: bool = False) -> Iterator[tuple[Figure, list[Axes]]]:
+    """Axes above each other that share the horizontal axis, with room for a title each; used as `grid` is."""
+    gap_in, below_in, above_in, left_in = (0.3, 0.42, 0.24, 0.62) if titled else (0.1, 0.42, 0.08, 0.62)
     with _drawing():
         total = sum(heights_in) + gap_in * (len(heights_in) - 1) + below_in + above_in
         figure = _figure(total)

@@ -18,6 +18,8 @@ from ..recording.recording import Recording
 FITTED = "fitted_on"
 VALIDATED = "validated_on"
 RECORDED = "recorded"
+EPOCH = "1970-01-01"
+"""Date of stamps that count from zero, such as a simulation's: not a date of recording."""
 OPTIONS = "options"
 PACKAGES = ("numpy", "scipy", "pin", "clarabel")
 

@@ -81,7 +81,7 @@ def correlations(names: Sequence[str], matrix: FloatArray) -> Markup:
     """The correlations of parameters as a matrix of squares: area is size, colour is sign."""
     count = len(names)
     side = min(8.4, 1.6 + 0.17 * count)
-    with grid(1, 1, side, left_in=max(1.5, 9.0 - side), below_in=1.25) as (figure, (axes,)):
+    with grid(1, 1, side, left_in=1.5, below_in=1.25) as (figure, (axes,)):
         rows, columns = np.nonzero(np.abs(matrix) > SHOWN_CORRELATION)
         size = 72.0 * (side - 1.6) / max(count, 1)
         values = matrix[rows, columns]
@@ -89,11 +89,11 @@ def correlations(names: Sequence[str], matrix: FloatArray) -> Markup:
             area = np.abs(values[chosen]) * size**2
             where = columns[chosen], rows[chosen]
             axes.scatter(*where, s=area, marker="s", color=colour, linewidths=0, rasterized=True)
-        axes.set_xticks(range(count), [short(name, 22) for name in names], rotation=90, fontsize=5.5)
-        axes.set_yticks(range(count), [short(name, 22) for name in names], fontsize=5.5)
+        axes.set_xticks(range(count), [short(name, 22) for name in names], rotation=90, fontsize=6.5)
+        axes.set_yticks(range(count), [short(name, 22) for name in names], fontsize=6.5)
         axes.set_xlim(-0.6, count - 0.4)
         axes.set_ylim(count - 0.4, -0.6)
-        axes.set_aspect("equal")
+        axes.set_aspect("equal", anchor="NW")
         return to_svg(figure, "Correlations of the parameters that the data determine")
 
 

@@ -72,12 +72,21 @@ td.rested { color: var(--muted); }
 .swatch.block { height: 11px; border: 0; background: var(--band); }
 td.good { color: var(--good); } td.fair { color: var(--fair); } td.poor, td.suspect { color: var(--poor); }
 tr.moved td { font-weight: 600; } a { color: var(--predicted); }
-td.note { min-width: 38ch; }
+td.note { min-width: 30ch; } table.list th, table.list td { padding: 3px 6px; font-size: 12.5px; }
 svg.interval { width: 96px; height: 12px; display: inline-block; vertical-align: middle; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: 4px 20px; margin: 8px 0; font-size: 14px; }
 dt { color: var(--muted); } dd { margin: 0; overflow-wrap: anywhere; }
 code { font: 12.5px ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
 summary { cursor: pointer; color: var(--predicted); margin: 10px 0 4px; }
+@media screen and (max-width: 700px) {
+  main { padding: 20px 16px 40px; }
+  /* Figures are drawn for a column of 1000 px: here they keep a readable size and scroll in their frame. */
+  figure, section.joint { overflow-x: auto; }
+  figure > svg, section.joint > svg { min-width: 680px; }
+  figcaption { position: sticky; left: 0; }
+  dl { display: block; } dd { margin-bottom: 8px; }
+  td.wrap { min-width: 20ch; }
+}
 @media print {
   body { font-size: 11px; }
   main { max-width: none; padding: 0; }

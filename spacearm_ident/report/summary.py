@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..identification.identified import Estimate
+from ..identification.verdict import judge_result
 from .folder import replacing
 from .index import INDEX, SUMMARY, Progress, find_mismatches, find_results, index_html, merit, with_failures
 from .provenance import moment
@@ -93,6 +94,7 @@ def _run(row: Row, result: Result | None) -> dict[str, Any]:
         "recorded": when.start.isoformat() if when else None,
         "written": result.written,
         "arm": result.identified.model.model.arm.name,
+        "verdict": judge_result(result.identified, result.validation).level.value,
         "r": finite(lowest),
         "relative_rms": finite(worst),
         "temperature_C": when.temperature if when else {},

@@ -23,6 +23,14 @@ PAPER_SYMBOLS = (
 )
 """The paper's 18 parameters a joint, in the order of its Table 1."""
 ABSENT = "not part of this model"
+ROUNDING = 1e-9
+"""Size under which a value from CAD is the rounding of a zero; kg, kg m or kg m²."""
+
+
+def shown_value(item: Estimate) -> float:
+    """The value that a page shows: CAD values in a rotated frame differ from zero by rounding."""
+    rested = item.determination in (Determination.PRIOR, Determination.FIXED)
+    return 0.0 if rested and abs(item.value) < ROUNDING else item.value
 
 
 def by_joint(identified: Identified, with_base: bool = True) -> dict[str, list[Estimate]]:

@@ -60,7 +60,7 @@ def _clear(found: Sequence[Trend]) -> str:
     """The parameters that change by more than chance."""
     tested = [trend for trend in found if trend.slope is not None]
     if not tested:
-        return "Too few runs to tell a trend from scatter."
+        return "Too few runs to separate a trend from scatter."
     clear = sorted(
         (one for one in tested if one.slope and one.slope.clear), key=lambda one: one.slope.p_value if one.slope else 1
     )

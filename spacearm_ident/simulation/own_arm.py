@@ -34,10 +34,10 @@ USUAL_VELOCITY = 2.0
 """Velocity limit where none is stated, rad/s or m/s."""
 STATED = (
     f"default friction: Coulomb {COULOMB:.0%}, static {STATIC:.0%}, viscous at full speed {VISCOUS:.0%} of a joint's "
-    f"torque limit (at most twice what the CAD links ask of any joint); rotors {ROTOR:.0%} of the CAD inertia, "
-    f"or what that torque accelerates at {ROTOR_ACCELERATION:g} rad/s² if that is more"
+    f"torque limit (of twice the largest torque that the CAD links need, if that is less); rotor inertias "
+    f"{ROTOR:.0%} of the CAD inertia, or that torque over {ROTOR_ACCELERATION:g} rad/s² if that is larger"
 )
-"""What stands in for what nobody measured, in words."""
+"""The defaults in words."""
 
 
 def default_model(arm: Arm) -> IdentifiedModel:

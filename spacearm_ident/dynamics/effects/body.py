@@ -88,7 +88,7 @@ class Payload(Effect):
 
     def where(self, values: FloatArray) -> str:
         """On which link."""
-        held = ", held elsewhere in the recordings that were judged on" if self.anew else ""
+        held = ", at another position in the held-out recordings" if self.anew else ""
         return f"{values[0]:.3g} kg on the link of {self.place['joint']}{held}"
 
 
