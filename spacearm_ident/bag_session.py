@@ -100,7 +100,9 @@ class Options:
         """The same from whatever folder a process works in."""
         files = {name: getattr(self, name) for name in ("arm", "structure", "prior", "mapping")}
         loaded = tuple(bag.resolve() for bag in self.loaded)
-        return replace(self, loaded=loaded, **{name: file.resolve() for name, file in files.items() if file is not None})
+        return replace(
+            self, loaded=loaded, **{name: file.resolve() for name, file in files.items() if file is not None}
+        )
 
     def fingerprint(self) -> dict[str, Any]:
         """What is not as by default, as plain data; of a file its content (SHA-256), wherever it lies.
@@ -129,7 +131,6 @@ class Options:
             self.estimate_gravity,
             prior,
         )
-
 
     def weight(self) -> Weight | None:
         """The known mass, if there is one.

@@ -130,14 +130,13 @@ def identify(
     report(0.8, "standard errors and physical consistency")
     fit, gravity = weighing.conclude(fit)
     further = weighing.further(fit)
-    result = _conclude(
-        fit, provenance or {}, choices, bandwidth, _solver_words(settings, fit.solution), gravity, further, settings.gains
-    )
-    body, words = base_body(motions, result.model, result.covariance)
+    words = _solver_words(settings, fit.solution)
+    result = _conclude(fit, provenance or {}, choices, bandwidth, words, gravity, further, settings.gains)
+    body, on_body = base_body(motions, result.model, result.covariance)
     if settings.blend and settings.solver in LEAST_SQUARES and result.consistency_shift > 0.0:
         result = replace(result, model=blended(result.model, fit, settings.structure is None))
     weighed = () if settings.gains is None else (settings.gains.words,)
-    notes = (*weighed, *result.notes, *on_base, *words, *blend_notes(result.model))
+    notes = (*weighed, *result.notes, *on_base, *on_body, *blend_notes(result.model))
     result = replace(result, base_body=body, notes=notes)
     report(1.0, "done")
     return result

@@ -49,7 +49,7 @@ def gain_shifts(fit: Fit, matrix: FloatArray) -> FloatArray:
 
 
 def assumed_covariance(joints: int) -> FloatArray:
-    """(n, n) covariance of the gains of so many joints where no known mass was weighed: `GAIN_DEVIATION`, independent."""
+    """(n, n) covariance of the gains where no known mass was weighed: `GAIN_DEVIATION` each, independent."""
     return np.asarray(np.diag(np.full(joints, GAIN_DEVIATION**2)))
 
 

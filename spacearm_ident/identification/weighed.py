@@ -184,8 +184,10 @@ def _fixed_to(arm: Arm, link: str) -> tuple[int, FloatArray]:
 
 
 class _Problem:
-    """Least squares over all recordings. Unknowns: those of the arm, what friction changes by under the body, the
-    body's ten inertial parameters, and the gains.
+    """Least squares over all recordings.
+
+    Unknowns are the parameters of the arm, the change of friction under the body, the body's ten inertial parameters,
+    and the gains.
 
     Attributes:
         matrices: By joint, (M, t) columns of the first three groups, and the torque last.

@@ -206,7 +206,7 @@ def _not_compared(joints: Sequence[str], known: np.ndarray, before: FloatArray) 
     )
     return tuple(
         f"not compared, because moving for less than half a second {where}: "
-        f"{', '.join(joints[k] for k in np.flatnonzero(left_out))}"
+        f"{', '.join(joint for joint, out in zip(joints, left_out) if out)}"
         for left_out, where in reasons
         if left_out.any()
     )
