@@ -157,8 +157,8 @@ class Margin:
 
 def check(run: Trajectory, needs: Requirements) -> tuple[Margin, ...]:
     """The margin of every limit along a run, on a grid of `STEP_S`."""
-    times = np.asarray(np.arange(int(np.ceil(run.duration_s / STEP_S)) + 1) * STEP_S, dtype=float)
-    motion = run.evaluate(np.minimum(times, run.duration_s))
+    times = _instants(run, STEP_S)
+    motion = run.evaluate(times)
     margins = [*motion_margins(needs.joints, motion, needs.motion, times)]
     if needs.motion.jerk is not None:
         margins += _extremes("jerk", needs.joints, _jerk(run, times), needs.motion.jerk, "rad/s³", times)
@@ -169,6 +169,16 @@ def check(run: Trajectory, needs: Requirements) -> tuple[Margin, ...]:
     if needs.clearance is not None:
         margins += _clearance_margin(run, needs.clearance)
     return tuple(_in_own_unit(margin, needs.identified.model.arm) for margin in margins)
+
+
+def _instants(run: Trajectory, step_s: float) -> FloatArray:
+    """(T,) s: a grid along a run, of a periodic part the first period alone, which the others repeat."""
+    times = np.minimum(np.arange(int(np.ceil(run.duration_s / step_s)) + 1) * step_s, run.duration_s)
+    wanted = np.ones(len(times), dtype=bool)
+    for segment, start_s in zip(run.segments, run.starts_s()):
+        if isinstance(segment, FourierTrajectory):
+            wanted &= (times <= start_s + segment.period_s) | (times >= start_s + segment.duration_s)
+    return np.asarray(times[wanted])
 
 
 _QUANTITY = {
@@ -277,9 +287,9 @@ def _jerk(run: Trajectory, times: FloatArray) -> FloatArray:
 
 
 def _clearance_margin(run: Trajectory, clearance: Clearance) -> list[Margin]:
-    times = np.arange(int(np.ceil(run.duration_s / CLEARANCE_STEP_S)) + 1) * CLEARANCE_STEP_S
-    postures = run.evaluate(np.minimum(times, run.duration_s)).q
-    # Periods repeat each other: a posture seen before need not be measured again.
+    times = _instants(run, CLEARANCE_STEP_S)
+    postures = run.evaluate(times).q
+    # Rest and the way back repeat what came before: a posture seen before need not be measured again.
     _, first = np.unique(np.round(postures, 9), axis=0, return_index=True)
     first.sort()
     nearest = clearance.nearest(postures[first])

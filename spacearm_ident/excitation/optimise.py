@@ -80,9 +80,12 @@ class Excitation:
     @cached_property
     def prediction_sd(self) -> FloatArray:
         """(n,) N·m, of torque predicted on the test motions after this run, under independent noise."""
-        times = np.arange(0.0, 10.0, 0.01)
-        tests = [self.problem.question.information(test.evaluate(times), 100.0) for test in self.problem.tests]
-        return self.information.prediction_sd(tests, self.samples)
+        return self.information.prediction_sd(self.problem.test_information, self.samples)
+
+    @cached_property
+    def value(self) -> float:
+        """The criterion as a logarithm, as `exact_value` of the series."""
+        return _value(self.problem, self.information)
 
 
 def optimise(
@@ -122,31 +125,36 @@ def optimise(
             points.append(best)
     report(0.9, "checking all limits")
     # Sharper is not always better once judged exactly.
-    points.sort(key=lambda point: exact_value(problem, problem.space.series(point, 1)))
-    return _best_finished(problem, [*points, *(point for _, point in known_point(problem, function, known))])
+    valued = [(exact_value(problem, problem.space.series(point, 1)), point) for point in points]
+    valued.sort(key=lambda pair: pair[0])
+    for _, point in known_point(problem, function, known):
+        valued.append((exact_value(problem, problem.space.series(point, 1)), point))
+    return _best_finished(problem, valued)
 
 
-def _best_finished(problem: Problem, points: Sequence[FloatArray]) -> Excitation:
+def _best_finished(problem: Problem, valued: Sequence[tuple[float, FloatArray]]) -> Excitation:
     """The first point that `finish` leaves nearly as good as it was; where it draws all of them together, the best.
+
+    Args:
+        problem: What is wanted.
+        valued: `exact_value` of a point, and the point.
 
     Raises:
         UserError: None can be joined within the limits.
     """
     refusal = UserError()
-    found: list[tuple[float, Excitation]] = []
-    for point in points:
+    found: list[Excitation] = []
+    for value, point in valued:
         try:
-            excitation = finish(problem, point)
+            found.append(finish(problem, point))
         except UserError as error:
             refusal = error
             continue
-        value = exact_value(problem, excitation.series)
-        found.append((value, excitation))
-        if value < exact_value(problem, problem.space.series(point, 1)) + DRAWN_TOGETHER:
+        if found[-1].value < value + DRAWN_TOGETHER:
             break
     if not found:
         raise refusal
-    return min(found, key=lambda pair: pair[0])[1]
+    return min(found, key=lambda excitation: excitation.value)
 
 
 def optimise_harmonics(
@@ -168,9 +176,8 @@ def optimise_harmonics(
         begin = (harmonics - first) / (highest - first + 1)
         part = _part(report, begin, 1.0 / (highest - first + 1), f"{harmonics} harmonics: ")
         candidate = method(replace(problem, harmonics=harmonics), seed, part, best and best.series)
-        value = exact_value(candidate.problem, candidate.series)
         tried.append((harmonics, candidate.criteria[problem.criterion]))
-        if best is not None and value > exact_value(best.problem, best.series) - WORTH_A_HARMONIC:
+        if best is not None and candidate.value > best.value - WORTH_A_HARMONIC:
             break
         best = candidate
     assert best is not None
@@ -244,13 +251,14 @@ def known_point(
 def exact_value(problem: Problem, series: FourierTrajectory) -> float:
     """The criterion of a series as a logarithm, from exact columns on a fine grid."""
     times = np.arange(0.0, series.period_s, 1.0 / INFORMATION_HZ)
-    information = problem.question.information(series.evaluate(times), INFORMATION_HZ)
+    return _value(problem, problem.question.information(series.evaluate(times), INFORMATION_HZ))
+
+
+def _value(problem: Problem, information: Information) -> float:
     if problem.criterion == D_OPTIMAL:
         return information.values()[D_OPTIMAL] / 2
     if problem.criterion == PREDICTION:
-        grid = np.arange(0.0, 10.0, 0.02)
-        tests = [problem.question.information(test.evaluate(grid), 50.0) for test in problem.tests]
-        sd = information.prediction_sd(tests, 1.0) / information.noise_Nm
+        sd = information.prediction_sd(problem.test_information, 1.0) / information.noise_Nm
         return float(np.log(np.mean(sd**2)) / 2)
     return float(np.log(information.values()[problem.criterion]))
 
