@@ -155,20 +155,29 @@ class Margin:
         )
 
 
-def check(run: Trajectory, needs: Requirements) -> tuple[Margin, ...]:
-    """The margin of every limit along a run, on a grid of `STEP_S`."""
-    times = _instants(run, STEP_S)
+def check(run: Trajectory, needs: Requirements, coarser: int = 1) -> tuple[Margin, ...]:
+    """The margin of every limit along a run, on a grid of `STEP_S`; `coarser`: every so many of its instants alone."""
+    times = _instants(run, coarser * STEP_S)
     motion = run.evaluate(times)
     margins = [*motion_margins(needs.joints, motion, needs.motion, times)]
     if needs.motion.jerk is not None:
         margins += _extremes("jerk", needs.joints, _jerk(run, times), needs.motion.jerk, "rad/s³", times)
     if np.isfinite(needs.torque_Nm).any():
-        torque = largest_torque(needs, motion, 1.0 / STEP_S)
+        torque = largest_torque(needs, motion, 1.0 / (coarser * STEP_S))
         margins += _extremes("torque", needs.joints, torque, needs.torque_Nm, "N·m", times)
     margins += frequency_margin(run, needs.structural_hz)
     if needs.clearance is not None:
-        margins += _clearance_margin(run, needs.clearance)
+        margins += _clearance_margin(run, needs.clearance, coarser * CLEARANCE_STEP_S)
     return tuple(_in_own_unit(margin, needs.identified.model.arm) for margin in margins)
+
+
+def broken(run: Trajectory, needs: Requirements) -> list[Margin]:
+    """The limits that a run breaks: of every tenth instant where some are broken there, else of all instants."""
+    for coarser in (10, 1):
+        margins = [margin for margin in check(run, needs, coarser) if not margin.kept]
+        if margins:
+            return margins
+    return []
 
 
 def _instants(run: Trajectory, step_s: float) -> FloatArray:
@@ -286,8 +295,8 @@ def _jerk(run: Trajectory, times: FloatArray) -> FloatArray:
     return np.asarray((ends[:, 1] - ends[:, 0]) / (after - before)[:, None])
 
 
-def _clearance_margin(run: Trajectory, clearance: Clearance) -> list[Margin]:
-    times = _instants(run, CLEARANCE_STEP_S)
+def _clearance_margin(run: Trajectory, clearance: Clearance, step_s: float) -> list[Margin]:
+    times = _instants(run, step_s)
     postures = run.evaluate(times).q
     # Rest and the way back repeat what came before: a posture seen before need not be measured again.
     _, first = np.unique(np.round(postures, 9), axis=0, return_index=True)
