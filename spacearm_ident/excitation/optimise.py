@@ -32,6 +32,8 @@ STAGES = ((6.0, 0.10, 40, 1e-2), (16.0, 0.06, 60, 3e-3), (64.0, 0.04, 40, 1e-3))
 """Sharpness, softness of the direction of motion (share of the velocity limit), steps, tolerance."""
 DRAWN_TOGETHER = 0.1
 """A criterion (logarithm) worse by more after the last check: the motion was made much smaller, another is tried."""
+FINER = 4
+"""Samples of the descent that follows such a motion, over the usual: clearance every 80 ms of a period of 10 s."""
 SHRINK = (1.0, 0.7, 0.45, 0.25, 0.12, 0.05, 0.02)
 INFORMATION_HZ = 200.0
 """Samples a second of the exact criterion: against 500 the logarithm moves by at most 1e-4 (six runs of three arms,
@@ -43,6 +45,8 @@ GENTLE = 0.4
 GENTLE_PERIODS = 2
 WORTH_A_HARMONIC = 0.03
 """A further harmonic is taken if it lowers the criterion by this share (of standard errors, or of the condition)."""
+NO_BETTER = 1e-3
+"""Gain (logarithm) below which a search with one harmonic more failed: all that fewer can do is open to it."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +135,18 @@ def optimise(
     valued.sort(key=lambda pair: pair[0])
     for _, point in known_point(problem, function, known):
         valued.append((exact_value(problem, problem.space.series(point, 1)), point))
-    return _best_finished(problem, valued)
+    finished = _best_finished(problem, valued)
+    if finished.value < valued[0][0] + DRAWN_TOGETHER:
+        return finished
+    # Limits broken between the samples leave a motion much smaller than it need be: on from there, with more of them.
+    sharpness, softness, steps, tolerance = STAGES[1]
+    function, point = problem.function(sharpness, softness, FINER), problem.space.point(finished.series)
+    point = point / np.maximum(1.0, problem.space.usage(point))[:, None]
+    if not np.isfinite(function(point)[0]):
+        return finished
+    stage = _staged(report, 0.95, 0.05, steps, "again between closer samples")
+    again = descend(function, point, problem.space.rows, steps, tolerance, stage).point
+    return _best_finished(problem, [(finished.value, again), (finished.value, point)])
 
 
 def _best_finished(problem: Problem, valued: Sequence[tuple[float, FloatArray]]) -> Excitation:
@@ -164,6 +179,8 @@ def optimise_harmonics(
 ) -> Excitation:
     """The smallest N_h whose successor no longer lowers the criterion by `WORTH_A_HARMONIC`, from 3 upwards.
 
+    A successor that gains nothing at all has found no better optimum, which says nothing of the next: that is tried.
+
     Raises:
         UserError: As `optimise`.
     """
@@ -174,14 +191,18 @@ def optimise_harmonics(
     first = min(3, max(1, highest))
     best: Excitation | None = None
     tried: list[tuple[int, float]] = []
+    failed = False
     for harmonics in range(first, max(first, highest) + 1):
         begin = (harmonics - first) / (highest - first + 1)
         part = _part(report, begin, 1.0 / (highest - first + 1), f"{harmonics} harmonics: ")
         candidate = method(replace(problem, harmonics=harmonics), seed, part, best and best.series)
         tried.append((harmonics, candidate.criteria[problem.criterion]))
-        if best is not None and candidate.value > best.value - WORTH_A_HARMONIC:
+        if best is None or candidate.value < best.value - WORTH_A_HARMONIC:
+            best, failed = candidate, False
+        elif failed or candidate.value < best.value - NO_BETTER:
             break
-        best = candidate
+        else:
+            failed = True
     assert best is not None
     return replace(best, tried=tuple(tried))
 

@@ -81,16 +81,16 @@ class Problem:
         times = np.arange(0.0, self.tests[0].period_s, 0.01)
         return tuple(self.question.information(test.evaluate(times), 100.0) for test in self.tests)
 
-    def function(self, sharpness: float, softness: float, samples: int | None = None, slopes: bool = True) -> Function:
+    def function(self, sharpness: float, softness: float, finer: int = 1, slopes: bool = True) -> Function:
         """The smooth criterion of a point with the barriers; infinite where torque or clearance is broken.
 
-        Without `slopes` the gradient is left zero, at a third of the time.
+        On `finer` times as many samples as usual. Without `slopes` the gradient is left zero, at a third of the time.
         """
-        samples = samples or SAMPLES_A_HARMONIC * max(self.harmonics, 4)
+        samples = finer * SAMPLES_A_HARMONIC * max(self.harmonics, 4)
         basis = self.space.basis(samples)
         columns = SmoothColumns(self.question, softness * np.minimum(self.needs.motion.velocity, 1e3))
         criterion = smooth_criterion(self.criterion, sharpness, self._moment(columns))
-        sparse = self.space.basis(CLEARANCE_SAMPLES)
+        sparse = self.space.basis(finer * CLEARANCE_SAMPLES)
 
         def function(z: FloatArray) -> tuple[float, FloatArray]:
             motion = self.space.motion(z, basis)
