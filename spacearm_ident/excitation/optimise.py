@@ -136,8 +136,8 @@ def optimise(
     for _, point in known_point(problem, function, known):
         valued.append((exact_value(problem, problem.space.series(point, 1)), point))
     finished = _best_finished(problem, valued)
-    if finished.value < valued[0][0] + DRAWN_TOGETHER:
-        return finished
+    if known is not None or finished.value < valued[0][0] + DRAWN_TOGETHER:
+        return finished  # what is known already is the way out of a failure, and cheaper
     # Limits broken between the samples leave a motion much smaller than it need be: on from there, with more of them.
     sharpness, softness, steps, tolerance = STAGES[1]
     function, point = problem.function(sharpness, softness, FINER), problem.space.point(finished.series)
