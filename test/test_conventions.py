@@ -174,7 +174,7 @@ def test_a_joint_at_rest_is_a_note(run, arm):
     [
         (lambda v: v * 180 / np.pi, "degrees/s"),
         (lambda v: -v, "opposite sign"),
-        (lambda v: np.roll(v, 20, axis=0), "lags the motion by"),
+        (lambda v: np.roll(v, 20, axis=0), "late against its position"),
         (lambda v: np.random.default_rng(0).standard_normal(v.shape), "not the derivative"),
     ],
 )

@@ -58,22 +58,22 @@ def test_the_differentiable_regressor_is_the_regressor():
     arm = arm_from_urdf(urdf_of(TREE))
     motion = states(arm)
     expected = rigid_body_blocks(arm, *motion)
-    for link, (supports, block) in enumerate(DifferentiableRegressor(arm, motion).blocks()):
-        for k, row in enumerate(supports):
-            np.testing.assert_allclose(block[:, k], expected[row, link], atol=1e-12)
+    found = DifferentiableRegressor(arm, motion)
+    assert {*zip(found.rows.tolist(), found.links.tolist())} == {*expected}
+    for row, link, columns in zip(found.rows, found.links, found.columns().swapaxes(0, 1)):
+        np.testing.assert_allclose(columns, expected[row, link], atol=1e-12)
 
 
 def test_its_way_back_is_what_differences_give_on_a_branching_arm_with_sliding_joints():
     arm = arm_from_urdf(urdf_of(TREE))
     motion = states(arm)
     rng = np.random.default_rng(1)
-    adjoints = [rng.normal(size=block.shape) for _, block in DifferentiableRegressor(arm, motion).blocks()]
+    adjoint = rng.normal(size=DifferentiableRegressor(arm, motion).columns().shape)
 
     def contracted(*state):
-        blocks = DifferentiableRegressor(arm, Motion(*state)).blocks()
-        return sum((block * adjoint).sum(axis=(0, 1)) for (_, block), adjoint in zip(blocks, adjoints))
+        return (DifferentiableRegressor(arm, Motion(*state)).columns() * adjoint).sum(axis=(0, 1))
 
-    back = DifferentiableRegressor(arm, motion).back(adjoints)
+    back = DifferentiableRegressor(arm, motion).back(adjoint)
     for which in range(3):
         for joint in range(len(arm.joints)):
             step = np.zeros_like(motion.q)

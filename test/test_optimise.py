@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -172,8 +171,12 @@ def test_the_number_of_harmonics_is_where_a_further_one_gains_little():
     numbers, values = zip(*found.tried, strict=True)
     assert numbers[0] == 3 and list(numbers) == list(range(3, 3 + len(numbers)))
     chosen = found.problem.harmonics
-    assert chosen == numbers[-1] - 1 or len(numbers) == 8
-    assert all(later < earlier for earlier, later in pairwise(values[: numbers.index(chosen) + 1]))
+    best = values[numbers.index(chosen)]
+    assert best == min(values[: numbers.index(chosen) + 1])
+    # What comes after gains little; one more than the first of these was tried only where that had gained nothing.
+    after = values[numbers.index(chosen) + 1 :]
+    assert all(value > 0.97 * best for value in after)
+    assert len(after) == 1 or numbers[-1] == 10 or (len(after) == 2 and after[0] > 0.998 * best)
     # A structure that swings at 0.5 Hz leaves two harmonics of 0.2 Hz.
     soft = replace(problem().needs, structural_hz=0.5)
     assert optimise_harmonics(problem(needs=soft), seed=0).problem.harmonics == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,7 @@ from spacearm_ident.excitation.composite import (
 from spacearm_ident.excitation.constraints import Requirements, check, limits_for_excitation
 from spacearm_ident.excitation.nominal import nominal_model
 from spacearm_ident.excitation.run import check_limits, plan_run
-from spacearm_ident.excitation.segments import Chirp, Cruise, Motion, MotionLimits, Quintic, Rest
+from spacearm_ident.excitation.segments import Chirp, Cruise, Motion, MotionLimits, Quintic, Rest, still
 from spacearm_ident.excitation.trajectory import Trajectory, random_feasible
 from spacearm_ident.excitation.trajectory_file import (
     load_trajectory,
@@ -84,6 +85,26 @@ def test_quintic_jerk_is_the_derivative_of_its_acceleration_and_a_move_waits_for
     assert Quintic.within(gentle, rest, there).duration_s == pytest.approx(2.0, rel=0.15)
     assert Quintic.within(gentle, rest, there).duration_s >= 2.0
     assert Quintic.within(free, rest, there).duration_s == 1.0
+
+
+def test_the_quickest_move_is_the_first_duration_that_keeps_the_limits_from_moving_starts_too():
+    rng = np.random.default_rng(0)
+    limits = MotionLimits(np.full(3, -2.0), np.full(3, 2.0), np.array([0.4, 1.0, 2.0]), np.array([0.8, 2.0, 6.0]))
+    tried = [1.0]
+    while tried[-1] < 100.0:
+        tried.append(math.ceil(11.0 * tried[-1]) / 10.0)
+    found = []
+    for _ in range(40):
+        begin = Motion(rng.uniform(-1.5, 1.5, 3), rng.uniform(-0.3, 0.3, 3), rng.uniform(-0.5, 0.5, 3))
+        end = still(rng.uniform(-1.5, 1.5, 3))
+        kept = [duration for duration in tried if Quintic(begin, end, duration).keeps(limits)]
+        if not kept:
+            with pytest.raises(UserError, match="no smooth move"):
+                Quintic.within(limits, begin, end)
+            continue
+        found.append(kept[0])
+        assert Quintic.within(limits, begin, end).duration_s == kept[0]
+    assert len(found) > 20 and len({*found}) > 5
 
 
 @pytest.mark.parametrize("purpose", PURPOSES)

@@ -190,9 +190,9 @@ class TorqueModel:
             if kinds is not None and term.kind not in kinds:
                 continue
             values = constants[first_constant : first_constant + len(term.constants)]
+            own = parameters[first : first + len(term.parameters)]
             for part in motion.pieces() if term.pointwise else (slice(0, len(total)),):
-                for row, (indices, columns) in term.columns(motion[part], values, background).items():
-                    total[part, row] += columns @ parameters[first + np.array(indices)]
+                total[part] += term.torque(motion[part], values, background, own)
         return total
 
     def background(self, motion: Motion, parameters: FloatArray, constants: FloatArray) -> Background:

@@ -135,7 +135,7 @@ def _child_motion(
     """Forward recursion over one joint, velocities and accelerations expressed in the child's frame."""
     axis = joint.axis[:, None]
     if joint.revolute:
-        rotation = _rotation(joint, q)
+        rotation = joint_rotation(joint, q)
         origin = joint.translation[:, None]
     else:
         rotation = joint.rotation[:, :, None]
@@ -162,7 +162,7 @@ def _child_motion(
     return _LinkMotion(omega, epsilon, accel, {**twists, index: own})
 
 
-def _rotation(joint: Joint, q: FloatArray) -> FloatArray:
+def joint_rotation(joint: Joint, q: FloatArray) -> FloatArray:
     """(3, 3, N) child to parent: the fixed placement, then Rodrigues' formula about the axis."""
     x, y, z = joint.axis
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

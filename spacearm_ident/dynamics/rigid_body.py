@@ -11,7 +11,7 @@ import numpy as np
 from ..recording.motion import Motion
 from .arm import Arm, FloatArray
 from .background import Background
-from .regressor import INERTIAL_SYMBOLS, rigid_body_blocks
+from .regressor import INERTIAL_SYMBOLS, rigid_body_blocks, rigid_body_torque
 from .term import Columns, Parameter, Term, Values, chosen_joints
 
 INERTIAL_UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)
@@ -54,6 +54,14 @@ class RigidBody(Term):
             indices = [10 * link + k for link in links for k in range(10)]
             rows[row] = indices, np.concatenate([blocks[row, link] for link in links]).T
         return rows
+
+    def torque(
+        self, motion: Motion, constants: Values, background: Background | None, parameters: FloatArray
+    ) -> FloatArray:
+        """The same torque without the columns, whose number grows with the square of the joints."""
+        assert self.arm is not None
+        state = motion.position, motion.velocity, motion.acceleration
+        return rigid_body_torque(self.arm, parameters.reshape(-1, 10), *state, motion.base)
 
 
 @dataclass(frozen=True)

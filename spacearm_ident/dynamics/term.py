@@ -130,6 +130,15 @@ class Term(ABC):
             background: What the rest of the model says of this motion as last estimated; None where not yet known.
         """
 
+    def torque(
+        self, motion: Motion, constants: Values, background: Background | None, parameters: FloatArray
+    ) -> FloatArray:
+        """(N, n) N·m of the term with `parameters` (in its own order); the rest as for `columns`."""
+        total = np.zeros_like(motion.position)
+        for row, (indices, columns) in self.columns(motion, constants, background).items():
+            total[:, row] += columns @ parameters[indices]
+        return total
+
 
 def chosen_joints(arm: Arm, choice: Any) -> tuple[str, ...]:
     """The joints that an option names; true stands for all, false or nothing for none.

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.meshes import resolve_meshes
-from ..dynamics.regressor import cross
+from ..dynamics.regressor import cross, joint_rotation
 
 NEEDED_M = 0.02
 """Least distance: what a coarse geometry and a servo's lag may take up."""
@@ -74,6 +74,7 @@ class Clearance:
             self._carries[link + 1, list(arm.supports(link))] = 1.0
         ends = [(self._joint_of[pair.first], self._joint_of[pair.second]) for pair in self._geometry.collisionPairs]
         self._ends = np.array(ends, dtype=np.intp).reshape(-1, 2)
+        self._bounds = _Spheres(self._geometry)
 
     def _add_ground(self, height: float) -> None:
         shape = coal.Halfspace(np.array([0.0, 0.0, 1.0]), float(height))
@@ -109,64 +110,147 @@ class Clearance:
     def _place(self, posture: FloatArray) -> None:
         configuration = pin.integrate(self._model, self._neutral, posture)
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, configuration)
-        pin.computeDistances(self._geometry, self._geometry_data)
+
+    def _measured(self, pairs: Sequence[int]) -> FloatArray:
+        """(P,) m between pairs, by their numbers, in the posture placed."""
+        measure, geometry, data = pin.computeDistance, self._geometry, self._geometry_data
+        return np.array([measure(geometry, data, pair).min_distance for pair in pairs])
 
     def distances(self, postures: FloatArray) -> FloatArray:
         """(T, pairs) m, negative where they overlap, at `postures` (T, n)."""
         out = np.empty((len(postures), len(self._geometry.collisionPairs)))
         for row, posture in enumerate(postures):
             self._place(posture)
+            pin.computeDistances(self._geometry, self._geometry_data)
             out[row] = [result.min_distance for result in self._geometry_data.distanceResults]
         return out
 
     def nearest(self, postures: FloatArray) -> Nearest | None:
-        """The least distance along `postures` (T, n); None where there is nothing to check."""
+        """The least distance along `postures` (T, n); None where there is nothing to check.
+
+        Pairs are measured in the order of their spheres' distance, until that exceeds the least measured.
+        """
         if not self.pairs:
             return None
-        distances = self.distances(postures)
-        row, pair = np.unravel_index(int(np.argmin(distances)), distances.shape)
-        return Nearest(float(distances[row, pair]), int(row), self.pairs[pair])
+        apart = self._bounds.distances(_frames(self._arm, postures))
+        least, at = np.inf, (0, 0)
+        for row, pair in zip(*(k.tolist() for k in np.unravel_index(np.argsort(apart, axis=None), apart.shape))):
+            if apart[row, pair] >= least:
+                break
+            self._place(postures[row])
+            distance = float(self._measured([pair])[0])
+            if distance < least:
+                least, at = distance, (row, pair)
+        return Nearest(least, at[0], self.pairs[at[1]])
 
     def barrier(self, postures: FloatArray, reach_m: float, slopes: bool = True) -> tuple[float, FloatArray]:
         """A barrier on all distances, and its derivative (T, n) by the postures.
 
         Sum over postures and pairs of s − 1 − log s, s = (distance − needed) / reach: zero with zero slope beyond
-        `reach_m`, infinite from the needed distance on.
+        `reach_m`, infinite from the needed distance on. Pairs whose spheres are farther apart are not measured.
         """
-        value, slope = 0.0, np.zeros_like(postures)
-        for row, posture in enumerate(postures):
-            self._place(posture)
-            distances = np.array([result.min_distance for result in self._geometry_data.distanceResults])
-            share = (distances - self.needed_m) / reach_m
+        slope = np.zeros_like(postures)
+        frames = _frames(self._arm, postures)
+        within = self._bounds.distances(frames) < self.needed_m + reach_m
+        rows, pairs, shares, ends = [], [], [], []
+        for row in np.flatnonzero(within.any(axis=1)).tolist():
+            candidates = np.flatnonzero(within[row])
+            self._place(postures[row])
+            share = (self._measured(candidates.tolist()) - self.needed_m) / reach_m
             if (share <= 0.0).any():
                 return float("inf"), slope
-            near = np.flatnonzero(share < 1.0)
-            if len(near):
-                value += float((share[near] - 1.0 - np.log(share[near])).sum())
-                if slopes:
-                    slope[row] = (1.0 - 1.0 / share[near]) / reach_m @ self._approach(near)
-        return value, slope
+            for pair, own in zip(candidates[share < 1.0].tolist(), share[share < 1.0].tolist()):
+                result = self._geometry_data.distanceResults[pair]
+                rows.append(row)
+                pairs.append(pair)
+                shares.append(own)
+                ends.append((result.getNearestPoint1(), result.getNearestPoint2()))
+        near = np.array(shares)
+        if slopes and len(near):
+            approach = self._approach(frames, np.array(rows), np.array(pairs), np.array(ends))
+            np.add.at(slope, rows, ((1.0 - 1.0 / near) / reach_m)[:, None] * approach)
+        return float((near - 1.0 - np.log(near)).sum()), slope
 
-    def _approach(self, pairs: np.ndarray) -> FloatArray:
-        """(P, n) derivatives of pairs' distances by the posture placed: how the nearest points move along their line.
+    def _approach(self, frames: _Frames, rows: np.ndarray, pairs: np.ndarray, ends: FloatArray) -> FloatArray:
+        """Derivatives of pairs' distances by the posture: how the nearest points move along their line.
 
         A point p of a link moves with joint k by axis × (p − origin) where k carries the link, by axis where it
         slides; along the line l that is axis · ((p − origin) × l).
+
+        Args:
+            frames: Of the postures.
+            rows: (P,) posture of each pair.
+            pairs: (P,) numbers.
+            ends: (P, 2, 3) nearest points in the base frame, of the pair's first and second geometry.
+
+        Returns:
+            (P, n).
         """
-        results = [self._geometry_data.distanceResults[int(k)] for k in pairs]
-        one = np.array([result.getNearestPoint1() for result in results]).T
-        other = np.array([result.getNearestPoint2() for result in results]).T
+        one, other = ends[:, 0].T, ends[:, 1].T
         line = other - one
-        line = line / np.maximum(np.linalg.norm(line, axis=0), 1e-12)
-        placements = self._data.oMi[1:]
-        axes = np.array([placement.rotation @ joint.axis for placement, joint in zip(placements, self._arm.joints)])
-        origins = np.array([placement.translation for placement in placements]).T
-        lever = np.einsum("kj,jpk->pk", axes, cross(origins[:, None, :], line[:, :, None]))
-        out = np.zeros((len(results), len(axes)))
+        line = (line / np.maximum(np.linalg.norm(line, axis=0), 1e-12))[:, None]
+        turns, spots = zip(*frames[1:])
+        axes = np.stack([turn[..., rows].swapaxes(1, 2) @ j.axis for turn, j in zip(turns, self._arm.joints)], axis=1)
+        origins = np.stack([spot[:, rows] for spot in spots], axis=1)
+        out = np.zeros(axes.shape[1:])
         for sign, points, side in ((1.0, other, 1), (-1.0, one, 0)):
-            moved = np.where(self._turns, cross(points, line).T @ axes.T - lever, line.T @ axes.T)
-            out += sign * self._carries[self._ends[pairs, side]] * moved
-        return out
+            lever = cross(points[:, None] - origins, line)
+            moved = (axes * np.where(self._turns[:, None], lever, line)).sum(axis=0)
+            out += sign * self._carries[self._ends[pairs, side]].T * moved
+        return out.T
+
+
+_Frames = list[tuple[FloatArray, FloatArray]]
+"""The base's and every joint's rotation (3, 3, T) and origin (3, T) in the base frame."""
+
+
+def _frames(arm: Arm, postures: FloatArray) -> _Frames:
+    """Those at `postures` (T, n)."""
+    samples = len(postures)
+    frames = [(np.tile(np.eye(3)[..., None], samples), np.zeros((3, samples)))]
+    for joint, q in zip(arm.joints, postures.T):
+        turn, origin = frames[joint.parent + 1]
+        if joint.revolute:
+            own, moved = joint_rotation(joint, q), joint.translation[:, None]
+        else:
+            own = joint.rotation[..., None]
+            moved = joint.translation[:, None] + (joint.rotation @ joint.axis)[:, None] * q
+        frames.append((np.einsum("ijt,jkt->ikt", turn, own), origin + (turn * moved).sum(axis=1)))
+    return frames
+
+
+class _Spheres:
+    """Spheres about the geometries: what lies between two of them is a lower bound of a pair's distance."""
+
+    def __init__(self, geometry: pin.GeometryModel) -> None:
+        centres, radii, joints, floor = [], [], [], []
+        for entry in geometry.geometryObjects:
+            shape = entry.geometry
+            shape.computeLocalAABB()
+            grounded = isinstance(shape, coal.Halfspace)
+            centres.append(np.zeros(3) if grounded else entry.placement.act(np.array(shape.aabb_center)))
+            radii.append(0.0 if grounded else float(shape.aabb_radius))
+            joints.append(entry.parentJoint)
+            floor.append(float(shape.d) if grounded else np.nan)
+        self._centres, self._joints = np.array(centres).reshape(-1, 3), np.array(joints, dtype=np.intp)
+        pairs = np.array([(pair.first, pair.second) for pair in geometry.collisionPairs], dtype=np.intp).reshape(-1, 2)
+        self._one, self._other = pairs.T
+        self._touching = np.array(radii)[pairs].sum(axis=1)[:, None]
+        self._floor = np.fmax(*np.array(floor)[pairs].T)
+        # Either may be the floor; the height is that of the one that is not.
+        self._above = np.where(np.isnan(np.array(floor)[self._one]), self._one, self._other)
+
+    def distances(self, frames: _Frames) -> FloatArray:
+        """(T, pairs) m that each pair's distance is not below."""
+        centres = np.empty((3, len(self._joints), frames[0][1].shape[1]))
+        for number, (turn, origin) in enumerate(frames):
+            here = np.flatnonzero(self._joints == number)
+            centres[:, here] = np.einsum("ijt,gj->igt", turn, self._centres[here]) + origin[:, None]
+        between = centres[:, self._one] - centres[:, self._other]
+        apart = np.sqrt((between * between).sum(axis=0))
+        grounded = ~np.isnan(self._floor)
+        apart[grounded] = centres[2, self._above[grounded]] - self._floor[grounded, None]
+        return np.asarray((apart - self._touching).T)
 
 
 def _geometry(arm: Arm, model: pin.Model) -> tuple[pin.GeometryModel, str]:

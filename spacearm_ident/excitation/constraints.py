@@ -155,20 +155,39 @@ class Margin:
         )
 
 
-def check(run: Trajectory, needs: Requirements) -> tuple[Margin, ...]:
-    """The margin of every limit along a run, on a grid of `STEP_S`."""
-    times = np.asarray(np.arange(int(np.ceil(run.duration_s / STEP_S)) + 1) * STEP_S, dtype=float)
-    motion = run.evaluate(np.minimum(times, run.duration_s))
+def check(run: Trajectory, needs: Requirements, coarser: int = 1) -> tuple[Margin, ...]:
+    """The margin of every limit along a run, on a grid of `STEP_S`; `coarser`: every so many of its instants alone."""
+    times = _instants(run, coarser * STEP_S)
+    motion = run.evaluate(times)
     margins = [*motion_margins(needs.joints, motion, needs.motion, times)]
     if needs.motion.jerk is not None:
         margins += _extremes("jerk", needs.joints, _jerk(run, times), needs.motion.jerk, "rad/s³", times)
     if np.isfinite(needs.torque_Nm).any():
-        torque = largest_torque(needs, motion, 1.0 / STEP_S)
+        torque = largest_torque(needs, motion, 1.0 / (coarser * STEP_S))
         margins += _extremes("torque", needs.joints, torque, needs.torque_Nm, "N·m", times)
     margins += frequency_margin(run, needs.structural_hz)
     if needs.clearance is not None:
-        margins += _clearance_margin(run, needs.clearance)
+        margins += _clearance_margin(run, needs.clearance, coarser * CLEARANCE_STEP_S)
     return tuple(_in_own_unit(margin, needs.identified.model.arm) for margin in margins)
+
+
+def broken(run: Trajectory, needs: Requirements) -> list[Margin]:
+    """The limits that a run breaks: of every tenth instant where some are broken there, else of all instants."""
+    for coarser in (10, 1):
+        margins = [margin for margin in check(run, needs, coarser) if not margin.kept]
+        if margins:
+            return margins
+    return []
+
+
+def _instants(run: Trajectory, step_s: float) -> FloatArray:
+    """(T,) s: a grid along a run, of a periodic part the first period alone, which the others repeat."""
+    times = np.minimum(np.arange(int(np.ceil(run.duration_s / step_s)) + 1) * step_s, run.duration_s)
+    wanted = np.ones(len(times), dtype=bool)
+    for segment, start_s in zip(run.segments, run.starts_s()):
+        if isinstance(segment, FourierTrajectory):
+            wanted &= (times <= start_s + segment.period_s) | (times >= start_s + segment.duration_s)
+    return np.asarray(times[wanted])
 
 
 _QUANTITY = {
@@ -276,10 +295,10 @@ def _jerk(run: Trajectory, times: FloatArray) -> FloatArray:
     return np.asarray((ends[:, 1] - ends[:, 0]) / (after - before)[:, None])
 
 
-def _clearance_margin(run: Trajectory, clearance: Clearance) -> list[Margin]:
-    times = np.arange(int(np.ceil(run.duration_s / CLEARANCE_STEP_S)) + 1) * CLEARANCE_STEP_S
-    postures = run.evaluate(np.minimum(times, run.duration_s)).q
-    # Periods repeat each other: a posture seen before need not be measured again.
+def _clearance_margin(run: Trajectory, clearance: Clearance, step_s: float) -> list[Margin]:
+    times = _instants(run, step_s)
+    postures = run.evaluate(times).q
+    # Rest and the way back repeat what came before: a posture seen before need not be measured again.
     _, first = np.unique(np.round(postures, 9), axis=0, return_index=True)
     first.sort()
     nearest = clearance.nearest(postures[first])

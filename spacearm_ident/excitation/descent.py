@@ -136,13 +136,32 @@ def _programme(
     """Minimum of g.d + d'Bd/2 with |d| <= box under the rows whose `side` is not zero, each on that side."""
     blocks = [a[sign != 0] * sign[sign != 0, None] for a, sign in zip(rows, side)]
     rooms = [np.maximum(1.0 - (sign * used)[sign != 0], 0.0) for used, sign in zip(here, side)]
-    identity = sparse.eye(len(gradient), format="csc")
-    constraints = sparse.vstack([sparse.block_diag(blocks), identity, -identity], format="csc")
+    constraints = _with_box(blocks)
     bounds = np.concatenate([*rooms, np.full(2 * len(gradient), box)])
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     cone = [clarabel.NonnegativeConeT(len(bounds))]
     return np.array(clarabel.DefaultSolver(quadratic, gradient, constraints, bounds, cone, settings).solve().x)
+
+
+def _with_box(blocks: Sequence[FloatArray]) -> sparse.csc_matrix:
+    """The blocks on a diagonal, above the identity and minus the identity.
+
+    Column by column: scipy's stacking takes as long as the programme's solution.
+    """
+    count, size = sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)
+    data, rows, lengths = [], [], []
+    first = column = 0
+    for block in blocks:
+        tall, wide = block.shape
+        columns = np.arange(column, column + wide)[:, None]
+        box = np.hstack([count + columns, count + size + columns])
+        rows.append(np.hstack([np.tile(np.arange(first, first + tall), (wide, 1)), box]).ravel())
+        data.append(np.hstack([block.T, np.tile([1.0, -1.0], (wide, 1))]).ravel())
+        lengths += [tall + 2] * wide
+        first, column = first + tall, column + wide
+    starts = np.concatenate([[0], np.cumsum(lengths)])
+    return sparse.csc_matrix((np.concatenate(data), np.concatenate(rows), starts), (count + 2 * size, size))
 
 
 def _damped_bfgs(hessian: FloatArray, moved: FloatArray, change: FloatArray, first: bool) -> FloatArray:

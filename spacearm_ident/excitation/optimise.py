@@ -18,7 +18,7 @@ import numpy as np
 
 from ..dynamics.arm import FloatArray
 from ..errors import UserError
-from .constraints import Margin, check, require
+from .constraints import Margin, broken, check, require
 from .criteria import CRITERIA, D_OPTIMAL, PREDICTION, Information
 from .descent import Function, descend
 from .problem import Problem
@@ -32,8 +32,12 @@ STAGES = ((6.0, 0.10, 40, 1e-2), (16.0, 0.06, 60, 3e-3), (64.0, 0.04, 40, 1e-3))
 """Sharpness, softness of the direction of motion (share of the velocity limit), steps, tolerance."""
 DRAWN_TOGETHER = 0.1
 """A criterion (logarithm) worse by more after the last check: the motion was made much smaller, another is tried."""
+FINER = 4
+"""Samples of the descent that follows such a motion, over the usual: clearance every 80 ms of a period of 10 s."""
 SHRINK = (1.0, 0.7, 0.45, 0.25, 0.12, 0.05, 0.02)
-INFORMATION_HZ = 500.0
+INFORMATION_HZ = 200.0
+"""Samples a second of the exact criterion: against 500 the logarithm moves by at most 1e-4 (six runs of three arms,
+2026-11-25), a three-hundredth of `WORTH_A_HARMONIC`."""
 RATE_HZ = 1000.0
 WAY_HOME = (0.75, 0.5, 0.25, 0.1)
 """Shares of a motion about its start posture at which it is examined, too, before it is descended from; ratio."""
@@ -43,6 +47,8 @@ GENTLE = 0.4
 GENTLE_PERIODS = 2
 WORTH_A_HARMONIC = 0.03
 """A further harmonic is taken if it lowers the criterion by this share (of standard errors, or of the condition)."""
+NO_BETTER = 1e-3
+"""Gain (logarithm) below which a search with one harmonic more failed: all that fewer can do is open to it."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +88,12 @@ class Excitation:
     @cached_property
     def prediction_sd(self) -> FloatArray:
         """(n,) N·m, of torque predicted on the test motions after this run, under independent noise."""
-        times = np.arange(0.0, 10.0, 0.01)
-        tests = [self.problem.question.information(test.evaluate(times), 100.0) for test in self.problem.tests]
-        return self.information.prediction_sd(tests, self.samples)
+        return self.information.prediction_sd(self.problem.test_information, self.samples)
+
+    @cached_property
+    def value(self) -> float:
+        """The criterion as a logarithm, as `exact_value` of the series."""
+        return _value(self.problem, self.information)
 
 
 def optimise(
@@ -115,64 +124,93 @@ def optimise(
         share = 0.5 / len(starts)
         stage = _staged(report, 0.1 + share * number, share, steps, f"descent {number + 1} of {len(starts)}")
         found.append(descend(function, point, problem.space.rows, steps, tolerance, stage))
-    # A descent may end where clearance is broken between samples, and motion drawn towards the start posture comes no
-    # farther from the floor: then the next descent is refined as well.
+    # A descent may end where clearance is broken between samples, or where rest cannot be reached: then the next one is
+    # refined as well.
     refusal = UserError()
-    finished: list[tuple[float, Excitation]] = []
+    finished: list[Excitation] = []
     for descent in sorted(found, key=lambda descent: descent.value):
-        points = [descent.point]
-        for number, (sharpness, softness, steps, tolerance) in enumerate(STAGES[1:]):
-            function = problem.function(sharpness, softness)
-            if np.isfinite(function(points[-1])[0]):
-                stage = _staged(report, 0.6 + 0.15 * number, 0.15, steps, "refining")
-                points.append(descend(function, points[-1], problem.space.rows, steps, tolerance, stage).point)
-        report(0.9, "checking all limits")
-        # Sharper is not always better once judged exactly.
-        points.sort(key=lambda point: exact_value(problem, problem.space.series(point, 1)))
+        valued = _refined(problem, descent.point, report)
+        for _, point in known_point(problem, function, known):
+            valued.append((exact_value(problem, problem.space.series(point, 1)), point))
         try:
-            excitation, whole = _best_finished(problem, points)
+            finished.append(_best_finished(problem, valued))
         except UserError as error:
             refusal = error
             continue
-        finished.append((exact_value(problem, excitation.series), excitation))
-        if whole:
+        enough = valued[0][0] + DRAWN_TOGETHER
+        if known is not None or finished[-1].value < enough:
+            break  # what is known already is the way out of a failure, and cheaper
+        finished.append(_between_closer_samples(problem, finished[-1], report))
+        if finished[-1].value < enough:
             break
-    else:
-        for _, point in known_point(problem, function, known):
-            excitation = finish(problem, point)
-            finished.append((exact_value(problem, excitation.series), excitation))
     if not finished:
         raise refusal
-    return min(finished, key=lambda pair: pair[0])[1]
+    return min(finished, key=lambda excitation: excitation.value)
 
 
-def _best_finished(problem: Problem, points: Sequence[FloatArray]) -> tuple[Excitation, bool]:
-    """The first point that `finish` leaves nearly as good as it was, and True; else the best of them, and False.
+def _refined(problem: Problem, point: FloatArray, report: Progress) -> list[tuple[float, FloatArray]]:
+    """A descent's end and what each further stage makes of it, with `exact_value`, the best first.
+
+    Sharper is not always better once judged exactly.
+    """
+    points = [point]
+    for number, (sharpness, softness, steps, tolerance) in enumerate(STAGES[1:]):
+        function = problem.function(sharpness, softness)
+        if np.isfinite(function(points[-1])[0]):
+            stage = _staged(report, 0.6 + 0.15 * number, 0.15, steps, "refining")
+            points.append(descend(function, points[-1], problem.space.rows, steps, tolerance, stage).point)
+    report(0.9, "checking all limits")
+    return sorted(
+        ((exact_value(problem, problem.space.series(one, 1)), one) for one in points), key=lambda pair: pair[0]
+    )
+
+
+def _between_closer_samples(problem: Problem, excitation: Excitation, report: Progress) -> Excitation:
+    """The excitation descended from again with more samples; the same where that is not possible.
+
+    Limits broken between the samples leave a motion much smaller than it need be.
+    """
+    sharpness, softness, steps, tolerance = STAGES[1]
+    function, point = problem.function(sharpness, softness, FINER), problem.space.point(excitation.series)
+    point = point / np.maximum(1.0, problem.space.usage(point))[:, None]
+    if not np.isfinite(function(point)[0]):
+        return excitation
+    stage = _staged(report, 0.95, 0.05, steps, "again between closer samples")
+    again = descend(function, point, problem.space.rows, steps, tolerance, stage).point
+    return _best_finished(problem, [(excitation.value, again), (excitation.value, point)])
+
+
+def _best_finished(problem: Problem, valued: Sequence[tuple[float, FloatArray]]) -> Excitation:
+    """The first point that `finish` leaves nearly as good as it was; where it draws all of them together, the best.
+
+    Args:
+        problem: What is wanted.
+        valued: `exact_value` of a point, and the point.
 
     Raises:
         UserError: None can be joined within the limits.
     """
     refusal = UserError()
-    found: list[tuple[float, Excitation]] = []
-    for point in points:
+    found: list[Excitation] = []
+    for value, point in valued:
         try:
-            excitation = finish(problem, point)
+            found.append(finish(problem, point))
         except UserError as error:
             refusal = error
             continue
-        value = exact_value(problem, excitation.series)
-        found.append((value, excitation))
-        if value < exact_value(problem, problem.space.series(point, 1)) + DRAWN_TOGETHER:
-            return excitation, True
+        if found[-1].value < value + DRAWN_TOGETHER:
+            break
     if not found:
         raise refusal
-    return min(found, key=lambda pair: pair[0])[1], False
+    return min(found, key=lambda excitation: excitation.value)
 
 
 def optimise_harmonics(
     problem: Problem, seed: int = 0, progress: Progress | None = None, method: Callable[..., Excitation] = optimise
 ) -> Excitation:
     """The smallest N_h whose successor no longer lowers the criterion by `WORTH_A_HARMONIC`, from 3 upwards.
+
+    A successor that gains nothing at all has found no better optimum, which says nothing of the next: that is tried.
 
     Raises:
         UserError: As `optimise`.
@@ -184,15 +222,18 @@ def optimise_harmonics(
     first = min(3, max(1, highest))
     best: Excitation | None = None
     tried: list[tuple[int, float]] = []
+    failed = False
     for harmonics in range(first, max(first, highest) + 1):
         begin = (harmonics - first) / (highest - first + 1)
         part = _part(report, begin, 1.0 / (highest - first + 1), f"{harmonics} harmonics: ")
         candidate = method(replace(problem, harmonics=harmonics), seed, part, best and best.series)
-        value = exact_value(candidate.problem, candidate.series)
         tried.append((harmonics, candidate.criteria[problem.criterion]))
-        if best is not None and value > exact_value(best.problem, best.series) - WORTH_A_HARMONIC:
+        if best is None or candidate.value < best.value - WORTH_A_HARMONIC:
+            best, failed = candidate, False
+        elif failed or candidate.value < best.value - NO_BETTER:
             break
-        best = candidate
+        else:
+            failed = True
     assert best is not None
     return replace(best, tried=tuple(tried))
 
@@ -282,13 +323,14 @@ def known_point(
 def exact_value(problem: Problem, series: FourierTrajectory) -> float:
     """The criterion of a series as a logarithm, from exact columns on a fine grid."""
     times = np.arange(0.0, series.period_s, 1.0 / INFORMATION_HZ)
-    information = problem.question.information(series.evaluate(times), INFORMATION_HZ)
+    return _value(problem, problem.question.information(series.evaluate(times), INFORMATION_HZ))
+
+
+def _value(problem: Problem, information: Information) -> float:
     if problem.criterion == D_OPTIMAL:
         return information.values()[D_OPTIMAL] / 2
     if problem.criterion == PREDICTION:
-        grid = np.arange(0.0, 10.0, 0.02)
-        tests = [problem.question.information(test.evaluate(grid), 50.0) for test in problem.tests]
-        sd = information.prediction_sd(tests, 1.0) / information.noise_Nm
+        sd = information.prediction_sd(problem.test_information, 1.0) / information.noise_Nm
         return float(np.log(np.mean(sd**2)) / 2)
     return float(np.log(information.values()[problem.criterion]))
 
@@ -303,17 +345,17 @@ def finish(problem: Problem, point: FloatArray) -> Excitation:
     for share in (1.0, 0.99, 0.98, 0.96, 0.93, 0.9, 0.85, 0.8, 0.7, 0.5, 0.3, 0.1):
         shrunk = problem.home + share * (point - problem.home)
         series = problem.space.series(shrunk, problem.periods)
-        margins = check(Trajectory(problem.joints, (replace(series, periods=1),)), problem.needs)
-        if all(margin.kept for margin in margins):
+        margins = broken(Trajectory(problem.joints, (replace(series, periods=1),)), problem.needs)
+        if not margins:
             break
     else:
         require(margins)
     series, run = join(problem, series)
     times = np.arange(0.0, series.period_s, 1.0 / INFORMATION_HZ)
     information = problem.question.information(series.evaluate(times), INFORMATION_HZ)
-    margins = check(run, problem.needs)
-    require(margins)
-    return Excitation(problem, series, run, information, margins)
+    found = check(run, problem.needs)
+    require(found)
+    return Excitation(problem, series, run, information, found)
 
 
 def gentle(excitation: Excitation) -> Excitation:
@@ -353,15 +395,11 @@ def join(problem: Problem, series: FourierTrajectory) -> tuple[FourierTrajectory
     least = np.inf
     for _, begun, run in sorted(runs, key=lambda entry: entry[0]):
         place = run.segments.index(begun)
-        broken = [
-            margin
-            for part in (run.segments[:place], run.segments[place + 1 :])
-            for margin in check(Trajectory(run.joints, part), problem.needs)
-            if not margin.kept
-        ]
-        if not broken:
+        parts = (run.segments[:place], run.segments[place + 1 :])
+        margins = [margin for part in parts for margin in broken(Trajectory(run.joints, part), problem.needs)]
+        if not margins:
             return begun, run
-        worst = max(broken, key=lambda margin: margin.used)
+        worst = max(margins, key=lambda margin: margin.used)
         if worst.used < least:
             least, refusal = (
                 worst.used,

@@ -6,7 +6,6 @@ finite only where they hold at the samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from ..dynamics.arm import FloatArray
 from .constraints import Requirements
-from .criteria import CONDITION, PREDICTION, SCALED_CONDITION, Question, smooth_criterion
+from .criteria import CONDITION, PREDICTION, SCALED_CONDITION, Information, Question, smooth_criterion
 from .descent import Function
 from .segments import Motion
 from .series_space import Basis, SeriesSpace
@@ -76,23 +75,27 @@ class Problem:
         made = (draw_coefficients(rng, self.needs.motion, 0.1, 5, (0.5, 0.95)) for _ in range(TESTS))
         return tuple(FourierTrajectory(self.joints, centre, a, b, 0.1, 1) for a, b, centre in made)
 
-    def function(self, sharpness: float, softness: float, samples: int | None = None, slopes: bool = True) -> Function:
+    @cached_property
+    def test_information(self) -> tuple[Information, ...]:
+        """What `tests` tell: every prediction is judged on it."""
+        times = np.arange(0.0, self.tests[0].period_s, 0.01)
+        return tuple(self.question.information(test.evaluate(times), 100.0) for test in self.tests)
+
+    def function(self, sharpness: float, softness: float, finer: int = 1, slopes: bool = True) -> Function:
         """The smooth criterion of a point with the barriers; infinite where torque or clearance is broken.
 
-        Without `slopes` the gradient is left zero, at a third of the time.
+        On `finer` times as many samples as usual. Without `slopes` the gradient is left zero, at a third of the time.
         """
-        samples = samples or SAMPLES_A_HARMONIC * max(self.harmonics, 4)
+        samples = finer * SAMPLES_A_HARMONIC * max(self.harmonics, 4)
         basis = self.space.basis(samples)
         columns = SmoothColumns(self.question, softness * np.minimum(self.needs.motion.velocity, 1e3))
         criterion = smooth_criterion(self.criterion, sharpness, self._moment(columns))
-        sparse = self.space.basis(CLEARANCE_SAMPLES)
+        sparse = self.space.basis(finer * CLEARANCE_SAMPLES)
 
         def function(z: FloatArray) -> tuple[float, FloatArray]:
             motion = self.space.motion(z, basis)
-            at = columns.at(motion)
-            barrier, by_torque = torque_barrier(at.torque, self.needs.torque_Nm)
-            led_back, back_by = self._led_back(columns, motion)
-            barrier += led_back
+            at = columns.at(self._with_led_back(motion), samples)
+            barrier, by_torque = torque_barrier(at.torque, self.needs.torque_Nm, samples)
             if not np.isfinite(barrier):
                 return barrier, np.zeros_like(z)
             nearness, by_posture = self._clearance(z, sparse, slopes)
@@ -101,9 +104,7 @@ class Problem:
             value, slope = criterion(at.information(self.weights))
             if not slopes:
                 return value + barrier + nearness, np.zeros_like(z)
-            gradient = self.space.gradient(at.back(self.weights, slope, by_torque), basis)
-            if back_by is not None:
-                gradient += self.space.gradient(back_by(), basis)
+            gradient = self.space.gradient(self._folded(at.back(self.weights, slope, by_torque), samples), basis)
             if nearness > 0.0:
                 nothing = np.zeros_like(by_posture)
                 gradient += self.space.gradient(Motion(by_posture, nothing, nothing), sparse)
@@ -111,26 +112,25 @@ class Problem:
 
         return function
 
-    def _led_back(self, columns: SmoothColumns, motion: Motion) -> tuple[float, Callable[[], Motion] | None]:
-        """The torque barrier of the largest of `needs.accelerations`, and its derivatives by the states.
+    def _with_led_back(self, motion: Motion) -> Motion:
+        """The states of `motion`, then those with the largest of `needs.accelerations`, whose torque must be kept too.
 
-        That of the least is left to the check: torque lies between those of less and of more acceleration, and only
-        gravity against inertia makes less of it the worse.
+        Those with the least are left to the check: torque lies between those of less and of more acceleration, and
+        only gravity against inertia makes less of it the worse.
         """
         most = max(self.needs.accelerations)
         if most == 1.0:
-            return 0.0, None
-        at = columns.at(Motion(motion.q, motion.qd, most * motion.qdd))
-        barrier, by_torque = torque_barrier(at.torque, self.needs.torque_Nm)
-        if by_torque is None or not np.isfinite(barrier):
-            return barrier, None
+            return motion
+        q, qd, qdd = motion
+        return Motion(np.vstack([q, q]), np.vstack([qd, qd]), np.vstack([qdd, most * qdd]))
 
-        def back() -> Motion:
-            none = np.zeros((columns.size, columns.size))
-            by = at.back(self.weights, none, by_torque)
-            return Motion(by.q, by.qd, most * by.qdd)
-
-        return barrier, back
+    def _folded(self, by: Motion, samples: int) -> Motion:
+        """Derivatives by the `samples` states planned, from those by the states of `_with_led_back`."""
+        most = max(self.needs.accelerations)
+        if most == 1.0:
+            return by
+        q, qd, qdd = (part.reshape(2, samples, -1) for part in by)
+        return Motion(q.sum(axis=0), qd.sum(axis=0), qdd[0] + most * qdd[1])
 
     def _clearance(self, z: FloatArray, basis: Basis, slopes: bool) -> tuple[float, FloatArray]:
         postures = self.space.motion(z, basis).q
@@ -155,8 +155,8 @@ class Problem:
         return self.space.point(FourierTrajectory(self.joints, self.start, empty, empty, self.fundamental_hz, 1))
 
 
-def torque_barrier(torque: FloatArray, limit: FloatArray) -> tuple[float, FloatArray | None]:
-    """−log(1 − (torque/limit)²), mean over samples, and its derivative (T, n); None where there are no limits."""
+def torque_barrier(torque: FloatArray, limit: FloatArray, samples: int) -> tuple[float, FloatArray | None]:
+    """Sum of −log(1 − (torque/limit)²) over `samples`, and its derivative (T, n); None where there are no limits."""
     bounded = np.isfinite(limit)
     if not bounded.any():
         return 0.0, None
@@ -164,6 +164,6 @@ def torque_barrier(torque: FloatArray, limit: FloatArray) -> tuple[float, FloatA
     room = 1.0 - share**2
     if room.min() <= 0.0:
         return float("inf"), None
-    scale = TORQUE_BARRIER / len(torque)
+    scale = TORQUE_BARRIER / samples
     slope = np.where(bounded, 2 * share / room / np.where(bounded, limit, 1.0), 0.0)
     return -scale * float(np.log(room).sum()), scale * slope

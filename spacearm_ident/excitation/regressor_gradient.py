@@ -8,12 +8,16 @@ recursion is written again here in the form that keeps what the way back needs. 
 
     S = A_m l.a + A_c.[ l x e + o x (o x l) + a x w ] + w.(M e) + (w x o).(M o).
 
-Vectors are (3, T); those of a link's k supporting joints are stacked, (3, k, T).
+Vectors are (3, T); those of a link's k supporting joints are stacked, (3, k, T), and outside the recursion those of all
+K pairs of a link and a joint that carries it, (3, K, T): at the few samples of a descent numpy's calls cost more than
+its arithmetic.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,8 +47,23 @@ class _Link:
     accel_in: FloatArray
 
 
+class _Pairs(NamedTuple):
+    """Forward quantities of K pairs of a link and a joint that carries it, (3, K, T) each: the link's, its twists."""
+
+    omega: FloatArray
+    epsilon: FloatArray
+    accel: FloatArray
+    linear: FloatArray
+    angular: FloatArray
+
+
 class DifferentiableRegressor:
-    """The columns of an arm at T states, and the way back from them."""
+    """The columns of an arm at T states, and the way back from them.
+
+    Attributes:
+        rows: (K,) joint of each pair of a joint and a link that it carries, link by link.
+        links: (K,) its link.
+    """
 
     def __init__(self, arm: Arm, motion: Motion) -> None:
         """Compute the columns of `motion` (T, n)."""
@@ -62,20 +81,36 @@ class DifferentiableRegressor:
             supports = (index,) if joint.parent < 0 else (*self._links[joint.parent].supports, index)
             state = (motion.q[:, index], motion.qd[:, index], motion.qdd[:, index])
             self._links.append(_forward(joint, supports, parent, *state))
+        counts = [len(link.supports) for link in self._links]
+        self._first = np.concatenate([[0], np.cumsum(counts)])
+        self.rows = np.concatenate([link.supports for link in self._links]).astype(np.intp)
+        self.links = np.repeat(np.arange(len(counts)), counts)
+        self._pairs = _Pairs(
+            *(
+                np.stack([getattr(link, name) for link in self._links], axis=1)[:, self.links]
+                for name in ("omega", "epsilon", "accel")
+            ),
+            *(np.concatenate([getattr(link, name) for link in self._links], axis=1) for name in ("linear", "angular")),
+        )
 
     def _state(self, link: int) -> tuple[FloatArray, ...]:
         known = self._links[link]
         return known.omega, known.epsilon, known.accel, known.linear, known.angular
 
-    def blocks(self) -> list[tuple[tuple[int, ...], FloatArray]]:
-        """For every link its supporting joints (k of them) and their rows' columns, (10, k, T)."""
-        return [(link.supports, _columns(link)) for link in self._links]
+    def columns(self) -> FloatArray:
+        """(10, K, T) columns of each pair's link in the row of its joint."""
+        return _columns(self._pairs)
 
-    def back(self, adjoints: list[FloatArray]) -> Motion:
-        """Derivatives by the states, (T, n) each, from those by every link's block, (10, k, T) each."""
+    def back(self, adjoint: FloatArray) -> Motion:
+        """Derivatives by the states, (T, n) each, from those by the columns, (10, K, T)."""
         samples, joints = self._speed.shape
         out = Motion(*(np.zeros((samples, joints)) for _ in range(3)))
-        pending = [_contract(link, adjoint) for link, adjoint in zip(self._links, adjoints)]
+        by_link, by_twist = _contract(self._pairs, adjoint)
+        summed = [np.add.reduceat(part, self._first[:-1], axis=1) for part in by_link]
+        own = [slice(*ends) for ends in pairwise(self._first.tolist())]
+        pending = [
+            [*(part[:, link] for part in summed), *(part[:, own[link]] for part in by_twist)] for link in range(joints)
+        ]
         for index in range(joints - 1, -1, -1):
             joint = self.arm.joints[index]
             parent = None if joint.parent < 0 else self._links[joint.parent]
@@ -129,10 +164,9 @@ def _forward(
     )  # fmt: skip
 
 
-def _columns(link: _Link) -> FloatArray:
-    """(10, k, T) columns of one link in the rows of the joints that carry it."""
-    o, e, a = link.omega[:, None], link.epsilon[:, None], link.accel[:, None]
-    linear, w = link.linear, link.angular
+def _columns(pairs: _Pairs) -> FloatArray:
+    """(10, K, T) columns of each pair's link in the row of its joint."""
+    o, e, a, linear, w = pairs
     block = np.empty((10, *linear.shape[1:]))
     block[0] = (linear * a).sum(axis=0)
     block[1:4] = cross(linear, e) + cross(o, cross(o, linear)) + cross(a, w)
@@ -144,10 +178,9 @@ def _columns(link: _Link) -> FloatArray:
     return block
 
 
-def _contract(link: _Link, adjoint: FloatArray) -> list[FloatArray]:
-    """Derivatives of S by omega, epsilon, accel (3, T), linear and angular (3, k, T)."""
-    o, e, a = link.omega[:, None], link.epsilon[:, None], link.accel[:, None]
-    linear, w = link.linear, link.angular
+def _contract(pairs: _Pairs, adjoint: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Derivatives of S by omega, epsilon, accel, and by linear and angular, (3, K, T) each."""
+    o, e, a, linear, w = pairs
     mass, moment = adjoint[0], adjoint[1:4]
     inertia = np.empty((3, 3, *adjoint.shape[1:]))
     for row, (i, j) in enumerate(INERTIA_PAIRS, start=4):
@@ -158,12 +191,12 @@ def _contract(link: _Link, adjoint: FloatArray) -> list[FloatArray]:
         + cross(linear, cross(moment, o))
         + cross(spun, w)
         + _apply(inertia, cross(w, o))
-    ).sum(axis=1)
-    by_epsilon = (cross(moment, linear) + _apply(inertia, w)).sum(axis=1)
-    by_accel = (mass * linear + cross(w, moment)).sum(axis=1)
+    )
+    by_epsilon = cross(moment, linear) + _apply(inertia, w)
+    by_accel = mass * linear + cross(w, moment)
     by_linear = mass * a + cross(e, moment) + cross(o, cross(o, moment))
     by_angular = cross(moment, a) + _apply(inertia, e) + cross(o, spun)
-    return [by_omega, by_epsilon, by_accel, by_linear, by_angular]
+    return [by_omega, by_epsilon, by_accel], [by_linear, by_angular]
 
 
 def _backward(

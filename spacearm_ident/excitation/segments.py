@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -21,6 +22,8 @@ FloatArray = NDArray[np.float64]
 _LONGEST_MOVE_S = 120.0
 _MOVE_POINTS = 401
 """Between these a fifth-order polynomial's extremes exceed the sampled ones by less than 1e-4."""
+_SIFTED = 20
+"""Every so many of these points alone rule out most durations that are too short."""
 
 
 class Motion(NamedTuple):
@@ -57,7 +60,7 @@ class MotionLimits:
     jerk: FloatArray | None = None
 
     def usage(self, motion: Motion) -> FloatArray:
-        """Largest share of each joint's limits a motion (T, n) uses, (n,); above 1 it breaks one.
+        """Largest share of each joint's limits a motion (..., T, n) uses, (..., n); above 1 it breaks one.
 
         Position counts as the distance from the middle of the range over half the range.
         """
@@ -67,7 +70,7 @@ class MotionLimits:
             np.abs(motion.qd) / self.velocity,
             np.abs(motion.qdd) / self.acceleration,
         )
-        return np.asarray(np.max([share.max(axis=0) for share in shares], axis=0))
+        return np.asarray(np.max([share.max(axis=-2) for share in shares], axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +97,7 @@ class Quintic:
     def evaluate(self, t: ArrayLike) -> Motion:
         """Motion at `t` (T,), s."""
         T = self.duration_s
-        s = (np.atleast_1d(np.asarray(t, dtype=float)) / T)[:, None]
-        c0, c1, c2, c3, c4, c5 = self._coefficients()
-        return Motion(
-            c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5)))),
-            (c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / T,
-            (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / T**2,
-        )
+        return _quintic(self._coefficients(), T, (np.atleast_1d(np.asarray(t, dtype=float)) / T)[:, None])
 
     def jerk(self, t: ArrayLike) -> FloatArray:
         """(T, n) rad/s³ at `t` (T,), s."""
@@ -109,13 +106,7 @@ class Quintic:
         return (6 * c3 + s * (24 * c4 + s * 60 * c5)) / self.duration_s**3
 
     def _coefficients(self) -> tuple[FloatArray, ...]:
-        # In s = t/T the first three coefficients are the start state; the rest close on the end state.
-        T = self.duration_s
-        c0, c1, c2 = self.start.q, T * self.start.qd, T**2 * self.start.qdd / 2
-        dq = self.end.q - (c0 + c1 + c2)
-        dv = T * self.end.qd - (c1 + 2 * c2)
-        da = T**2 * self.end.qdd - 2 * c2
-        return c0, c1, c2, 10 * dq - 4 * dv + da / 2, -15 * dq + 7 * dv - da, 6 * dq - 3 * dv + da / 2
+        return _quintic_coefficients(self.start, self.end, self.duration_s)
 
     def keeps(self, limits: MotionLimits) -> bool:
         """Whether the move stays within the limits."""
@@ -131,17 +122,51 @@ class Quintic:
         Raises:
             UserError: No duration up to two minutes does.
         """
-        duration = shortest_s
-        while duration < _LONGEST_MOVE_S:
+        durations = _durations(shortest_s)
+        for duration in durations[_sifted(limits, start, end, durations)].tolist():
             move = cls(start, end, duration)
             if move.keeps(limits):
                 return move
-            # Whole tenths, so that what follows starts on a sample at any usual rate.
-            duration = math.ceil(11.0 * duration) / 10.0
         raise UserError(
             "no smooth move joins the start posture and the trajectory within the limits; "
             "choose a start posture inside the position limits, or a trajectory that begins farther from them"
         )
+
+
+@lru_cache
+def _durations(shortest_s: float) -> FloatArray:
+    """Durations tried, s: whole tenths, so that what follows starts on a sample at any usual rate."""
+    durations = [shortest_s]
+    while (longer := math.ceil(11.0 * durations[-1]) / 10.0) < _LONGEST_MOVE_S:
+        durations.append(longer)
+    return np.array(durations)
+
+
+def _sifted(limits: MotionLimits, start: Motion, end: Motion, durations: FloatArray) -> NDArray[np.bool_]:
+    """(D,) which durations of the move break no limit at a few of its points; the others cannot keep them."""
+    T = durations[:, None, None]
+    s = np.linspace(0.0, 1.0, _MOVE_POINTS)[::_SIFTED, None]
+    moves = _quintic(_quintic_coefficients(start, end, T), T, s)
+    return np.asarray(limits.usage(moves).max(axis=-1) <= 1.0)
+
+
+def _quintic_coefficients(start: Motion, end: Motion, T: float | FloatArray) -> tuple[FloatArray, ...]:
+    """Of the position's polynomial in s = t/T: the first three are the start state, the rest close on the end state."""
+    c0, c1, c2 = start.q, T * start.qd, T**2 * start.qdd / 2
+    dq = end.q - (c0 + c1 + c2)
+    dv = T * end.qd - (c1 + 2 * c2)
+    da = T**2 * end.qdd - 2 * c2
+    return c0, c1, c2, 10 * dq - 4 * dv + da / 2, -15 * dq + 7 * dv - da, 6 * dq - 3 * dv + da / 2
+
+
+def _quintic(coefficients: tuple[FloatArray, ...], T: float | FloatArray, s: FloatArray) -> Motion:
+    """The motion at s = t/T; all broadcast against each other, the joints last."""
+    c0, c1, c2, c3, c4, c5 = coefficients
+    return Motion(
+        c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5)))),
+        (c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / T,
+        (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / T**2,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,41 +47,54 @@ class SmoothColumns:
         model = question.identified.model
         self._arm = model.arm
         links = range(len(model.arm.joints))
+        self._placed: tuple[np.ndarray, np.ndarray] | None = None
         first = next((first for term, first, _ in model.numbered() if isinstance(term, RigidBody)), None)
         numbers = np.empty((0, 10), int) if first is None else first + np.arange(10 * len(links)).reshape(-1, 10)
-        rigid = [int(k) for k in numbers.ravel() if k in question.leads]
-        slots = {number: k for k, number in enumerate(rigid)}
-        chosen = [[k for k in range(10) if first is not None and int(numbers[link, k]) in slots] for link in links]
-        # Link by link: which of its ten parameters lead, and their columns here.
-        self._rigid = [(picked, [slots[int(numbers[link, k])] for k in picked]) for link, picked in zip(links, chosen)]
+        self._leading = [int(k) for k in numbers.ravel() if k in question.leads]
         self._inertials = np.zeros((len(links), 10)) if first is None else question.identified.parameters[numbers]
-        self._own, self.leads = _own_columns(question, softness, rigid)
+        self._numbers = numbers
+        self._own, self.leads = _own_columns(question, softness, self._leading)
         self.size = len(self.leads)
 
-    def at(self, motion: Motion) -> Evaluated:
-        """Evaluate at the states of `motion` (T, n)."""
+    def at(self, motion: Motion, counted: int | None = None) -> Evaluated:
+        """Evaluate at the states of `motion` (T, n), of which the first `counted` count for the information."""
         regressor = DifferentiableRegressor(self._arm, motion)
         samples, joints = motion.q.shape
-        columns = np.zeros((joints, samples, self.size))
-        torque = np.zeros((samples, joints))
-        for link, (supports, block) in enumerate(regressor.blocks()):
-            chosen, slots = self._rigid[link]
-            if chosen:
-                columns[np.ix_(supports, range(samples), slots)] = block[chosen].transpose(1, 2, 0)
-            torque[:, supports] += np.einsum("pkt,p->tk", block, self._inertials[link])
+        counted = counted or samples
+        block = regressor.columns()
+        columns = np.zeros((self.size, joints, counted))
+        taken, put = self._places(regressor)
+        columns.reshape(-1, counted)[put] = block.reshape(-1, samples)[taken, :counted]
+        by_pair = np.einsum("pkt,kp->kt", block, self._inertials[regressor.links])
+        torque = (np.arange(joints)[:, None] == regressor.rows).astype(float) @ by_pair
         slopes = []
         for own in self._own:
             column, slope = own.shape(getattr(motion, own.signal)[:, own.joint])
             if own.slot is not None:
-                columns[own.joint, :, own.slot] = column
-            torque[:, own.joint] += own.value * column
+                columns[own.slot, own.joint] = column[:counted]
+            torque[own.joint] += own.value * column
             slopes.append(slope)
-        return Evaluated(self, regressor, columns, torque, slopes)
+        return Evaluated(self, regressor, columns, torque.T, slopes)
+
+    def _places(self, regressor: DifferentiableRegressor) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the regressor's columns (10 K, T) that lead, and their rows in `Evaluated.columns` (b n, T)."""
+        if self._placed is None:
+            joints, pairs = len(self._arm.joints), len(regressor.rows)
+            slots = {number: slot for slot, number in enumerate(self._leading)}
+            found = [
+                (parameter * pairs + pair, slots[number] * joints + row)
+                for pair, (row, link) in enumerate(zip(regressor.rows.tolist(), regressor.links.tolist()))
+                for parameter, number in enumerate(self._numbers[link].tolist() if len(self._numbers) else ())
+                if number in slots
+            ]
+            taken, put = np.array(found, dtype=np.intp).reshape(-1, 2).T
+            self._placed = taken, put
+        return self._placed
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """`SmoothColumns` at some states: `columns` (n, T, b), `torque` (T, n) N·m."""
+    """`SmoothColumns` at some states: `columns` (b, n, T') of those counted, `torque` (T, n) N·m."""
 
     source: SmoothColumns
     regressor: DifferentiableRegressor
@@ -90,9 +103,9 @@ class Evaluated:
     slopes: list[FloatArray]
 
     def information(self, weights: FloatArray) -> FloatArray:
-        """G (b, b), mean over the samples, joint j's rows counted `weights[j]` times."""
-        scaled = (self.columns * np.sqrt(weights)[:, None, None]).reshape(-1, self.columns.shape[2])
-        return np.asarray(scaled.T @ scaled / self.columns.shape[1])
+        """G (b, b), mean over the samples counted, joint j's rows counted `weights[j]` times."""
+        scaled = (self.columns * np.sqrt(weights)[:, None]).reshape(len(self.columns), -1)
+        return np.asarray(scaled @ scaled.T / self.columns.shape[2])
 
     def back(self, weights: FloatArray, slope: FloatArray, by_torque: FloatArray | None = None) -> Motion:
         """Derivatives by the states, (T, n) each, of f(G) with df/dG = `slope`, plus those of a sum over torques.
@@ -102,22 +115,21 @@ class Evaluated:
             slope: (b, b), symmetric.
             by_torque: (T, n) derivative of what else counts by each torque.
         """
-        samples = self.columns.shape[1]
-        bars = (self.columns @ slope) * (2.0 / samples * weights)[:, None, None]
-        adjoints = []
-        for link, (supports, block) in enumerate(self.regressor.blocks()):
-            chosen, slots = self.source._rigid[link]
-            adjoint = np.zeros_like(block)
-            if chosen:
-                adjoint[chosen] = bars[np.ix_(supports, range(samples), slots)].transpose(2, 0, 1)
-            if by_torque is not None:
-                adjoint += self.source._inertials[link][:, None, None] * by_torque[:, supports].T
-            adjoints.append(adjoint)
-        out = self.regressor.back(adjoints)
+        size, _, counted = self.columns.shape
+        samples = len(self.torque)
+        bars = (slope @ self.columns.reshape(size, -1)).reshape(self.columns.shape)
+        bars *= (2.0 / counted * weights)[:, None]
+        rows, links = self.regressor.rows, self.regressor.links
+        adjoint = np.zeros((10, len(rows), samples))
+        if by_torque is not None:
+            np.multiply(self.source._inertials[links].T[:, :, None], by_torque.T[rows], out=adjoint)
+        taken, put = self.source._places(self.regressor)
+        adjoint.reshape(-1, samples)[taken, :counted] += bars.reshape(-1, counted)[put]
+        out = self.regressor.back(adjoint)
         for own, own_slope in zip(self.source._own, self.slopes):
-            change = 0.0 if own.slot is None else bars[own.joint, :, own.slot]
-            if by_torque is not None:
-                change = change + own.value * by_torque[:, own.joint]
+            change = np.zeros(samples) if by_torque is None else own.value * by_torque[:, own.joint]
+            if own.slot is not None:
+                change[:counted] += bars[own.slot, own.joint]
             getattr(out, own.signal)[:, own.joint] += change * own_slope
         return out
 
