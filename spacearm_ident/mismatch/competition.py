@@ -19,8 +19,10 @@ from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from .constants import grid_points, is_event, polish, refine, search
 from .evidence import Candidate, Evidence, Refit, Unseen
+from .residuals import unwhitened
 from .rivals import UNKNOWN, Rival, rivals
 from .scored import Scored, feels, penalty, plausible, shadow, simplest, sleeps, throughout
+from .stacked import base_columns
 
 GATE = 60.0
 """Score an effect must have. The largest on healthy arms is what sets it (bench/concealed.py)."""
@@ -118,7 +120,8 @@ class Competition:
         rounds: list[Round] = []
         left = None
         left_values = np.zeros(0)
-        while len(rounds) + len(self.common) < MOST:
+        dropped = 0
+        while len(rounds) + len(self.common) + dropped < MOST:
             progress(len(rounds) / MOST, f"comparing effects, round {len(rounds) + 1}")
             ranked = self._ranked()
             stands = [self._stands(scored) for scored in ranked]
@@ -130,7 +133,9 @@ class Competition:
                 left_values = self._values_of(left) if left else left_values
                 break
             if self._was_there_before(winner):
-                self._take_into_base(winner)
+                if not self._take_into_base(winner):
+                    dropped += 1
+                    self._pool = [other for other in self._pool if not winner.candidate.effect.replaces(other)]
                 continue
             winner = self._polished(winner)
             self.accepted.append(winner.candidate)
@@ -273,17 +278,27 @@ class Competition:
         gain = healthy.refit([alone]).gain - penalty(effect, len(reference))
         return gain / len(reference) > SHARED * winner.gain / self.evidence.rows and gain > 0.5 * self.gate
 
-    def _take_into_base(self, winner: Scored) -> None:
-        """Refit everything with an effect that reference and field share."""
-        self.common.append(winner)
+    def _take_into_base(self, winner: Scored) -> bool:
+        """Refit everything with an effect that reference and field share.
+
+        Returns:
+            False, and nothing changed, where the reference's torque at its joints is then fitted worse, every row
+            counted alike: the effect has followed what is not its own.
+        """
         old = self.evidence
         shared = [*old.common, (winner.candidate.effect, winner.candidate.constants)]
-        self.evidence = Evidence(old.base, old.field, old.reference, shared)
+        new = Evidence(old.base, old.field, old.reference, shared)
+        acts = [name in self._acts_on(winner) for name in old.base.model.arm.joint_names]
+        if _left_of_reference(new)[acts].sum() > _left_of_reference(old)[acts].sum():
+            return False
+        self.common.append(winner)
+        self.evidence = new
         if self.unseen is not None:
             self.unseen = Unseen(self.evidence, self.unseen.scene)
         renew = self._renewed
         self.accepted = [renew(candidate) for candidate in self.accepted]
         self._grids = {key: [renew(c) for c in grid] for key, grid in self._grids.items()}
+        return True
 
     def _renewed(self, candidate: Candidate) -> Candidate:
         return self.evidence.candidate(candidate.effect, candidate.constants, candidate.stacked)
@@ -362,6 +377,14 @@ class Competition:
                 self.accepted = others
                 return self._without_the_idle([r for number, r in enumerate(rounds) if number != k])
         return rounds
+
+
+def _left_of_reference(evidence: Evidence) -> FloatArray:
+    """(n,) sum of squares that the base, with what it shares, leaves of the reference by joint, N²·m²."""
+    assert evidence.reference is not None
+    scene = unwhitened(evidence.base, evidence.reference)
+    fitted = evidence.healthy.base_parameters([], np.zeros(0))
+    return scene.by_joint((scene.torque() - base_columns(evidence.base, scene, evidence.common) @ fitted) ** 2)
 
 
 def _squares(residual: FloatArray) -> float:
