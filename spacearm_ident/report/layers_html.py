@@ -17,7 +17,7 @@ from . import mismatch_figures
 from .details import fact, recorded, source_table
 from .html import captioned, page
 from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent, unit_text
-from .mismatch_html import card_id, finding_cards
+from .mismatch_html import card_id, finding_cards, smallest_sizes
 from .provenance import FITTED, RECORDED, VALIDATED
 
 TITLES = {
@@ -52,7 +52,7 @@ def comparison_html(
         *_cards(comparison, simulation),
         _next(comparison),
         _mended(mended),
-        _seen(comparison),
+        smallest_sizes(comparison.would_have_seen, "Parameters that agree, with the smallest detectable change"),
         _obtained(comparison, sources),
     )
     return page(title, body)
@@ -284,26 +284,6 @@ def _mended(mended: Mended | None) -> Markup | None:
             "div", element("table", element("thead", header), element("tbody", *rows), class_="narrow"), class_="wide"
         ),
     )
-
-
-def _seen(comparison: Comparison) -> Markup | None:
-    """What was looked at and not named, with the size that would have been."""
-    if not comparison.would_have_seen:
-        return None
-    rows = [
-        element(
-            "tr",
-            element("th", one.name.replace("_", " "), class_="text", scope="row"),
-            element("td", listed(one.joints), class_="text"),
-            element("td", f"{number(one.size)} {unit_text(one.unit)}".rstrip()),
-        )
-        for one in comparison.would_have_seen
-    ]
-    heads = (("unchanged", "text"), ("at", "text"), ("smallest change that would have been detected", None))
-    header = element("tr", *(element("th", head, class_=kind, scope="col") for head, kind in heads))
-    table = element("table", element("thead", header), element("tbody", *rows), class_="narrow")
-    summary = element("summary", "Parameters that agree, with the smallest detectable change")
-    return element("details", summary, element("div", table, class_="wide"))
 
 
 def _obtained(comparison: Comparison, sources: Mapping[str, Any]) -> Markup:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
 from ..mismatch.document import EXTENDED_MODEL
-from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Alternative, Explanation, Finding, Quantity
+from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Alternative, Detectable, Explanation, Finding, Quantity
 from . import mismatch_figures as figures
 from .details import fact, recorded, source_table
 from .html import captioned, page
@@ -41,6 +41,7 @@ def mismatch_html(explanation: Explanation, arm: Arm, sources: Mapping[str, Any]
         *finding_cards(explanation, arm, drawn),
         None if drawn is None else _over_time(explanation, drawn),
         _unexplained(explanation),
+        smallest_sizes(explanation.would_have_seen, "Effects that were not found, with the size that would have been"),
         _listing("In the reference as well", explanation.already_there),
         _listing("Next experiment", [explanation.next_experiment] if explanation.next_experiment else ()),
         _obtained(explanation, sources),
@@ -323,6 +324,32 @@ def _unexplained(explanation: Explanation) -> Markup | None:
             for left in explanation.unexplained
         ],
     )
+
+
+def smallest_sizes(sizes: Sequence[Detectable], summary: str) -> Markup | None:
+    """What was looked at and not found, with the smallest size that would have been; None where there is nothing.
+
+    Args:
+        sizes: By effect or parameter, and joints.
+        summary: Words over the table.
+    """
+    if not sizes:
+        return None
+    rows = [
+        element(
+            "tr",
+            element("th", one.name.replace("_", " "), class_="text", scope="row"),
+            element("td", listed(one.joints) or "the base", class_="text"),
+            element("td", one.quantity.replace("_", " "), class_="text") if any(o.quantity for o in sizes) else None,
+            element("td", f"{number(one.size)} {unit_text(one.unit)}".rstrip()),
+        )
+        for one in sizes
+    ]
+    named = [("value", "text")] if any(one.quantity for one in sizes) else []
+    heads = (("not found", "text"), ("at", "text"), *named, ("smallest that would have been detected", None))
+    header = element("tr", *(element("th", head, class_=kind, scope="col") for head, kind in heads))
+    table = element("table", element("thead", header), element("tbody", *rows), class_="narrow")
+    return element("details", element("summary", summary), element("div", table, class_="wide"))
 
 
 def _listing(title: str, items: Iterable[str]) -> Markup | None:
