@@ -1,4 +1,4 @@
-"""MJCF and C of identified arms on recordings that the fit has not seen: `python bench/exports.py [DIR of recordings]`.
+"""MJCF and C of identified arms on held-out recordings: `python bench/exports.py [DIR of recordings]`.
 
 Per joint where it moves: residual over torque of model.yaml, of MuJoCo's inverse dynamics, and the cost that export
 stated, in per cent; then the time of a call of the C code's torque.

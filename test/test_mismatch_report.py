@@ -115,7 +115,7 @@ def explanation(*findings: Finding, **changes: object) -> Explanation:
         after_Nm=np.array([0.1, 0.05]),
         findings=findings,
         traces=(trace(), trace(300)),
-        judged_on="recordings the fit has not seen",
+        judged_on="held-out recordings",
     )
     return replace(made, **changes)  # type: ignore[arg-type]
 

@@ -85,7 +85,7 @@ def try_coupling(
 
     Args:
         fitted: Recordings of the fit.
-        held_out: Recordings the fit has not seen.
+        held_out: Recordings that the fit does not use.
         arm: The arm; one that has couplings, or whose last two joints do not both turn, is left as it is.
         validation: How the model without the coupling predicts.
         settings: Cut-off and gravity of the fit.

@@ -181,7 +181,7 @@ def _alternative(winner: Scored, other: Scored) -> Alternative:
         freer = "with a freedom that no physics has" if not other.named else "is no simpler"
         why = f"explains as much, but {freer}"
     elif share > 0.97:
-        why = "explains as much: these data cannot tell the two apart"
+        why = "explains as much: statistically indistinguishable on these data"
     else:
         why = f"explains {100 * share:.0f} % of what the finding does"
     return Alternative(effect.kind, effect.joints, float(other.score / winner.score), why)

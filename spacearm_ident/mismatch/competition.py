@@ -2,7 +2,7 @@
 
 Every effect at every place is fitted together with the base (and with what was accepted before); constants are
 searched over their grids, the best refined. An effect's score is its drop in chi-square on the field, plus its drop on
-recordings the fit has not seen, less a penalty for its freedom. The best joins, earlier ones are tried again without,
+held-out recordings, less a penalty for its freedom. The best joins, earlier ones are tried again without,
 and so on until nothing scores above the gate.
 """
 

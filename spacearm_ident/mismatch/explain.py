@@ -75,7 +75,7 @@ def explain(
     broken = faults([*healthy, *field, *validation], names)
     if broken:
         return unfit(names, tuple(broken))
-    fitted, judged, judged_on = list(field), list(validation), "recordings the fit has not seen"
+    fitted, judged, judged_on = list(field), list(validation), "held-out recordings"
     if not judged:
         fitted, judged = held_out_ends(fitted)
         judged_on = "the last third of the field recordings, held out of the fit"
@@ -88,7 +88,7 @@ def explain(
         return unfit(names, (UNDETERMINED,))
     competition = Competition(prepared.evidence, prepared.unseen, excluded, gate)
     outcome = competition.run(lambda share, what: report(0.15 + 0.75 * share, what))
-    report(0.92, "writing down what was found")
+    report(0.92, "writing the result")
     answer = _answer(prepared, competition, outcome)
     report(1.0, "done")
     return replace(answer, judged_on=judged_on)
@@ -240,7 +240,7 @@ def _unnamed(
         Finding(
             effect=UNKNOWN,
             joints=tuple(joints[k] for k in where),
-            where=f"{after[where[0]] / floor[where[0]]:.1f} times the noise; nothing that was tried explains it",
+            where=f"{after[where[0]] / floor[where[0]]:.1f} times the noise; no effect of the catalogue explains it",
             equation="",
             source="",
             parameters={},
@@ -264,7 +264,7 @@ def _unexplained(
     found = []
     for joint, rms, noise, least in zip(joints, after, healthy.floor_Nm, healthy.unexplained_Nm):
         if np.isfinite(rms) and rms > least:
-            where = "nothing that was tried explains it"
+            where = "no effect of the catalogue explains it"
             if left is not None and left.kind == UNKNOWN and joint in left.joints:
                 where = f"weakly: {left.where(outcome.left_values)}"
             found.append(Unexplained((joint,), where, float(1.0 - noise**2 / rms**2)))
@@ -272,7 +272,7 @@ def _unexplained(
 
 
 def _next(findings: Sequence[Finding]) -> tuple[str | None, str, tuple[str, ...]]:
-    """The experiment that would tell what these data cannot, for the largest finding that leaves a doubt.
+    """The experiment that would separate what these data cannot, for the largest finding that leaves a doubt.
 
     Returns:
         In words, for which effect (or purpose of an experiment), and at which joints.
@@ -287,6 +287,6 @@ def _next(findings: Sequence[Finding]) -> tuple[str | None, str, tuple[str, ...]
             )
         close = [a for a in finding.alternatives if a.score > CLOSE and a.effect not in (UNKNOWN, finding.effect)]
         if close:
-            words = f"{EFFECTS[finding.effect].experiment}: tells {finding.effect} from {close[0].effect}"
+            words = f"{EFFECTS[finding.effect].experiment}: separates {finding.effect} from {close[0].effect}"
             return words, finding.effect, finding.joints
     return None, "", ()

@@ -56,7 +56,7 @@ class Finding:
         alternatives: Other explanations, best first.
         gain, unseen_gain: Drop in chi-square on the fitted and on the unseen data.
         visibility: Share of its energy that the base model cannot take over.
-        before_Nm, after_Nm: By joint, RMS of the residual without and with it, on what the fit has not seen.
+        before_Nm, after_Nm: By joint, RMS of the residual without and with it, on held-out data.
         explained: Share of the residual's variance above the noise floor that it removes there; NaN where untestable.
         beside_Nm: By joint, `after_Nm` less what swings near the effect's own resonance: an encoder's noise makes a
             link ring there, in the model alone.

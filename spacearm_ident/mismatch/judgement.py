@@ -39,7 +39,7 @@ def harms(finding: Finding) -> bool:
 
 
 def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) -> bool:
-    """Whether one of the findings explains enough of what the fit has not seen.
+    """Whether one of the findings explains enough of the held-out data.
 
     An event in time need not show there, nor a first one that is asleep there.
     """

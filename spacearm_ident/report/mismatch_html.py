@@ -326,6 +326,11 @@ def _unexplained(explanation: Explanation) -> Markup | None:
     )
 
 
+def _few(joints: tuple[str, ...]) -> str:
+    """Names of one joint or two, else how many; an effect at no joint is one of the base."""
+    return (listed(joints) if len(joints) < 3 else f"{len(joints)} joints together") or "the base"
+
+
 def smallest_sizes(sizes: Sequence[Detectable], summary: str) -> Markup | None:
     """What was looked at and not found, with the smallest size that would have been; None where there is nothing.
 
@@ -339,7 +344,7 @@ def smallest_sizes(sizes: Sequence[Detectable], summary: str) -> Markup | None:
         element(
             "tr",
             element("th", one.name.replace("_", " "), class_="text", scope="row"),
-            element("td", listed(one.joints) or "the base", class_="text"),
+            element("td", _few(one.joints), class_="text"),
             element("td", one.quantity.replace("_", " "), class_="text") if any(o.quantity for o in sizes) else None,
             element("td", f"{number(one.size)} {unit_text(one.unit)}".rstrip()),
         )
