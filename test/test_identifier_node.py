@@ -209,9 +209,7 @@ def test_a_field_run_is_explained_where_asked(bags, processes, graph, tmp_path):
     graph.wait_for(graph.said("identifier: mismatch", "current_offset at elbow"), "the verdict on the run")
     assert graph.values("identifier: mismatch")["judged_on"].startswith("the last third")
     graph.tell(f"run 2 {tmp_path / 'unseen.mcap'}")
-    graph.wait_for(
-        lambda: graph.values("identifier: mismatch")["judged_on"] == "held-out recordings", "the second"
-    )
+    graph.wait_for(lambda: graph.values("identifier: mismatch")["judged_on"] == "held-out recordings", "the second")
     figures = graph.values("identifier: mismatch")
     assert figures["verdict"] == "mismatch" and graph.level("identifier: mismatch") == 1
     assert end(node) == 0 and "Traceback" not in output(node)
