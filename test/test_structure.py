@@ -10,6 +10,7 @@ from planted_arm import Friction, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import structure_of
+from spacearm_ident.identification import structure
 from spacearm_ident.identification.identified import Determination, Identified
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.joint_terms import WORDS, JointTerms, structure_with
@@ -113,3 +114,35 @@ def test_settings_with_a_structure_choose_nothing():
     arm = arm_from_urdf(planted.urdf)
     result = identify([planted.recording(noise=0.2, seed=0)], arm, Settings(structure=structure_of(arm)))
     assert result.choices == ()
+
+
+class HeldOut:
+    """Squares in held-out blocks of joints that gain by Stribeck friction by so much, and by chance by more or less."""
+
+    blocks = 12
+
+    def __init__(self, gains):
+        chance = np.random.default_rng(3).uniform(-1.0, 1.0, (self.blocks, len(gains)))
+        self.with_it = np.exp(-np.array(gains) + 1.4 * (chance - chance.mean(axis=0)))
+
+    def held_out(self, laws):
+        return np.where([law.stribeck for law in laws], self.with_it, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("gains", "joints"),
+    [((0.5, 0.5, 0.5, 0.5), [0, 1, 2, 3]), ((0.5, -0.3, -0.3, 0.1), []), ((0.5, 0.5, -0.1, 0.5), [0, 1, 3])],
+)
+def test_stribeck_friction_that_no_joint_shows_alone_is_found_at_those_that_show_it_together(
+    gains, joints, monkeypatch
+):
+    monkeypatch.setattr(structure, "_possible", lambda *_: True)
+    trials, laws = HeldOut(gains), [JointTerms() for _ in gains]
+    alone = structure.bound(structure.LEVEL / 6, trials.blocks)
+    steps = [
+        structure._step(trials, laws, trials.held_out(laws), joint, JointTerms(stribeck=True))
+        for joint in range(len(gains))
+    ]
+    assert all(step.t < alone for step in steps)
+    found = structure._with_stribeck(trials, laws, [frozenset({"stribeck"})] * len(gains), np.ones(len(gains)))
+    assert [joint for joint, law in enumerate(found) if law.stribeck] == joints
