@@ -139,7 +139,7 @@ def _with_stribeck(
 
     The test is of all of them, whichever gain; then those get it whose own squares drop by `BEYOND` standard errors.
     On a simulated Panda (bench/road.py, panda-fingers) three of seven joints had failed alone at t of 2.3 to 3.2: joint
-    7 was predicted to within 9.2 %, and is to within 0.5 %. No joint of the five real arms of docs/real_arms.md changes.
+    7 was predicted to within 9.2 %, and is to within 0.5 %. No joint of the real arms in docs/real_arms.md changes.
     """
     current = trials.held_out(laws)
     lacking = [joint for joint, law in enumerate(laws) if "stribeck" in offered[joint] and not law.stribeck]
