@@ -249,7 +249,7 @@ def params(folder: Path, text: str) -> list[CheckResult]:
             f"{{trajectory: {{ros__parameters: {{arm: {CONFIG / 'paper_arm.urdf'}}}}}, "
             f"canopen_driver: {{ros__parameters: {{can_config: {CAN}}}}}}}",
             Level.FAIL,
-            "told of different arms",
+            "configured for different arms",
         ),
         ("/**: {ros__parameters: {buffer_mb: 8, use_sim_time: false}}", Level.OK, "every parameter exists"),
         ("/**: {ros__parameters: {bufer_mb: 8}}", Level.FAIL, "** has no parameter 'bufer_mb'"),

@@ -16,7 +16,7 @@ from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.identification.held_out import t_of_all
 from spacearm_ident.identification.prior import make_prior
 from spacearm_ident.mismatch.constants import grid_points
-from spacearm_ident.mismatch.evidence import Evidence
+from spacearm_ident.mismatch.evidence import NEARER, Evidence
 from spacearm_ident.mismatch.healthy import UNNAMED, Healthy, healthy_level
 from spacearm_ident.mismatch.judgement import beyond_healthy
 from spacearm_ident.mismatch.left_out import LEVEL, LeftOut, largest_rms
@@ -47,11 +47,13 @@ def test_base_parameters_without_rows_equal_a_fit_to_the_others(healthy):
     beside = nuisance_scale(healthy.base)
     columns = base_columns(healthy.base, scene, ())
     belief = np.zeros((len(prior.rows) + len(beside), columns.shape[1]))
-    belief[: len(prior.rows), : prior.rows.shape[1]] = prior.rows
+    belief[: len(prior.rows), : prior.rows.shape[1]] = NEARER * prior.rows
     belief[len(prior.rows) :, prior.rows.shape[1] :] = np.diag(1.0 / beside)
     left = np.arange(len(scene)) % 7 < 2
     whole = np.concatenate([columns[~left], belief])
-    torque = np.concatenate([scene.torque()[~left], prior.target, np.zeros(len(beside))])
+    torque = np.concatenate(
+        [scene.torque()[~left], NEARER * prior.rows @ healthy.base.parameters, np.zeros(len(beside))]
+    )
     used = np.any(whole != 0.0, axis=0)
     brute = lstsq(whole[:, used], torque)[0]
     found = healthy.base_parameters_without(left)

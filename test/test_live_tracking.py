@@ -140,7 +140,7 @@ def test_what_broke_is_an_error_and_takes_no_more(clock):
     clock.thread.news.append(Broken("the tracking broke: singular"))
     assert tracking.poll() == []
     status = tracking.status()
-    assert status.level is Level.ERROR and "begins anew with the next model" in status.message
+    assert status.level is Level.ERROR and "restarts with the next model" in status.message
     tracking.feed([b""], [], 0)  # Fed has no `feed`: it would fail.
 
 

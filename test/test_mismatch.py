@@ -243,7 +243,7 @@ def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
     assert finding.parameters["mass"].value == pytest.approx(0.7, rel=0.1)
     for axis, place in zip("xz", (here[0], here[2])):
         assert finding.parameters[f"moment_{axis}"].value == pytest.approx(0.7 * place, abs=0.02)
-    assert ("held elsewhere" in finding.where) == (there != here)
+    assert ("at another position" in finding.where) == (there != here)
     assert finding.explained > 0.9
 
 

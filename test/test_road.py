@@ -213,7 +213,7 @@ def test_a_continuous_joint_made_revolute_is_the_same_arm():
         (("--joints", "elbow", "--tip", "palm"), "leave out --base and --tip"),
         (("--lock", "shoulder=1"), "'shoulder' cannot be locked at a position: it is one of the arm's own"),
         (("--lock", "mirror=0.01"), "it mimics finger"),
-        (("--lock", "head_pan"), "give NAME=VALUE"),
+        (("--lock", "head_pan"), "write NAME=VALUE"),
         (("--tip", "torso"), "no joint between base and tip can be driven"),
     ],
 )
@@ -235,7 +235,9 @@ def test_every_guess_is_marked_and_nothing_is_demanded_that_is_not_needed(tmp_pa
     assert set(data) == {"shoulder", "elbow", "wrist"}
     assert all("gear_ratio" not in keys for keys in data.values()), "nor is the transmission's 1 a gear ratio"
     lines = {line.split(":")[0].strip(): line for line in text.splitlines() if line.startswith("    ")}
-    assert "# ASSUMED: 2 times what its CAD links ask" in lines["torque_limit_Nm"], "the last joint's is the last"
+    assert "# ASSUMED: 2 times the torque its CAD links need" in lines["torque_limit_Nm"], (
+        "the last joint's is the last"
+    )
     assert -2.2 < data["elbow"]["start_position_rad"] < -0.2
     assert not (tmp_path / "arm" / "arm_can.yaml").exists()
     moving = [
@@ -300,8 +302,8 @@ def test_a_plain_urdf_that_cannot_rest_at_zero_is_given_a_posture(tmp_path, caps
     chosen = choose_joints(road_arms.SERVICE_ROBOT)
     urdf = written(tmp_path, locked(road_arms.SERVICE_ROBOT, (*chosen.hand, *chosen.others)))
     words = ("--for", "presliding", "--joints", "wrist", "--out", tmp_path / "x.yaml")
-    _, err = spacearm(capsys, "excite", "--arm", urdf, *words)
-    assert "all zeros is not possible" in err
+    out, err = spacearm(capsys, "excite", "--arm", urdf, *words)
+    assert "all zeros violates a limit" in out + err
     assert -2.2 < load_trajectory(tmp_path / "x.yaml").evaluate(0.0).q[0, 1] < -0.2
 
 
@@ -311,7 +313,7 @@ def test_a_plain_urdf_that_cannot_rest_at_zero_is_given_a_posture(tmp_path, caps
 def test_simulate_names_what_it_lacks(tmp_path, capsys):
     words = ("--trajectory", tmp_path / "x.yaml", "--out", tmp_path / "x.mcap")
     _, err = spacearm(capsys, "simulate", *words, expect=2)
-    assert "nothing to simulate: give --arm" in err
+    assert "nothing to simulate: name --arm" in err
     config = Path(__file__).parent.parent / "config"
     data = yaml.safe_load((config / "paper_arm_model.yaml").read_text())
     data["urdf_file"] = str(config / data["urdf_file"])

@@ -125,7 +125,7 @@ def test_set_points_that_are_not_numbers_are_refused():
 def test_a_start_outside_the_limits_is_refused():
     start = np.zeros(6)
     start[3] = LIMITS.upper[3] + 0.1
-    with pytest.raises(UserError, match="joint_4 stands at"):
+    with pytest.raises(UserError, match="joint_4 is at"):
         plan_run(Trajectory(JOINTS, (excitation(),)), LIMITS, start)
 
 
