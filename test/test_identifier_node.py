@@ -230,7 +230,7 @@ def test_a_run_is_compared_with_a_simulation_where_asked(bags, graph, tmp_path):
     sim.write_text(small_arm.URDF)
     node = graph.identifier(f"result_directory:={out}", f"simulation:={sim}", *QUICK)
     graph.tell(f"run 1 {bags['first']}")
-    graph.wait_for(graph.said("identifier: mismatch", "of parameters"), "the comparison of the run")
+    graph.wait_for(graph.said("identifier: mismatch", "parameter"), "the comparison of the run")
     figures = graph.values("identifier: mismatch")
     assert figures["verdict"] == "mismatch" and figures["simulation"] == str(sim)
     assert any(name.startswith("parameters: friction") for name in figures)
