@@ -154,8 +154,7 @@ def calibrate_gains(
     body, origin = _fixed_to(arm, weight.link)
     free, bandwidth = prepare(recordings, arm.joint_names)
     carrying, _ = prepare(loaded, arm.joint_names, bandwidth.cutoff_hz)
-    problem = _Problem(arm, [*free, *carrying], len(free), body)
-    gains, covariance = problem.solve(weight.mass_kg, origin)
+    gains, covariance = _Problem(arm, [*free, *carrying], len(free), body, weight.mass_kg, origin).solve()
     determined = np.sqrt(np.diag(covariance)) < GAIN_DEVIATION
     if not determined.any():
         raise UnfitDataError(
@@ -196,7 +195,15 @@ class _Problem:
         deviation: (t,) standard deviation about it; zero: held there.
     """
 
-    def __init__(self, arm: Arm, motions: Sequence[Motion], without_body: int, body: int) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        motions: Sequence[Motion],
+        without_body: int,
+        body: int,
+        mass_kg: float,
+        origin: FloatArray,
+    ) -> None:
         """Compute the columns.
 
         Args:
@@ -204,6 +211,8 @@ class _Problem:
             motions: Those without the body first.
             without_body: How many these are.
             body: Number of the joint that carries the body.
+            mass_kg: Mass of the body.
+            origin: (3,) where it is said to be, in the frame of that joint, m.
         """
         model = TorqueModel(arm, plain_structure(arm))
         self.regression = Regression(model, motions)
@@ -222,22 +231,15 @@ class _Problem:
             self.matrices.append(
                 np.column_stack([whole, whole[:, changing] * beside, whole[:, carried] * beside, rows.torque])
             )
-        friction, inertials = np.zeros(len(changing)), np.zeros(len(INERTIAL_SYMBOLS))
-        self.scaled = np.concatenate([rigid, friction > 0, inertials == 0])
-        self.centre = np.concatenate([prior.held, friction, inertials])
-        self.deviation = np.concatenate([prior.scale, prior.scale[changing], inertials])
+        expected = mass_kg * np.concatenate([[1.0], origin, np.zeros(6)])
+        spread = mass_kg * np.concatenate([[0.0], np.full(3, REACH_M), np.full(6, COMPACT_M**2)])
+        self.scaled = np.concatenate([rigid, np.zeros(len(changing), dtype=bool), np.ones(len(carried), dtype=bool)])
+        self.centre = np.concatenate([prior.held, np.zeros(len(changing)), expected])
+        self.deviation = np.concatenate([prior.scale, prior.scale[changing], spread])
 
-    def solve(self, mass_kg: float, origin: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Gains (n,) and their covariance (n, n).
-
-        Args:
-            mass_kg: Mass of the body.
-            origin: (3,) where it is said to be, in the frame of the joint that carries it, m.
-        """
+    def solve(self) -> tuple[FloatArray, FloatArray]:
+        """Gains (n,) and their covariance (n, n)."""
         count = len(self.matrices)
-        own = slice(len(self.centre) - len(INERTIAL_SYMBOLS), None)
-        self.centre[own] = mass_kg * np.concatenate([[1.0], origin, np.zeros(6)])
-        self.deviation[own] = mass_kg * np.concatenate([[0.0], np.full(3, REACH_M), np.full(6, COMPACT_M**2)])
         free = np.flatnonzero(self.deviation > 0.0)
         x = np.concatenate([self.centre[free], np.ones(count)])
         left = [matrix[:, -1] for matrix in self.matrices]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from ..mismatch.document import EXTENDED_MODEL, to_document
+from ..mismatch.document import EXTENDED_MODEL, smallest_size, to_document
 from ..mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH, unfit
 from .comparison import Comparison
 from .item import Item, Layer
@@ -36,7 +36,7 @@ def comparison_document(comparison: Comparison, simulation: str, mended: str | N
         "simulation": simulation,
         "layers": [_layer(layer, joints) for layer in comparison.layers],
         "ceiling_Nm": _by_joint(joints, comparison.ceiling_Nm),
-        "would_have_seen": [one.as_dict() for one in comparison.would_have_seen],
+        "would_have_seen": [smallest_size(one) for one in comparison.would_have_seen],
         "suspected": [
             {"names": list(one.names), "values": list(one.values), "probability": round(one.probability, 4)}
             for one in comparison.suspected

@@ -135,7 +135,7 @@ class Competition:
             if self._was_there_before(winner):
                 if not self._take_into_base(winner):
                     dropped += 1
-                    self._pool = [other for other in self._pool if not winner.candidate.effect.replaces(other)]
+                    self._drop(winner.candidate.effect)
                 continue
             winner = self._polished(winner)
             self.accepted.append(winner.candidate)
@@ -254,8 +254,13 @@ class Competition:
 
     def _renew_pool(self, effect: Effect) -> None:
         """What is accepted competes no more; a further one of its kind may."""
-        again = effect.again(self.evidence.base.model.arm)
-        self._pool = [other for other in self._pool if not effect.replaces(other)] + ([again] if again else [])
+        self._drop(effect)
+        if again := effect.again(self.evidence.base.model.arm):
+            self._pool.append(again)
+
+    def _drop(self, effect: Effect) -> None:
+        """An effect competes no more, nor do other forms of it."""
+        self._pool = [other for other in self._pool if not effect.replaces(other)]
 
     def without(self, outcome: Outcome, dropped: Sequence[int]) -> Outcome:
         """An outcome less some of its effects, refitted."""

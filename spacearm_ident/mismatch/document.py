@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from .finding import Explanation, Finding
+from .finding import Detectable, Explanation, Finding
 
 SCHEMA = "spacearm_ident/mismatch/1"
 EXTENDED_MODEL = "extended_model.yaml"
@@ -32,10 +32,16 @@ def to_document(explanation: Explanation) -> dict[str, Any]:
         ],
         "already_in_reference": list(explanation.already_there),
         "reasons": list(explanation.reasons),
-        "would_have_seen": [one.as_dict() for one in explanation.would_have_seen],
+        "would_have_seen": [smallest_size(one) for one in explanation.would_have_seen],
         "next_experiment": explanation.next_experiment,
         "model": EXTENDED_MODEL if explanation.model is not None else None,
     }
+
+
+def smallest_size(one: Detectable) -> dict[str, Any]:
+    """What was not found, with the smallest size that would have been, as plain data; null where it is not known."""
+    named = {"quantity": one.quantity} if one.quantity else {}
+    return {"name": one.name, "joints": list(one.joints), "size": _finite(one.size), "unit": one.unit, **named}
 
 
 def _by_joint(explanation: Explanation, values: FloatArray) -> dict[str, float | None]:

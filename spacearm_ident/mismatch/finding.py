@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -144,11 +143,6 @@ class Detectable:
     size: float
     unit: str
     quantity: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """As JSON."""
-        named = {"quantity": self.quantity} if self.quantity else {}
-        return {"name": self.name, "joints": list(self.joints), "size": self.size, "unit": self.unit, **named}
 
 
 @dataclass(frozen=True)
