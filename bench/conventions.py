@@ -36,6 +36,8 @@ NAMES = {name: name for name in ("sound", *KINDS, *EXTRAS)} | {
     "efforts_exchanged": "exchanged",
     "joints_exchanged": "exchanged",
     "time_reversed": "clock",
+    "clock_order": "clock",
+    "clock_jitter": "clock",
 }
 """The command's names of kinds -> the names here. Edit this when the command has other names."""
 ALIKE = {"degrees_all": {"degrees_one"}, "axis_reversed": {"position_sign", "torque_sign"}}
@@ -120,8 +122,8 @@ def _lines(path: Path) -> list[dict[str, Any]]:
 def named(entry: dict[str, Any], answer: dict[str, Any]) -> list[tuple[str, set[str]]]:
     """What was said with enough belief, best first: one kind once, its joints together; true words on rest left out."""
     said: dict[str, set[str]] = {}
-    # A note is worth knowing, but the command calls the data sound.
-    faults = [f for f in entry["findings"] if f.get("level") != "note"]
+    # With a note alone the command calls the data sound; joints at rest are never more than a note.
+    faults = [f for f in entry["findings"] if f.get("level") != "note" or f["kind"] == "at_rest"]
     findings = [f for f in faults if (f.get("probability") or 0.0) >= BELIEVED]
     for finding in sorted(findings, key=lambda f: -f["probability"]):
         kind, joints = NAMES.get(finding["kind"], finding["kind"]), set(finding.get("joints") or [])

@@ -19,7 +19,7 @@ from ..recording.signals import prepare, require_joints
 from .change import Kind
 from .description import compare_description
 from .finding import Alternative, ConventionReport, Finding, Level, merged
-from .plain import Plain, read_off
+from .plain import Plain, hardly_moving, read_off
 from .rows import rows_of
 from .search import SUSPECTED, Court, Scored, Step, loaded_joints, search, zero_error
 from .setup import Setup
@@ -85,14 +85,18 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
             inferred, undecided = _infer(ordered, arm, plain)
             findings = _explained(findings, inferred) + inferred
         except UnfitDataError as error:
-            findings.append(
-                Finding(
-                    "too_little_motion", Level.UNFIT, (), str(error), "record an excitation run of ten seconds or more"
-                )
-            )
+            findings = _without_rows(findings, str(error))
     name = recording_name(recording)
     found = tuple(replace(finding, recordings=(name,)) for finding in findings)
     return merged([ConventionReport(found, tuple(undecided), (name,))])
+
+
+def _without_rows(findings: Sequence[Finding], reason: str) -> list[Finding]:
+    """What is said where no rows remain: stamps that tear the recording apart are the cause, else it is too short."""
+    if any(one.kind.startswith("clock") for one in findings):
+        return [replace(one, level=Level.UNFIT) if one.kind.startswith("clock") else one for one in findings]
+    remedy = "record an excitation run of ten seconds or more"
+    return [*findings, Finding("too_little_motion", Level.UNFIT, (), reason, remedy)]
 
 
 def _explained(findings: Sequence[Finding], inferred: Sequence[Finding]) -> list[Finding]:
@@ -113,6 +117,7 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     steps = search(court)
     final = steps[-1].before
     findings = [finding for step in steps if (finding := _finding(court, step, final)) is not None]
+    findings += hardly_moving([arm.joint_names[k] for k in sorted(court.idle)])
     return findings, _undecided(court, steps[-1], plain)
 
 
@@ -149,11 +154,15 @@ def _finding(court: Court, step: Step, final: Scored) -> Finding | None:
     alternatives, probability = _alternatives(court, step)
     if not sure and probability < SUSPECTED_PROBABILITY:
         return None
-    common = change.kind is Kind.EFFORT_GAIN and len(change.joints) > 1
-    joints = tuple(arm.joint_names[k] for k in loaded_joints(court, final)) if common else joint_names(arm, change)
+    kind, joints = change.kind, joint_names(arm, change)
+    if kind is Kind.EFFORT_GAIN and len(change.joints) > 1:
+        if is_unit(change, evidence):
+            kind = Kind.EFFORT_UNIT
+        else:
+            joints = tuple(arm.joint_names[k] for k in loaded_joints(court, final))
     suspected = "" if sure else "suspected: "
     return Finding(
-        kind=str(change.kind),
+        kind=str(kind),
         level=level,
         joints=joints,
         statement=suspected + statement(arm, change, evidence),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +68,15 @@ def _rest(names: tuple[str, ...], still: frozenset[int]) -> list[Finding]:
     )
     level = Level.UNFIT if every else Level.NOTE
     return [Finding("at_rest", level, joints, f"{text} (less than {REST_RAD:g} rad)", what)]
+
+
+def hardly_moving(joints: Sequence[str]) -> list[Finding]:
+    """A note on joints of which no uninterrupted motion remains, though they are not at rest."""
+    if not joints:
+        return []
+    verb = "moves" if len(joints) == 1 else "move"
+    what = "record a run in which they move, or take their parameters for CAD's"
+    return [Finding("at_rest", Level.NOTE, tuple(joints), f"{', '.join(joints)} hardly {verb}", what)]
 
 
 def _dead(recording: Recording, dead: frozenset[int]) -> list[Finding]:

@@ -60,7 +60,13 @@ class Scored:
 
 
 class Court:
-    """Scores setups of one recording; motions once computed are kept."""
+    """Scores setups of one recording; motions once computed are kept.
+
+    Attributes:
+        counts: (n,) independent samples of each joint's torque.
+        idle: Joints that move in no more rows than they have columns of their own.
+        dead: Joints whose torque says nothing, the idle ones among them.
+    """
 
     def __init__(
         self,
@@ -77,11 +83,15 @@ class Court:
             bonus: What else a setup explains, as a log-likelihood.
             dead: Joints whose torque says nothing.
         """
-        self.arm, self.rows, self.bonus, self.dead = arm, rows, bonus, dead
+        self.arm, self.rows, self.bonus = arm, rows, bonus
         self.ranges = Ranges(arm, rows)
         self.frame = Frame(arm, rms(rows.torque(np.zeros(len(arm.joints)))))
         self._designs: list[tuple[Setup, Design]] = []
         self.counts = self._independent()
+        # A joint's own columns fit so few rows exactly. An exchange would hide another joint's torque behind it:
+        # of hypotheses that explain different data the likelihoods do not compare.
+        self.idle = frozenset(np.flatnonzero(rows.moving.sum(axis=0) <= OWN).tolist()) - dead
+        self.dead = dead | self.idle
 
     @property
     def sure(self) -> float:
@@ -240,7 +250,10 @@ def testable(court: Court, start: Scored, change: Change) -> bool:
         if court.frame.rough:
             return False
         return len(change.joints) != 1 or change.joints[0] in loaded_joints(court, start)
-    return change.kind is Kind.DEGREES or not court.dead & set(change.joints)
+    if change.kind is Kind.DEGREES:
+        # In degrees the smallest motion is a large one.
+        return len(change.joints) > 1 or change.joints[0] not in court.idle
+    return not court.dead & set(change.joints)
 
 
 def loaded_joints(court: Court, start: Scored) -> tuple[int, ...]:
