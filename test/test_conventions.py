@@ -42,9 +42,12 @@ FRICTION = tuple(Friction(f_c=f, k_v1=0.8 * f, J_m=0.05 * f) for f in (4.0, 5.0,
 NAMES = tuple(link.name for link in LINKS)
 
 
-def sound(seed: int = 0, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> Recording:
+def sound(
+    seed: int = 0, gravity: Sequence[float] = (0.0, 0.0, -9.81), share: Sequence[float] = (1.0, 1.0, 1.0, 1.0)
+) -> Recording:
+    """A run; `share` of its motion is what each joint makes."""
     time = np.arange(0.0, 30.0, 1 / 200)
-    motion = incommensurate(time, 4, seed=seed, speed=1.2)
+    motion = tuple(np.asarray(share) * signal for signal in incommensurate(time, 4, seed=seed, speed=1.2))
     made = plant(LINKS, FRICTION, motion, 200.0, gravity, true_links=TRUE)
     recording = made.recording(noise=[0.2, 0.3, 0.1, 0.05], seed=seed, ar=0.5)
     return replace(recording, velocity=motion[1])
@@ -167,6 +170,23 @@ def test_a_joint_at_rest_is_a_note(run, arm):
     still = scaled(scaled(run, "position", 0, 0.0), "velocity", 0, 0.0)
     report = check_conventions([still], arm)
     assert ("at_rest", ("waist",), Level.NOTE) in [(f.kind, f.joints, f.level) for f in report.findings]
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_a_joint_that_only_sways_is_a_note_and_hides_no_other_behind_it(arm, joint):
+    run = sound(share=[float(k != joint) for k in range(4)])
+    sway = np.zeros_like(run.position)
+    sway[:, joint] = np.random.default_rng(joint).normal(0.0, 1e-3, len(sway))
+    report = check_conventions([replace(run, position=run.position + sway)], arm)
+    assert ("at_rest", (NAMES[joint],), Level.NOTE) in [(f.kind, f.joints, f.level) for f in report.findings]
+    assert not unfit(report)
+
+
+def test_stamps_that_tear_a_recording_apart_are_named_as_the_cause(run, arm):
+    number = np.arange(len(run.time))
+    batches = replace(run, time=run.time[number // 40 * 40] + 1e-5 * (number % 40))
+    report = check_conventions([batches], arm)
+    assert unfit(report) == [("clock_jitter", ())]
 
 
 @pytest.mark.parametrize(

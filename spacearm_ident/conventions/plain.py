@@ -27,6 +27,8 @@ JITTER_S = 0.002
 """RMS error of stamps from which the data are unfit, s: a joint at 1 rad/s is then 2 mrad off, 20 times an encoder."""
 LOST_SHARE = 0.05
 """Share of samples lost to stamps out of order from which the clock is not to be believed."""
+LET_MOVE = "record a run in which they move, or take their parameters for CAD's"
+"""Remedy for joints at rest."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,7 @@ def _rest(names: tuple[str, ...], still: frozenset[int]) -> list[Finding]:
     joints = tuple(names[k] for k in sorted(still))
     every = len(joints) == len(names)
     text = "no joint moves" if every else f"{', '.join(joints)} {'does' if len(joints) == 1 else 'do'} not move"
-    what = (
-        "record an excitation run" if every else "record a run in which they move, or take their parameters for CAD's"
-    )
+    what = "record an excitation run" if every else LET_MOVE
     level = Level.UNFIT if every else Level.NOTE
     return [Finding("at_rest", level, joints, f"{text} (less than {REST_RAD:g} rad)", what)]
 
@@ -75,8 +75,7 @@ def hardly_moving(joints: Sequence[str]) -> list[Finding]:
     if not joints:
         return []
     verb = "moves" if len(joints) == 1 else "move"
-    what = "record a run in which they move, or take their parameters for CAD's"
-    return [Finding("at_rest", Level.NOTE, tuple(joints), f"{', '.join(joints)} hardly {verb}", what)]
+    return [Finding("at_rest", Level.NOTE, tuple(joints), f"{', '.join(joints)} hardly {verb}", LET_MOVE)]
 
 
 def _dead(recording: Recording, dead: frozenset[int]) -> list[Finding]:
