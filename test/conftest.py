@@ -11,6 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from spacearm_ident.blas_threads import one_thread
+
+# As the command does: two workers with two threads each wait for one another, and take ten times as long.
+one_thread()
+
 try:
     from hypothesis import settings
 except ModuleNotFoundError:
