@@ -140,6 +140,8 @@ def test_the_base_is_found_mounted_otherwise(truth, arm):
     assert finding.kind == "gravity"
     found = np.array(finding.values["value"])
     assert found @ truth > 0.97 * np.linalg.norm(found) * np.linalg.norm(truth)
+    # Directions that the search leads to one are one hypothesis.
+    assert finding.probability > 0.9
 
 
 def test_a_corrected_mistake_is_none(run, arm):
@@ -180,6 +182,14 @@ def test_a_joint_that_only_sways_is_a_note_and_hides_no_other_behind_it(arm, joi
     report = check_conventions([replace(run, position=run.position + sway)], arm)
     assert ("at_rest", (NAMES[joint],), Level.NOTE) in [(f.kind, f.joints, f.level) for f in report.findings]
     assert not unfit(report)
+
+
+def test_a_joint_that_only_sways_is_found_exchanged_with_one_that_moves(arm):
+    run = exchanged(sound(share=(1.0, 0.0, 1.0, 1.0)), "position", "velocity", "effort")
+    sway = np.zeros_like(run.position)
+    sway[:, 2] = np.random.default_rng(2).normal(0.0, 1e-3, len(sway))
+    report = check_conventions([replace(run, position=run.position + sway)], arm)
+    assert unfit(report) == [("joints_exchanged", ("shoulder", "elbow"))], report.lines()
 
 
 def test_stamps_that_tear_a_recording_apart_are_named_as_the_cause(run, arm):

@@ -264,6 +264,16 @@ def test_noise_that_has_grown_is_a_mismatch_without_a_name():
     assert to_document(answer)["findings"][0]["validation"]["explained_fraction"] == 0.0
 
 
+def test_what_the_held_out_recording_does_not_show_is_a_mismatch_all_the_same():
+    def loud(planted):
+        return np.outer(np.random.default_rng(5).normal(size=len(planted.torque)), [0.0, 1.0])
+
+    answer = explain(ARM, [HEALTHY], [run(2, loud)], [run(3)], SLOW_ONES)
+    (finding,) = answer.findings
+    assert (answer.verdict, finding.effect, finding.joints) == (MISMATCH, UNKNOWN, ("elbow",))
+    assert "held-out" in finding.where
+
+
 def test_what_is_not_in_the_catalogue_is_called_unknown():
     answer = explained(ripple, "torque_ripple", *SLOW_ONES)
     assert {finding.effect for finding in answer.findings} <= {UNKNOWN}

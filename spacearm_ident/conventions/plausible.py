@@ -16,6 +16,9 @@ USUAL_SPEED, USUAL_SPEED_SD = 6.0, 0.5
 """Speed that joints without a limit seldom exceed, rad/s, and the standard deviation of its logarithm."""
 EFFORT_SLACK, EFFORT_SD = 1.5, 0.5
 """Factor on a URDF's torque limit that motors reach for moments, and standard deviation of the logarithm beyond."""
+EXCURSION_SPREAD = 0.7
+"""Of the logarithm of a joint's excursion about the median of all: scale of a Laplace distribution. A recording in
+which one joint moves as much in degrees as the others in radians (a factor of 57) is seldom made."""
 MOST = 12.0
 """Most that one limit may count for: limits in URDFs are wrong at times."""
 
@@ -43,8 +46,15 @@ class Ranges:
         usual = np.where(np.isfinite(limits), limits, USUAL_SPEED)
         return np.asarray(np.abs(setup.position_scale) * self.speed[setup.position_from] / usual)
 
+    def excursions(self, setup: Setup) -> FloatArray:
+        """Logarithm of what each revolute joint that moves ranges over, about the median of all."""
+        turns = np.array([joint.revolute for joint in self.arm.joints])
+        span = (self.high - self.low)[setup.position_from] * np.abs(setup.position_scale)
+        logs = np.log(span[turns & (span > 0.0)])
+        return np.asarray(logs - np.median(logs)) if len(logs) else logs
+
     def log_likelihood(self, setup: Setup) -> float:
-        """Of the ranges: 0 where all are within limits."""
+        """Of the ranges: 0 where all are within limits and alike."""
         over = np.maximum(self.excess(setup) - POSITION_SLACK, 0.0) / POSITION_SD
         limited = np.array([np.isfinite(joint.velocity_limit) for joint in self.arm.joints])
         fast = np.log(np.maximum(self.speed_ratio(setup), 1.0)) / np.where(limited, SPEED_SD, USUAL_SPEED_SD)
@@ -55,4 +65,5 @@ class Ranges:
             0.0,
             np.log(np.maximum(self.effort[setup.effort_from] * np.abs(setup.effort_sign) / most, 1.0)) / EFFORT_SD,
         )
-        return -float(sum(np.minimum(0.5 * one**2, MOST).sum() for one in (over, fast, strong)))
+        unlike = float(np.abs(self.excursions(setup)).sum()) / EXCURSION_SPREAD
+        return -unlike - float(sum(np.minimum(0.5 * one**2, MOST).sum() for one in (over, fast, strong)))

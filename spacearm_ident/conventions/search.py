@@ -37,8 +37,8 @@ SURE, CHANCE = 7.0, 0.02
 gains. The residual is what the model leaves out: a change that is wrong explains a little of it (Panda: 2 %)."""
 SUSPECTED = 0.5
 """Share of those log odds from which a change is mentioned."""
-SHORT_LIST = 6
-"""Changes that get a second look."""
+SHORT_LIST, LONG_LIST = 6, 24
+"""Changes that get a second look at least, and at most: all that the first look cannot surely tell from the best."""
 MOST_CHANGES = 4
 """Mistakes looked for at once."""
 ZERO_SD, ZERO_SCALE = 0.5, 0.1
@@ -64,8 +64,8 @@ class Court:
 
     Attributes:
         counts: (n,) independent samples of each joint's torque.
-        idle: Joints that move in no more rows than they have columns of their own.
-        dead: Joints whose torque says nothing, the idle ones among them.
+        idle: Recorded columns that move in no more rows than a joint has columns of its own, which fit those exactly.
+        dead: Those whose torque says nothing.
     """
 
     def __init__(
@@ -88,10 +88,8 @@ class Court:
         self.frame = Frame(arm, rms(rows.torque(np.zeros(len(arm.joints)))))
         self._designs: list[tuple[Setup, Design]] = []
         self.counts = self._independent()
-        # A joint's own columns fit so few rows exactly. An exchange would hide another joint's torque behind it:
-        # of hypotheses that explain different data the likelihoods do not compare.
         self.idle = frozenset(np.flatnonzero(rows.moving.sum(axis=0) <= OWN).tolist()) - dead
-        self.dead = dead | self.idle
+        self.dead = dead
 
     @property
     def sure(self) -> float:
@@ -104,6 +102,19 @@ class Court:
         few.rows = self.rows.thinned(max(1, len(self.rows.time) // SCREEN_ROWS))
         few._designs = []
         return few
+
+    def silent(self, setup: Setup) -> frozenset[int]:
+        """Joints of the arm that move too little, or whose torque says nothing, under a setup."""
+        still = np.isin(setup.position_from, sorted(self.idle | self.dead))
+        return frozenset(np.flatnonzero(still | np.isin(setup.effort_from, sorted(self.dead))).tolist())
+
+    def where_all_move(self, columns: np.ndarray) -> Court:
+        """The same with only those rows of some recorded columns in which all of them move."""
+        other, moving = copy(self), self.rows.moving.copy()
+        moving[:, columns] &= moving[:, columns].all(axis=1, keepdims=True)
+        share = moving.sum(axis=0) / np.maximum(self.rows.moving.sum(axis=0), 1)
+        other.rows, other.counts, other._designs = replace(self.rows, moving=moving), self.counts * share, []
+        return other
 
     def design(self, setup: Setup) -> Design:
         """Columns of a setup's motion."""
@@ -194,7 +205,7 @@ def search(court: Court) -> list[Step]:
     while steps[-1].gain > court.sure and len(steps) <= MOST_CHANGES:
         last = steps[-1]
         again = (*last.rivals, *last.screened) if last.after.changes[-1].kind is Kind.DELAY else None
-        steps.append(compete(court, last.after, again))
+        steps.append(compete(court, court.score(last.after.changes, last.after.setup), again))
     return steps
 
 
@@ -219,25 +230,63 @@ def compete(court: Court, start: Scored, again: Sequence[Scored] | None = None) 
     else:
         changes = [one.changes[-1] for one in again if one.changes[-1].kind is not Kind.DELAY]
         tried = [replace(start, changes=(*start.changes, one), setup=one.on(start.setup)) for one in changes]
+    close = SHORT_LIST
     if again is None:
         tried.sort(key=lambda one: -one.score)
-    # What masses add up to is looked at in the second round only: gains are always in it.
-    chosen = [one for k, one in enumerate(tried) if k < SHORT_LIST or one.changes[-1].kind in _GAINS]
-    short = [refined_gravity(court, court.score(one.changes, one.setup)) for one in chosen]
-    short = [one for one in short if one.changes[-1].kind is not Kind.EFFORT_GAIN or _gain_is_off(one)]
-    short.sort(key=lambda one: -one.score)
+        close = int(np.clip(sum(one.score > tried[0].score - court.sure for one in tried), SHORT_LIST, LONG_LIST))
+    chosen = [one for k, one in enumerate(tried) if k < close or one.changes[-1].kind in _SECOND_LOOK]
+    short = [judged(court, start, one) for one in chosen]
+    short = [one for one in short if _is_off(start, one)]
+    short = _apart(sorted(short, key=lambda one: -one.score))
     best = short[0] if short and short[0].score > start.score else start
     # Beside a delay the others were not scored again.
     rest = [one for one in tried if all(one is not other for other in chosen)] if again is None else []
     return Step(start, best, tuple(one for one in short if one is not best), tuple(rest))
 
 
-_GAINS = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT)
+_SECOND_LOOK = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.GRAVITY)
+"""What masses add up to, and the direction of gravity, are looked at there only."""
 
 
-def _gain_is_off(one: Scored) -> bool:
-    """Whether a gain that was set free went further than gains ordinarily are off."""
-    return bool(abs(np.log(one.evidence.gains[one.changes[-1].joints[0]])) > 2.0 * GAIN_SD)
+def judged(court: Court, start: Scored, one: Scored) -> Scored:
+    """A change, scored on all rows and CAD scales.
+
+    One that takes torque to another motion on the rows in which all its joints move: elsewhere it would explain other
+    data than `start`, and of such hypotheses the likelihoods do not compare.
+    """
+    change = one.changes[-1]
+    if change.kind not in (Kind.POSITIONS_EXCHANGED, Kind.EFFORTS_EXCHANGED):
+        return refined_gravity(court, court.score(one.changes, one.setup))
+    both = court.where_all_move(start.setup.position_from[list(change.joints)])
+    whole = both.score(one.changes, one.setup)
+    return replace(whole, score=start.score + whole.score - both.score(start.changes, start.setup).score)
+
+
+def _is_off(start: Scored, one: Scored) -> bool:
+    """Whether a gain that was set free, or gravity, went further than they ordinarily are off."""
+    change = one.changes[-1]
+    if change.kind is Kind.EFFORT_GAIN:
+        return bool(abs(np.log(one.evidence.gains[change.joints[0]])) > 2.0 * GAIN_SD)
+    if change.kind is Kind.GRAVITY:
+        return tilted(start.setup.gravity, np.array(change.value))
+    return True
+
+
+def _apart(found: Sequence[Scored]) -> list[Scored]:
+    """The same, the best first, without directions of gravity that the search led to a better one's."""
+    kept: list[Scored] = []
+    for one in found:
+        last = one.changes[-1]
+        known = [np.array(other.changes[-1].value) for other in kept if other.changes[-1].kind is Kind.GRAVITY]
+        if last.kind is not Kind.GRAVITY or all(tilted(other, np.array(last.value)) for other in known):
+            kept.append(one)
+    return kept
+
+
+def tilted(believed: FloatArray, gravity: FloatArray) -> bool:
+    """Whether one gravity is another by size, or by at least `LEAST_TILT_RAD`."""
+    sizes = float(np.linalg.norm(believed) * np.linalg.norm(gravity))
+    return bool(sizes == 0.0 or believed @ gravity < np.cos(LEAST_TILT_RAD) * sizes)
 
 
 def testable(court: Court, start: Scored, change: Change) -> bool:
@@ -250,10 +299,14 @@ def testable(court: Court, start: Scored, change: Change) -> bool:
         if court.frame.rough:
             return False
         return len(change.joints) != 1 or change.joints[0] in loaded_joints(court, start)
+    own, silent = set(change.joints), court.silent(start.setup)
     if change.kind is Kind.DEGREES:
         # In degrees the smallest motion is a large one.
-        return len(change.joints) > 1 or change.joints[0] not in court.idle
-    return not court.dead & set(change.joints)
+        return len(own) > 1 or start.setup.position_from[change.joints[0]] not in court.idle
+    if change.kind is Kind.JOINTS_EXCHANGED:
+        # Torque stays with its motion.
+        return not own <= silent and not own & court.dead
+    return not own & silent
 
 
 def loaded_joints(court: Court, start: Scored) -> tuple[int, ...]:
@@ -353,7 +406,7 @@ def tilts(court: Court, start: Scored) -> list[Scored]:
     if size == 0.0:
         return []
     vector = gravity_step(court, start, size)
-    if vector @ start.setup.gravity > np.cos(LEAST_TILT_RAD) * size**2:
+    if not tilted(start.setup.gravity, vector):
         return []
     change = Change(Kind.GRAVITY, (), tuple(float(v) for v in vector))
     return [court.score((*start.changes, change), change.on(start.setup), (ZERO_SCALE,), SCREEN_ITERATIONS)]
@@ -392,13 +445,14 @@ def gravity_step(court: Court, one: Scored, size: float) -> FloatArray:
 
 def delays(court: Court, start: Scored) -> list[Scored]:
     """A delay that all joints share, and of every joint by itself where it is too long for friction to look like it."""
-    n = len(court.arm.joints)
+    n, silent = len(court.arm.joints), court.silent(start.setup)
     found = [_best_delay(court, start, tuple(range(n)))]
     least = LATE_S / np.maximum(1.0 - friction_shares(court, start), 0.2)
     for joint, own in enumerate(_own_delays(court, start)):
-        if n > 1 and abs(own) > 0.5 * least[joint] and joint not in court.dead:
+        if n > 1 and abs(own) > 0.5 * least[joint] and joint not in silent:
             found.append(_best_delay(court, start, (joint,), own))
-    told = [one for one in found if abs(one.changes[-1].value[0]) > SHORTEST_DELAY_S]
+    # At the end of what is looked for it is no maximum: something else is wrong.
+    told = [one for one in found if SHORTEST_DELAY_S < abs(one.changes[-1].value[0]) < LONGEST_DELAY_S]
     return [
         one
         for one in told

@@ -24,6 +24,7 @@ from itertools import groupby
 import numpy as np
 
 from ..dynamics.arm import FloatArray
+from ..dynamics.model import TorqueModel
 from .held_out import FEWEST_BLOCKS, time_blocks
 from .regression import Regression
 
@@ -65,7 +66,7 @@ def friction_shifts(
     blocks, recording = time_blocks(regression.motions)
     sources = [np.full(len(block), motion.source) for block, motion in zip(blocks, regression.motions)]
     recordings = len(np.unique(recording))
-    kinds = _kinds(regression)
+    kinds = friction_kinds(regression.model)
     shifts = [np.zeros((0, width))]
     for joint, rows in enumerate(regression.rows):
         directions, sizes = _factors(kinds, parameters, numbers[joint], width)
@@ -83,10 +84,17 @@ def friction_shifts(
     return np.concatenate(shifts)
 
 
-def _kinds(regression: Regression) -> dict[int, tuple[str, float]]:
-    """Unknown -> the factor of friction that it belongs to, and how much that ordinarily differs."""
-    count, kinds = len(regression.model.parameters), {}
-    for term, first, first_constant in regression.model.numbered():
+def friction_kinds(model: TorqueModel) -> dict[int, tuple[str, float]]:
+    """Which factor of friction an unknown belongs to, and how much that ordinarily differs between recordings.
+
+    Args:
+        model: Any.
+
+    Returns:
+        Number of the unknown, parameters first, then constants -> name of the factor, relative standard deviation.
+    """
+    count, kinds = len(model.parameters), {}
+    for term, first, first_constant in model.numbered():
         for number, parameter in enumerate(term.parameters, start=first):
             if term.friction and parameter.dimension[1] > 0:
                 kinds[number] = "speed", ORDINARY_SPEED

@@ -23,7 +23,7 @@ from .constants import is_event
 from .evidence import Evidence, with_own
 from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
-from .healthy import Healthy, healthy_level
+from .healthy import Healthy, healthy_levels
 from .integrity import faults
 from .judgement import beyond_healthy, contradicted, doubted, harms, shows
 from .null import exceeds_null
@@ -108,8 +108,8 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     evidence, unseen = competition.evidence, competition.unseen
     assert unseen is not None
     joints = evidence.base.model.arm.joint_names
-    residuals = Residuals(evidence, unseen.scene, prepared.plain)
-    healthy = healthy_level(evidence, prepared, residuals)
+    residuals, in_field = (Residuals(evidence, scene, prepared.plain) for scene in (unseen.scene, evidence.field))
+    healthy, healthy_field = healthy_levels(evidence, prepared, (residuals, in_field))
     floor = healthy.floor_Nm
     before = residuals.of(healthy.parameters, [], np.zeros(0))
     rms_before = residuals.rms(before)
@@ -135,6 +135,8 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         lasting = np.minimum(residuals.rms_throughout(before), residuals.rms_throughout(after))
         where = np.flatnonzero(healthy.beyond(lasting, np.minimum(rms_before, rms_after)))
         findings = _unnamed(joints, where, rms_before, rms_after, floor)
+    if not findings and evidence.reference is not None:
+        findings = _in_the_field_alone(in_field, healthy_field, joints)
     words, next_effect, next_joints = _next(findings)
     # Without a finding nothing was added to the reference's model, whatever a refit to the field would leave.
     added, rms_added = (after, rms_after) if findings else (before, rms_before)
@@ -254,6 +256,18 @@ def _unnamed(
             explained=0.0,
         ),
     )
+
+
+def _in_the_field_alone(field: Residuals, healthy: Healthy, joints: Sequence[str]) -> tuple[Finding, ...]:
+    """What the reference's model, which saw neither, leaves of the fitted recordings though not of the judged ones.
+
+    A motion need not excite what has changed.
+    """
+    left = field.of(healthy.parameters, [], np.zeros(0))
+    rms = field.rms(left)
+    where = np.flatnonzero(healthy.beyond(field.rms_throughout(left), rms))
+    found = _unnamed(joints, where, rms, rms, healthy.floor_Nm)
+    return tuple(replace(finding, where=f"{finding.where}; the held-out data do not show it") for finding in found)
 
 
 def _unexplained(

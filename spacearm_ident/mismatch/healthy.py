@@ -5,15 +5,19 @@ Three figures a joint: its floor, what it exceeds rarely, and what is a mismatch
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from ..dynamics.arm import FloatArray
+from ..identification.between import PSEUDO_RECORDINGS
 from .evidence import Evidence
-from .left_out import LeftOut
+from .left_out import LEVEL, LeftOut
 from .preparation import Prepared
 from .residuals import Residuals
+from .scene import Scene
 from .scored import BEST, PARTS
 
 LEFT_OVER = 2.0
@@ -62,31 +66,46 @@ class Healthy:
             return np.asarray((lasting_Nm > self.detectable_Nm) | event)
 
 
-def healthy_level(evidence: Evidence, prepared: Prepared, judged: Residuals) -> Healthy:
-    """What a healthy arm leaves where it is judged.
+def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Residuals]) -> list[Healthy]:
+    """What a healthy arm leaves of each of some recordings that its fit does not see.
 
     The floor is what the base leaves of the reference. Where that is what the model lacks (`noise.weighted`), it is
-    what is left of parts that a fit left out, and beside it the error of what is predicted of the judged motion.
+    what is left of parts that a fit left out. Beside it stand the error of what is predicted of the judged motion, and
+    what friction ordinarily differs by on another day.
     Without a recorded reference: the noise as it was estimated in the field, and without any its parameters too.
 
     Args:
         evidence: Field and reference, with what they share.
         prepared: Noise of every joint.
-        judged: The judged recordings' rows.
+        judged: Rows of recordings that are judged together.
     """
     noise = prepared.noise_floor_Nm
-    if evidence.reference is None:
-        return Healthy(evidence.base_parameters([], np.zeros(0)), noise, noise)
-    alone = evidence.healthy
+    alone = evidence if evidence.reference is None else evidence.healthy
     parameters = alone.base_parameters([], np.zeros(0))
-    if prepared.modelled:
-        return Healthy(parameters, noise, noise)
+    if evidence.reference is None or prepared.modelled:
+        return [Healthy(parameters, noise, noise)] * len(judged)
     residuals = Residuals(alone, evidence.reference, prepared.plain)
     left_out = LeftOut(alone, residuals)
     floor = residuals.rms(residuals.of(parameters, [], np.zeros(0)))
     floor = np.where(np.isfinite(floor), floor, noise)
-    if not prepared.weighted:
-        return Healthy(parameters, floor, np.fmax(floor, left_out.largest_Nm(by_part=False)), left_out)
-    error = left_out.error_Nm(judged)
-    floor, largest = (np.hypot(np.fmax(floor, left), error) for left in (left_out.rms_Nm, left_out.largest_Nm()))
-    return Healthy(parameters, floor, largest, left_out)
+    largest = np.fmax(floor, left_out.largest_Nm)
+    if prepared.weighted:
+        floor = np.fmax(floor, left_out.rms_Nm)
+    made = []
+    for rows in judged:
+        error = left_out.error_Nm(rows) if prepared.weighted else np.zeros(len(floor))
+        day = _another_day(evidence.reference, rows.ordinary_Nm(evidence.base.model, parameters))
+        most = np.sqrt(largest**2 + (left_out.times * error) ** 2 + day**2)
+        made.append(Healthy(parameters, np.hypot(floor, error), most, left_out))
+    return made
+
+
+def _another_day(reference: Scene, ordinary_Nm: FloatArray) -> FloatArray:
+    """(n,) RMS that friction adds on another day with a probability of `LEVEL`.
+
+    What it ordinarily differs by counts as `PSEUDO_RECORDINGS` beside the recordings of the reference, which a few
+    days alike would else make too sure.
+    """
+    recordings = len({motion.source for motion in reference.motions})
+    share = PSEUDO_RECORDINGS / (PSEUDO_RECORDINGS + recordings)
+    return np.asarray(norm.isf(LEVEL) * np.sqrt(share) * np.nan_to_num(ordinary_Nm))

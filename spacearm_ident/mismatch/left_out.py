@@ -78,20 +78,27 @@ class LeftOut:
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(self.squares.sum(axis=0) / self.information.sum(axis=0)))
 
-    def largest_Nm(self, by_part: bool = True) -> FloatArray:
-        """(n,) RMS that another part of a healthy arm's motion exceeds with a probability of `LEVEL`.
+    @cached_property
+    def largest_Nm(self) -> FloatArray:
+        """(n,) RMS that the fit to all leaves of another part of motion with a probability of `LEVEL` or less.
 
-        Args:
-            by_part: Whether each part is predicted by the fit that left it out, or all by the one to the whole.
+        What it predicts worse of a motion of another kind is not in it, but in `error_Nm`.
 
         Returns:
             NaN where a joint has no rows, or nothing was left out.
         """
         if not self.known:
             return self.rms_Nm
-        blocks = self.squares if by_part else self.fitted_squares
-        squares, rows = (np.stack([by[fold].sum(axis=0) for fold in self.folds]) for by in (blocks, self.information))
+        squares, rows = (
+            np.stack([by[fold].sum(axis=0) for fold in self.folds]) for by in (self.fitted_squares, self.information)
+        )
         return largest_rms(squares, rows)
+
+    @property
+    def times(self) -> float:
+        """How many times `error_Nm` an error is with a probability of `LEVEL` (Student; all joints tell its size)."""
+        freedom = max((len(self.fits) - 1) * self.squares.shape[1], 1)
+        return float(student.ppf(1.0 - LEVEL, freedom))
 
     def error_Nm(self, residuals: Residuals) -> FloatArray:
         """(n,) jackknife standard error of the predicted torque, RMS over other rows; zero if nothing was left out."""

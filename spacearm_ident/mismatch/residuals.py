@@ -12,7 +12,8 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from ..dynamics.arm import FloatArray
-from ..dynamics.model import IdentifiedModel
+from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..identification.between import friction_kinds
 from .evidence import Candidate, Evidence, without_effects
 from .finding import Trace
 from .scene import FEWEST_ROWS, Scene, Whitener
@@ -65,6 +66,20 @@ class Residuals:
         squares[self._few] = np.nan
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(squares / information))
+
+    def ordinary_Nm(self, model: TorqueModel, base: FloatArray) -> FloatArray:
+        """(n,) RMS of what friction ordinarily differs by between two recordings of an arm (`between.friction_kinds`).
+
+        Args:
+            model: The base's.
+            base: Its parameters, nuisance and common effects last.
+        """
+        kinds = friction_kinds(model)
+        squares = np.zeros(len(self.scene))
+        for kind in {kind for number, kind in kinds.items() if number < len(model.parameters)}:
+            own = [number for number, other in kinds.items() if other == kind and number < len(model.parameters)]
+            squares += (kind[1] * (self._columns[:, own] @ base[own])) ** 2
+        return self.rms(np.sqrt(squares))
 
     def rms_throughout(self, residual: FloatArray) -> FloatArray:
         """The same without each joint's loudest parts of the time: what shows there alone is an accident."""
