@@ -4,12 +4,13 @@ Each is a hypothesis: its column is free, with a prior of its own, or absent. Hy
 likelihood, summed over how far the simulation's inertials may be off (`CAD_SCALES`), so that a gain is not found where
 a heavier link says the same. The best joins if every recording (each half of a single one) supports it by itself, for
 model error is not the same in all; everything is linearised again, until nothing gains; what gains nothing beside the
-others is removed. Signs, units, order and gravity are for `conventions.search`, before this.
+others is removed. A stamp is good to half a sampling period: so much delay is always estimated, and is no finding.
+Signs, units, order and gravity are for `conventions.search`, before this.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -30,6 +31,9 @@ SURE = 5.0
 GAIN_SD, ZERO_SD, DELAY_SD = 0.5, 0.05, 0.02
 """Standard deviations of what is off where something is: of a gain's logarithm (a torque constant of a neighbouring
 size of motor), of a zero, rad (three degrees), of a delay, s (a few cycles of a slow bus)."""
+STAMP_PERIODS = 1 / 6
+"""Standard deviation of a right stamp, sampling periods: effort is what held before the sample or what will hold after
+it, half a period early or late, at three standard deviations."""
 ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05}
 """Prior probability of each at one joint (the delay: at all). Of the five real arms in hand torque from current is 8
 to 43 % off at single joints of two; a zero that is off shows as soon as an arm is used; late torque is common."""
@@ -71,14 +75,14 @@ class Wired:
     Attributes:
         wiring: What the recordings are off by.
         found: Names of the columns that the data demand, such as `gain[joint_2]`.
-        errors: Standard error of each: of a gain's logarithm, a zero (rad), a delay (s).
+        errors: Standard error of each and of the delay: of a gain's logarithm, a zero (rad), a delay (s).
         suspected: What else is more probable than not, the most probable first.
         model: The simulation's terms with values that fit beside it.
     """
 
     wiring: Wiring
     found: tuple[str, ...]
-    errors: tuple[float, ...]
+    errors: Mapping[str, float]
     suspected: tuple[Suspicion, ...]
     model: IdentifiedModel
 
@@ -92,10 +96,10 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
         known: What was found before that physics was known; tested again beside it.
     """
     state = _State(model, motions)
-    if known is not None and known.found:
+    if known is not None:
         state.found, state.wiring = list(known.found), known.wiring
         state.relinearise()
-        state.settle()
+    state.settle()
     while len(state.found) < MOST and (best := state.best_addition()) is not None:
         state.found = [*state.found, *best]
         state.settle()
@@ -124,8 +128,7 @@ class _State:
         self.found: list[str] = []
         self.wiring = Wiring.right(len(self.arm.joints))
         self.fitted = model
-        self.relinearise()
-        self.fitted = self._with(self._solved(()).values)
+        self.stamp_s = STAMP_PERIODS / min(motion.rate_hz for motion in motions)
         self.relinearise()
 
     def settle(self) -> None:
@@ -133,9 +136,10 @@ class _State:
         solution = self._solved(self.found)
         step, joints = dict(zip(self.linear.names, solution.values.tolist())), self.arm.joint_names
         now = self.wiring.by_column(joints)
-        now |= {name: now[name] + step[name] for name in self.found}
+        now |= {name: now[name] + step[name] for name in (*self.found, DELAY)}
         self.found = [name for name in self.found if abs(now[name]) <= LARGEST[kind_and_joint(name)[0]]]
-        self.wiring = Wiring.of_columns(joints, {k: v if k in self.found else 0.0 for k, v in now.items()})
+        kept = {*self.found, DELAY}
+        self.wiring = Wiring.of_columns(joints, {k: v if k in kept else 0.0 for k, v in now.items()})
         self.fitted = self._with(solution.values)
         self.relinearise()
 
@@ -152,7 +156,8 @@ class _State:
         if best is None:
             return ()
         solution = self._solved([*self.found, *best[1]])
-        values = [float(solution.values[self.linear.names.index(name)]) for name in best[1]]
+        now = self.wiring.by_column(self.arm.joint_names)
+        values = [now[name] + float(solution.values[self.linear.names.index(name)]) for name in best[1]]
         shown = [float(np.exp(v)) if name.startswith(GAIN) else v for name, v in zip(best[1], values)]
         return (Suspicion(best[1], tuple(shown), float(expit(best[0]))),)
 
@@ -164,10 +169,10 @@ class _State:
         sets = [*((name,) for name in others), *pairs]
         return [(self._evidence([*self.found, *names]) - here, names) for names in sets]
 
-    def errors(self) -> tuple[float, ...]:
-        """Standard error of each that was found."""
+    def errors(self) -> dict[str, float]:
+        """Standard error of each that was found, and of the delay."""
         spread = np.sqrt(np.diag(self._solved(self.found).covariance))
-        return tuple(float(spread[self.linear.names.index(name)]) for name in self.found)
+        return {name: float(spread[self.linear.names.index(name)]) for name in dict.fromkeys([*self.found, DELAY])}
 
     def log_odds(self, name: str) -> float:
         """Of a hypothesis among those found."""
@@ -223,9 +228,10 @@ class _State:
                 continue
             # The prior is of the whole; the column is of what is not undone yet.
             mean[number] = -now[name]
-            if name in names:
+            if name in names or name == DELAY:
                 free[number] = True
-                precision[number, number] = 1.0 / spread[kind_and_joint(name)[0]] ** 2
+                sd = spread[kind_and_joint(name)[0]] if name in names else self.stamp_s
+                precision[number, number] = 1.0 / sd**2
         return Prior(mean, precision, free)
 
     def _evidence(self, names: Sequence[str], blocks: np.ndarray | None = None) -> float:

@@ -46,7 +46,7 @@ class JointFit:
     Attributes:
         simulation: What is compared.
         wiring: What is undone in all motions.
-        names: Columns of the wiring that are estimated.
+        names: Columns of the wiring that were found.
         linear: Fitted motions.
         judge: Held-out motions, every row counting for one N^2 m^2.
         again: The same, in the weights of the fitted ones.
@@ -74,7 +74,7 @@ class JointFit:
         """
         wiring = wired.wiring
         self.simulation, self.wiring, self.names = simulation, wiring, wired.found
-        self._errors, self._judged = dict(zip(wired.found, wired.errors)), judged
+        self._errors, self._judged = wired.errors, judged
         noise = weighted(model, wiring.undone(motions))
         self.linear = Linear(model, motions, noise.whiteners, wiring)
         self.judge = Linear(model, judged, in_newton_metres(simulation.arm), wiring)
@@ -117,7 +117,7 @@ class JointFit:
             else:
                 free[number], mean[number] = False, 0.0
         for number, name in enumerate(linear.names):
-            if name in self.names:
+            if name in self._errors:
                 free[number], mean[number] = True, 0.0
                 # The weak prior of an identification would let a gain be a heavier link.
                 precision[number, number] = 1.0 / self._errors[name] ** 2

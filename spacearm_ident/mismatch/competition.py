@@ -338,7 +338,7 @@ class Competition:
         return self._grids[key]
 
     def _gain(self, candidate: Candidate, beside: Refit) -> float:
-        together = self.evidence.refit([*self.accepted, candidate])
+        together = self.evidence.refit([*self.accepted, candidate], beside)
         values = together.values[len(beside.values) :]
         gain = together.gain - beside.gain
         return gain if np.isfinite(gain) and plausible(candidate, values, self._coulomb) else -np.inf
@@ -352,7 +352,7 @@ class Competition:
         return self._scored(candidate, beside, self._on_unseen(self.accepted, beside.values))
 
     def _scored(self, candidate: Candidate, beside: Refit, unseen_before: FloatArray) -> Scored:
-        together = self.evidence.refit([*self.accepted, candidate])
+        together = self.evidence.refit([*self.accepted, candidate], beside)
         gain = together.gain - beside.gain
         unseen_after = self._on_unseen([*self.accepted, candidate], together.values)
         unseen = _squares(unseen_before) - _squares(unseen_after)

@@ -65,6 +65,11 @@ class Candidate:
         """(k,) whether a parameter is held at its prior."""
         return np.array([parameter.scale == 0.0 for parameter in self.effect.parameters])
 
+    @cached_property
+    def energy(self) -> FloatArray:
+        """(k,) sum of squares of each column."""
+        return np.asarray(np.einsum("rk,rk->k", self.stacked.columns, self.stacked.columns))
+
 
 @dataclass(frozen=True)
 class Refit:
@@ -75,12 +80,14 @@ class Refit:
         gain: Drop in chi-square on reference and field.
         covariance: (k, k) of the values; zero where held.
         visibility: (k,) share of each column's energy that the base cannot take over.
+        gram: (k, k) inner products of what the base cannot take over.
     """
 
     values: FloatArray
     gain: float
     covariance: FloatArray
     visibility: FloatArray
+    gram: FloatArray
 
 
 class Evidence:
@@ -221,23 +228,28 @@ class Evidence:
         whole[:, own] = triangle[beside:, beside:]
         return whole
 
-    def refit(self, candidates: Sequence[Candidate]) -> Refit:
-        """Fit candidates together with the base; parameters that are held stay at their priors."""
+    def refit(self, candidates: Sequence[Candidate], others: Refit | None = None) -> Refit:
+        """Fit candidates together with the base; parameters that are held stay at their priors.
+
+        Args:
+            candidates: To fit.
+            others: Of all but the last of them, where it is known: most of the work.
+        """
         if not candidates:
             empty = np.zeros(0)
-            return Refit(empty, 0.0, np.zeros((0, 0)), empty)
-        gram = np.block([[_inner(one, other) for other in candidates] for one in candidates])
+            return Refit(empty, 0.0, np.zeros((0, 0)), empty, np.zeros((0, 0)))
+        gram = _gram(candidates) if others is None else _gram_with(others.gram, candidates)
         slope = np.concatenate([c.slope for c in candidates])
         held = np.concatenate([c.held for c in candidates])
         prior = np.array([p.prior for c in candidates for p in c.effect.parameters])
         values = np.where(held, prior, 0.0)
-        energy = np.concatenate([np.sum(c.stacked.columns**2, axis=0) for c in candidates])
+        energy = np.concatenate([c.energy for c in candidates])
         # What moves no torque, or none that the base could not, stays where it is.
         free = ~held & (np.diag(gram) > np.maximum(INVISIBLE * energy, UNDERFLOW))
         covariance = inverse_among(gram, free)
         values += covariance @ (slope - gram @ values)
         gain = float(2 * slope @ values - values @ gram @ values)
-        return Refit(values, gain, covariance, np.diag(gram) / np.maximum(energy, 1e-300))
+        return Refit(values, gain, covariance, np.diag(gram) / np.maximum(energy, 1e-300), gram)
 
     def residual_beside(self, candidates: Sequence[Candidate]) -> FloatArray:
         """(F,) field residual with some effects and the base fitted together."""
@@ -303,10 +315,23 @@ def inverse_among(gram: FloatArray, free: np.ndarray) -> FloatArray:
     return inverse
 
 
+def _gram(candidates: Sequence[Candidate]) -> FloatArray:
+    """(k, k) inner products of what the base cannot take over of all candidates."""
+    gram = np.zeros((0, 0))
+    for count in range(1, len(candidates) + 1):
+        gram = _gram_with(gram, candidates[:count])
+    return gram
+
+
+def _gram_with(gram: FloatArray, candidates: Sequence[Candidate]) -> FloatArray:
+    """The same, where that of all but the last is known."""
+    *others, last = candidates
+    beside = np.concatenate([_inner(one, last) for one in others]) if others else np.zeros((0, len(last.gram)))
+    return np.block([[gram, beside], [beside.T, last.gram]])
+
+
 def _inner(one: Candidate, other: Candidate) -> FloatArray:
     """(k, l) inner products of what the base cannot take over."""
-    if one is other:
-        return one.gram
     first, last = (f(one.stacked.rows, other.stacked.rows) for f in (_latest_start, _earliest_stop))
     inner = -one.inside.T @ other.inside
     if last > first:
