@@ -1,10 +1,11 @@
 """Compare a simulation with recordings of the arm, layer by layer.
 
 1. What the simulation predicts of the held-out recordings, as it is.
-2. Conventions and wiring: signs, order, units (`conventions.search`), then gains, zeros and delay (`conventions.py`).
+2. Conventions and wiring: signs, order, units (`conventions.search`), then gains, zeros, delay and tilt
+   (`conventions.py`).
 3. The catalogue's search for physics beside the simulation's own terms, on corrected recordings.
-4. Gains, zeros and delay again, beside the physics: what looked like a gain may have been an effect. Then one joint
-   fit of wiring, parameters and physics. Layers are nested sets of its unknowns; each is judged on the
+4. Gains, zeros, delay and tilt again, beside the physics: what looked like a gain may have been an effect. Then one
+   joint fit of wiring, parameters and physics. Layers are nested sets of its unknowns; each is judged on the
    held-out recordings. Items are read off the whole fit, with errors that hold where the residual is model error, and
    estimated again on the held-out recordings by themselves: that is whether they replicate.
 5. What a flexible function of the same inputs could still remove.
@@ -35,11 +36,11 @@ from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
 from .parameters import Change, Explained, changes, combination_of, determined, few_causes, places_of
 from .physics import Added, added_terms, missing_physics, optional_terms, with_friction_terms
-from .wiring import DELAY, GAIN, ZERO, Wiring, kind_and_joint
+from .wiring import DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint, on_arm
 
 Progress = Callable[[float, str], None]
-WORDS = {GAIN: "effort_gain", ZERO: "encoder_zero", DELAY: "delay"}
-UNITS = {GAIN: "1", ZERO: "rad", DELAY: "s"}
+WORDS = {GAIN: "effort_gain", ZERO: "encoder_zero", DELAY: "delay", TILT: "base_tilt"}
+UNITS = {GAIN: "1", ZERO: "rad", DELAY: "s", TILT: "rad"}
 
 
 def compare(
@@ -102,8 +103,9 @@ class _Pass:
         report(0.2, "searching for missing physics")
         corrections, base = wired.wiring.corrections(self.joints), self.simulation.model.model
         corrected = [corrections.applied(recording) for recording in self.fitted]
+        arm = wired.wiring.tilted(self.arm)
         explanation = missing_physics(
-            self.arm,
+            arm,
             base.structure,
             corrected,
             [corrections.applied(recording) for recording in self.held],
@@ -113,8 +115,8 @@ class _Pass:
         if explanation.verdict == DATA_UNFIT:
             return _unfit(self.arm, explanation.reasons)
         report(0.8, "fitting all layers together")
-        chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
-        extended = explanation.model or wired.model
+        chosen = identify(corrected, arm, Settings(cutoff_hz=self.cutoff)).model
+        extended = on_arm(explanation.model, self.arm) if explanation.model else wired.model
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
         wired = find_wiring(whole, self.motions, wired)
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
@@ -201,8 +203,8 @@ class _Pass:
             items.append(
                 Item(
                     WORDS[kind],
-                    (joint,) if joint else self.joints,
-                    joint or "all joints",
+                    (joint,) if joint in self.joints else self.joints,
+                    f"base, about its {joint} axis" if kind == TILT else joint or "all joints",
                     was,
                     value,
                     low,
@@ -353,7 +355,12 @@ def _suspicions(suspected: Sequence[Suspicion]) -> tuple[str, ...]:
 
 def _wiring_words(name: str) -> str:
     kind, joint = kind_and_joint(name)
-    return {GAIN: f"torque gain of {joint}", ZERO: f"encoder zero of {joint} (rad)", DELAY: "delay of torque (s)"}[kind]
+    return {
+        GAIN: f"torque gain of {joint}",
+        ZERO: f"encoder zero of {joint} (rad)",
+        DELAY: "delay of torque (s)",
+        TILT: f"tilt of the base about its {joint} axis (rad)",
+    }[kind]
 
 
 def _unnamed(small: Sequence[Added], gone: Sequence[Added]) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Layer 0: gains, zeros and a delay that the data demand, with the simulation's parameters as uncertain as they may be.
+"""Layer 0: gains, zeros, a delay and a tilt that the data demand, the simulation's parameters as uncertain as may be.
 
 Each is a hypothesis: its column is free, with a prior of its own, or absent. Hypotheses are compared by marginal
 likelihood, summed over how far the simulation's inertials may be off (`CAD_SCALES`), so that a gain is not found where
@@ -20,26 +20,29 @@ from scipy.stats import chi2
 
 from ..conventions.evidence import CAD_SCALES, inertial_belief
 from ..dynamics.arm import FloatArray
-from ..dynamics.model import IdentifiedModel
+from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..mismatch.noise import weighted
 from ..recording.motion import Motion
 from .linear import Linear, Prior, Solution, weak_prior
-from .wiring import DELAY, GAIN, ZERO, Wiring, kind_and_joint
+from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
 SURE = 5.0
 """Log odds from which a hypothesis is taken: one false in 150, were residuals noise; all parts must agree besides."""
-GAIN_SD, ZERO_SD, DELAY_SD = 0.5, 0.05, 0.02
+GAIN_SD, ZERO_SD, DELAY_SD, TILT_SD = 0.5, 0.05, 0.02, 0.05
 """Standard deviations of what is off where something is: of a gain's logarithm (a torque constant of a neighbouring
-size of motor), of a zero, rad (three degrees), of a delay, s (a few cycles of a slow bus)."""
+size of motor), of a zero, rad (three degrees), of a delay, s (a few cycles of a slow bus), of a tilt, rad (three
+degrees)."""
 STAMP_PERIODS = 1 / 6
 """Standard deviation of a right stamp, sampling periods: effort is what held before the sample or what will hold after
 it, half a period early or late, at three standard deviations."""
-ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05}
-"""Prior probability of each at one joint (the delay: at all). Of the five real arms in hand torque from current is 8
-to 43 % off at single joints of two; a zero that is off shows as soon as an arm is used; late torque is common."""
-LARGEST = {GAIN: 1.6, ZERO: 0.35, DELAY: 0.1}
-"""Largest size of each that is considered: a factor of five, twenty degrees, a tenth of a second. Beyond, the torque is
-in another unit or the joint has another zero, and the linear problem around the simulation does not hold."""
+ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5}
+"""Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes). Of the five real arms in
+hand torque from current is 8 to 43 % off at single joints of two; a zero that is off shows as soon as an arm is used;
+late torque is common."""
+LARGEST = {GAIN: 1.6, ZERO: 0.35, DELAY: 0.1, TILT: 0.35}
+"""Largest size of each that is considered: a factor of five, twenty degrees, a tenth of a second, twenty degrees.
+Beyond, the torque is in another unit or the joint has another zero, and the linear problem around the simulation does
+not hold."""
 AGREE = 0.001
 """Probability below which values from different parts do not agree: they are compared within errors that take residuals
 for noise."""
@@ -48,7 +51,7 @@ LEAST_FACTOR = 1e-4
 SHORT_LIST = 4
 """Best hypotheses that the parts are asked about."""
 MOST = 8
-"""Gains, zeros and delays looked for at once."""
+"""Columns looked for at once."""
 SETTLING = 2
 """Times that everything is linearised again once nothing is added."""
 
@@ -59,7 +62,7 @@ class Suspicion:
 
     Attributes:
         names: Columns that would be off together.
-        values: Of each: a gain, a zero (rad) or a delay (s).
+        values: Of each: a gain, a zero (rad), a delay (s) or a tilt (rad).
         probability: Against nothing more being off.
     """
 
@@ -75,7 +78,7 @@ class Wired:
     Attributes:
         wiring: What the recordings are off by.
         found: Names of the columns that the data demand, such as `gain[joint_2]`.
-        errors: Standard error of each and of the delay: of a gain's logarithm, a zero (rad), a delay (s).
+        errors: Standard error of each and of the delay: of a gain's logarithm, a zero (rad), a delay (s), a tilt (rad).
         suspected: What else is more probable than not, the most probable first.
         model: The simulation's terms with values that fit beside it.
     """
@@ -95,7 +98,7 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
         motions: As recorded, in the bandwidth to look at.
         known: What was found before that physics was known; tested again beside it.
     """
-    state = _State(model, motions)
+    state = _State(_with_offsets(model), motions)
     if known is not None:
         state.found, state.wiring = list(known.found), known.wiring
         state.relinearise()
@@ -115,7 +118,24 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
         tuple(state.found),
         state.errors(),
         state.suspected(),
-        state.fitted,
+        _with_terms_of(state.fitted, model.model),
+    )
+
+
+def _with_offsets(model: IdentifiedModel) -> IdentifiedModel:
+    """With a constant torque at every joint: a current offset or asymmetric friction is no gain and no zero."""
+    return _with_terms_of(model, TorqueModel(model.model.arm, {**model.model.structure, "torque_offset": {}}))
+
+
+def _with_terms_of(values: IdentifiedModel, model: TorqueModel) -> IdentifiedModel:
+    """A model's terms with the values of another; what that lacks is zero."""
+    parameters = {p.name: float(v) for p, v in zip(values.model.parameters, values.parameters)}
+    constants = {c.name: float(v) for c, v in zip(values.model.constants, values.constants)}
+    return replace(
+        values,
+        model=model,
+        parameters=np.array([parameters.get(parameter.name, 0.0) for parameter in model.parameters]),
+        constants=np.array([constants.get(constant.name, 0.0) for constant in model.constants]),
     )
 
 
@@ -128,6 +148,10 @@ class _State:
         self.found: list[str] = []
         self.wiring = Wiring.right(len(self.arm.joints))
         self.fitted = model
+        turned = [float(np.linalg.norm(np.cross(axis, self.arm.gravity))) for axis in np.eye(3)]
+        # About the axis nearest to gravity a tilt changes least: the other two say all.
+        axes = sorted(np.argsort(turned)[1:]) if any(turned) else []
+        self.tilts = tuple(f"{TILT}[{AXES[k]}]" for k in axes)
         self.stamp_s = STAMP_PERIODS / min(motion.rate_hz for motion in motions)
         self.relinearise()
 
@@ -165,7 +189,9 @@ class _State:
         """What may be off beside what was found: log odds, and the columns; two gains may need each other."""
         here = self._evidence(self.found)
         others = [name for name in self._candidates() if name not in self.found]
-        pairs = combinations([name for name in others if name.startswith(GAIN)], 2)
+        pairs: list[tuple[str, ...]] = [*combinations([name for name in others if name.startswith(GAIN)], 2)]
+        if self.tilts and not set(self.tilts) & set(self.found):
+            pairs.append(self.tilts)
         sets = [*((name,) for name in others), *pairs]
         return [(self._evidence([*self.found, *names]) - here, names) for names in sets]
 
@@ -200,12 +226,13 @@ class _State:
 
     def _candidates(self) -> list[str]:
         revolute = [joint.name for joint in self.arm.joints if joint.revolute]
-        return [*(f"{GAIN}[{joint}]" for joint in self.arm.joint_names), *(f"{ZERO}[{j}]" for j in revolute), DELAY]
+        gains = [f"{GAIN}[{joint}]" for joint in self.arm.joint_names]
+        return [*gains, *(f"{ZERO}[{joint}]" for joint in revolute), DELAY, *self.tilts]
 
     def relinearise(self) -> None:
         """Build the linear problem around the model and the wiring."""
         undone = self.wiring.undone(self.motions)
-        noise = weighted(self.fitted, undone)
+        noise = weighted(self.wiring.under_gravity(self.fitted), undone)
         self.linear = Linear(self.fitted, self.motions, noise.whiteners, self.wiring)
         size = np.sqrt(np.mean(np.concatenate([motion.torque_rows for motion in undone]) ** 2, axis=0))
         self.centre, self.spread, self.payload = inertial_belief(self.arm, size)
@@ -222,7 +249,7 @@ class _State:
         precision[:, :count] = 0.0
         precision[:count, :count] = np.diag(1.0 / ((scale * self.spread) ** 2 + self.payload**2))
         now = self.wiring.by_column(self.arm.joint_names)
-        spread = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD}
+        spread = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD, TILT: TILT_SD}
         for number, name in enumerate(self.linear.names):
             if name not in now:
                 continue

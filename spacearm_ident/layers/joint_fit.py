@@ -68,14 +68,14 @@ class JointFit:
         Args:
             simulation: What is compared.
             model: Its terms, and all physics that was found, with values near the arm's.
-            wired: Gains, zeros and delay that were found.
+            wired: Gains, zeros, delay and tilt that were found.
             motions: Recordings to fit to.
             judged: Held-out recordings.
         """
         wiring = wired.wiring
         self.simulation, self.wiring, self.names = simulation, wiring, wired.found
         self._errors, self._judged = wired.errors, judged
-        noise = weighted(model, wiring.undone(motions))
+        noise = weighted(wiring.under_gravity(model), wiring.undone(motions))
         self.linear = Linear(model, motions, noise.whiteners, wiring)
         self.judge = Linear(model, judged, in_newton_metres(simulation.arm), wiring)
         self.again = Linear(model, judged, noise.whiteners, wiring)
@@ -215,7 +215,7 @@ class JointFit:
         """(M, n) measured minus what the simulation's own terms predict, all motions one after the other, N m."""
         known = dict(zip(linear.names, values.tolist()))
         own = np.array([known.get(parameter.name, 0.0) for parameter in self.base.parameters])
-        model = replace(self.simulation.model, parameters=own)
+        model = self.wiring.under_gravity(replace(self.simulation.model, parameters=own))
         return np.concatenate([motion.torque_rows - motion.reduce(model.torque(motion)) for motion in linear.motions])
 
     def traces(self, values: FloatArray) -> tuple[Trace, ...]:

@@ -6,6 +6,7 @@ Around a model with values, and a wiring, the torque of a recording is linear in
     a gain's logarithm         the model's own torque at that joint
     a zero                     d tau_rigid / dq at all joints
     a delay                    -d tau / dt
+    a tilt of the base         d tau_rigid / d gravity, times gravity x axis
 
 Any subset of them, fitted to any blocks of time and judged on others, is then a small linear problem.
 """
@@ -68,7 +69,7 @@ class Linear:
     """Motions under a model and a wiring.
 
     Attributes:
-        model: The model with values that the columns are built around.
+        model: The model with values that the columns are built around, under the true gravity.
         wiring: What was undone in the motions.
         names: (P,) of the unknowns.
         blocks: Number of blocks of time.
@@ -83,12 +84,12 @@ class Linear:
         """Build the columns.
 
         Args:
-            model: With values.
+            model: With values, under the simulation's gravity.
             motions: As recorded.
             whiteners: What a row of each joint counts for.
             wiring: What is undone first; columns of gains, zeros and delay are of what is left.
         """
-        self.model, self.wiring = model, wiring
+        self.model, self.wiring = model, wiring = wiring.under_gravity(model), wiring
         undone = wiring.undone(motions)
         self.motions = undone
         scene = Scene(model, undone, whiteners)
@@ -96,7 +97,7 @@ class Linear:
         stacked = np.column_stack(
             [
                 _model_columns(model, scene),
-                scene.stack([_wiring_columns(model, motion) for motion in undone], 2 * len(joints) + 1),
+                scene.stack([_wiring_columns(model, motion) for motion in undone], len(column_names(joints))),
                 scene.torque(),
             ]
         )
@@ -234,16 +235,27 @@ def _model_columns(model: IdentifiedModel, scene: Scene) -> FloatArray:
 
 
 def _wiring_columns(model: IdentifiedModel, motion: Motion) -> Columns:
-    """Full-rate columns of gains, zeros and the delay."""
+    """Full-rate columns of gains, zeros, the delay and the tilt."""
     n = len(motion.joints)
     torque = model.torque(motion)
     late = -np.gradient(torque, 1.0 / motion.rate_hz, axis=0)
     slopes = np.stack([_slope(model.model, model.parameters, motion, k) for k in range(n)], axis=2)
+    tilts = np.stack([_by_tilt(model.model, model.parameters, motion, axis) for axis in np.eye(3)], axis=2)
     columns: Columns = {}
     for row in range(n):
-        own = np.concatenate([torque[:, [row]], slopes[:, row], late[:, [row]]], axis=1)
-        columns[row] = [row, *range(n, 2 * n), 2 * n], own
+        own = np.concatenate([torque[:, [row]], slopes[:, row], late[:, [row]], tilts[:, row]], axis=1)
+        columns[row] = [row, *range(n, 2 * n + 4)], own
     return columns
+
+
+def _by_tilt(model: TorqueModel, parameters: FloatArray, motion: Motion, axis: FloatArray) -> FloatArray:
+    """(N, n) derivative of the rigid bodies' torque by a tilt about an axis; none where the base's motion is known."""
+    change = np.cross(model.arm.gravity, axis)
+    if motion.base is not None or not change.any():
+        return np.zeros_like(motion.torque)
+    inertials = parameters[: 10 * len(model.arm.joints)].reshape(-1, 10)
+    still = np.zeros_like(motion.position)
+    return rigid_body_torque(model.arm.with_gravity(change), inertials, motion.position, still, still)
 
 
 def _slope(model: TorqueModel, parameters: FloatArray, motion: Motion, joint: int) -> FloatArray:

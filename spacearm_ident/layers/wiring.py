@@ -1,29 +1,39 @@
-"""`Wiring`: gains, zeros and a delay of a recording, and the motion and torque without them."""
+"""`Wiring`: gains, zeros, a delay and a tilt of the base that a recording has, and motion and torque without them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from ..dynamics.arm import FloatArray
+from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.model import IdentifiedModel
 from ..recording.corrections import Corrections, JointCorrection
 from ..recording.motion import Motion
 
-GAIN, ZERO, DELAY = "gain", "zero", "delay"
-"""Kinds of what may be off; a column is called `gain[JOINT]`, `zero[JOINT]` or `delay`."""
+GAIN, ZERO, DELAY, TILT = "gain", "zero", "delay", "tilt"
+"""Kinds of what may be off; a column is called `gain[JOINT]`, `zero[JOINT]`, `delay` or `tilt[AXIS]`."""
+AXES = ("x", "y", "z")
+"""Of the base frame."""
 
 
 def column_names(joints: Sequence[str]) -> tuple[str, ...]:
-    """Names of all columns: gains, zeros, one delay."""
-    return (*(f"{GAIN}[{joint}]" for joint in joints), *(f"{ZERO}[{joint}]" for joint in joints), DELAY)
+    """Names of all columns: gains, zeros, one delay, three axes of a tilt."""
+    own = [f"{kind}[{joint}]" for kind in (GAIN, ZERO) for joint in joints]
+    return (*own, DELAY, *(f"{TILT}[{axis}]" for axis in AXES))
 
 
 def kind_and_joint(column: str) -> tuple[str, str]:
-    """What a column is of, and the joint; none for the delay."""
+    """What a column is of, and the joint (the axis of a tilt); none for the delay."""
     kind, _, joint = column.rstrip("]").partition("[")
     return kind, joint
+
+
+def on_arm(model: IdentifiedModel, arm: Arm) -> IdentifiedModel:
+    """The same terms and values of another arm with the same joints."""
+    return replace(model, model=replace(model.model, arm=arm))
 
 
 @dataclass(frozen=True)
@@ -34,11 +44,13 @@ class Wiring:
         gain: (n,) recorded torque over the true one.
         zero_rad: (n,) true position less the recorded one.
         delay_s: How much later than the motion the torque was stamped.
+        tilt_rad: (3,) rotation vector, base frame, by which the base stands otherwise than in the simulation.
     """
 
     gain: FloatArray
     zero_rad: FloatArray
     delay_s: float = 0.0
+    tilt_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def right(cls, joints: int) -> Wiring:
@@ -49,13 +61,23 @@ class Wiring:
     def of_columns(cls, joints: Sequence[str], values: Mapping[str, float]) -> Wiring:
         """From `by_column`."""
         gains, zeros = (np.array([values[f"{kind}[{joint}]"] for joint in joints]) for kind in (GAIN, ZERO))
-        return cls(np.exp(gains), zeros, values[DELAY])
+        tilt = np.array([values[f"{TILT}[{axis}]"] for axis in AXES])
+        return cls(np.exp(gains), zeros, values[DELAY], tilt)
 
     def by_column(self, joints: Sequence[str]) -> dict[str, float]:
-        """Column -> the logarithm of a gain, a zero (rad), the delay (s)."""
-        return dict(
-            zip(column_names(joints), (*np.log(self.gain).tolist(), *self.zero_rad.tolist(), float(self.delay_s)))
-        )
+        """Column -> the logarithm of a gain, a zero (rad), the delay (s), a tilt about an axis (rad)."""
+        own = (*np.log(self.gain).tolist(), *self.zero_rad.tolist(), float(self.delay_s), *self.tilt_rad.tolist())
+        return dict(zip(column_names(joints), own))
+
+    def tilted(self, arm: Arm) -> Arm:
+        """The arm under the true gravity."""
+        if not self.tilt_rad.any():
+            return arm
+        return arm.with_gravity(Rotation.from_rotvec(-self.tilt_rad).apply(arm.gravity))
+
+    def under_gravity(self, model: IdentifiedModel) -> IdentifiedModel:
+        """A model of the simulation's arm under the true gravity."""
+        return on_arm(model, self.tilted(model.model.arm))
 
     def undone(self, motions: Sequence[Motion]) -> list[Motion]:
         """Motions as they would have been recorded rightly; torque is interpolated at the later times."""

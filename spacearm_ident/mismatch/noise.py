@@ -20,10 +20,14 @@ from ..errors import UnfitDataError
 from ..identification.weights import common_correlation, residual_noise, white_correlation_time
 from ..recording.motion import Motion
 from .evidence import Evidence
+from .rivals import Rival, rivals
 from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, louder
+from .stacked import stacked_effect
 
 ORDER = 6
 """Of the autoregressive model: it covers the length of the low-pass."""
+SMOOTH = ("position", "friction_position", "torque", "velocity")
+"""Of `rivals`: what noise does not follow."""
 IN_FULL = 0.8
 """Share of a joint's largest row weight below which a row is not used to estimate sigma and colour."""
 
@@ -60,9 +64,48 @@ def coloured(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
         UnfitDataError: No joint moves for long enough.
     """
     plain, scene, residual = _unwhitened(base, motions)
-    own = [fit_whitener(*_series(scene, residual, j), ORDER, _least(motions, j)) for j in range(len(plain))]
-    whiteners = _louder(base, motions, _known(own), 2)
+    whiteners = _louder(base, motions, _coloured(motions, scene, residual), 2)
     return Noise(whiteners, plain, _floor(whiteners), np.full(len(plain), np.nan))
+
+
+def of_field(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
+    """The noise as an autoregressive process, from recordings that may contain any physics beside the base's.
+
+    Arguments and errors as for `coloured`. Per joint, what the base leaves is fitted by splines of position, of
+    position times direction, of torque and, recording by recording, of velocity.
+    """
+    plain, scene, residual = _unwhitened(base, motions)
+    noise = residual - _smooth(base, scene, residual)
+    plain = louder(plain, scene, noise)
+    whiteners = [replace(w, loud=p.loud) for w, p in zip(_coloured(motions, scene, noise), plain)]
+    return Noise(whiteners, plain, _floor(whiteners), np.full(len(plain), np.nan))
+
+
+def _coloured(motions: Sequence[Motion], scene: Scene, residual: FloatArray) -> list[Whitener]:
+    """What makes a residual (R,) of unwhitened rows white, joint by joint."""
+    joints = range(len(scene.whiteners))
+    return _known([fit_whitener(*_series(scene, residual, j), ORDER, _least(motions, j)) for j in joints])
+
+
+def _smooth(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> FloatArray:
+    """(R,) the part of a residual that smooth functions of each joint's own motion and torque explain."""
+    explained = np.zeros(len(residual))
+    places = [place for place in rivals(scene.motions) if place["of"] in SMOOTH and "with" not in place]
+    for joint, name in enumerate(scene.motions[0].joints):
+        rows = scene.rows_of(joint, joint)
+        columns = []
+        for place in (place for place in places if place["joint"] == name):
+            own = stacked_effect(scene, Rival.at(base.model.arm, place), ()).columns
+            days = [scene.slot(joint, m) for m in range(len(scene.motions))] if place["of"] == "velocity" else [rows]
+            for day in days:
+                here = np.zeros_like(own)
+                here[day.start - rows.start : day.stop - rows.start] = own[
+                    day.start - rows.start : day.stop - rows.start
+                ]
+                columns.append(here)
+        matrix = np.concatenate(columns, axis=1) if columns else np.zeros((rows.stop - rows.start, 0))
+        explained[rows] = matrix @ np.linalg.lstsq(matrix, residual[rows], rcond=1e-9)[0]
+    return explained
 
 
 def weighted(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:

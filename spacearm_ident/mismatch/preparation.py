@@ -33,7 +33,7 @@ from ..recording.signals import prepare
 from .base_structure import GATE, RESISTS, choose_base
 from .evidence import Evidence, Unseen
 from .left_out import LeftOut
-from .noise import Noise, NoiseModel, coloured, weighted
+from .noise import Noise, NoiseModel, coloured, of_field, weighted
 from .residuals import Residuals
 from .scene import Scene, Whitener, coarse
 
@@ -107,7 +107,7 @@ def prepare_evidence(
     referred, examined, judged = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field, validation))
     if known is None:
         start = _identified(healthy or field, arm, cutoff, choose)
-        found = _with_noise(start, referred or examined, coloured)
+        found = _with_noise(start, referred or examined, coloured if healthy else of_field)
         if healthy:
             found = _suited(found, _identified(healthy, arm, cutoff, choose_structure), referred)
     else:
