@@ -36,11 +36,15 @@ from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
 from .parameters import Change, Explained, changes, combination_of, determined, few_causes, places_of
 from .physics import Added, added_terms, missing_physics, optional_terms, with_friction_terms
-from .wiring import DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint, on_arm
+from .wiring import DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
 Progress = Callable[[float, str], None]
 WORDS = {GAIN: "effort_gain", ZERO: "encoder_zero", DELAY: "delay", TILT: "base_tilt"}
 UNITS = {GAIN: "1", ZERO: "rad", DELAY: "s", TILT: "rad"}
+SHOWS = 0.02
+"""Share by which a parameter's change must lower the held-out variance that is left at some joint to be named: one per
+cent of its RMS, as for a model that is no worse than another (`bench/real_arms.py`). Errors shrink with the length of
+the recordings; half a sampling period and a simulator's integration step stay, and both look like friction."""
 
 
 def compare(
@@ -101,22 +105,24 @@ class _Pass:
         report(0.05, "conventions and wiring")
         wired = find_wiring(self.simulation.model, self.motions)
         report(0.2, "searching for missing physics")
-        corrections, base = wired.wiring.corrections(self.joints), self.simulation.model.model
-        corrected = [corrections.applied(recording) for recording in self.fitted]
-        arm = wired.wiring.tilted(self.arm)
+        base, corrections = self.simulation.model.model, wired.wiring.corrections(self.joints)
+        corrected, judged = (
+            [wired.wiring.without_tilt(corrections.applied(recording), wired.model) for recording in runs]
+            for runs in (self.fitted, self.held)
+        )
         explanation = missing_physics(
-            arm,
+            self.arm,
             base.structure,
             corrected,
-            [corrections.applied(recording) for recording in self.held],
+            judged,
             excluded,
             lambda share, what: report(0.2 + 0.6 * share, what),
         )
         if explanation.verdict == DATA_UNFIT:
             return _unfit(self.arm, explanation.reasons)
         report(0.8, "fitting all layers together")
-        chosen = identify(corrected, arm, Settings(cutoff_hz=self.cutoff)).model
-        extended = on_arm(explanation.model, self.arm) if explanation.model else wired.model
+        chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
+        extended = explanation.model or wired.model
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
         wired = find_wiring(whole, self.motions, wired)
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
@@ -226,7 +232,12 @@ class _Pass:
         items = [] if simple is None else _cause_items(simple, found, shares)
         for change in changed:
             if simple is None or not change.of_bodies:
-                items.append(self._change_item(change, found, shares))
+                rise = shares.rise(shares.back(change.vector, change.was))
+                if rise > SHOWS:
+                    items.append(self._change_item(change, found, shares))
+                else:
+                    size = abs(found.estimate.of(change.vector) - change.was)
+                    same = (*same, (change, size * float(np.sqrt(SHOWS / max(rise, 1e-6)))))
         lost = tuple(f"{item.name} of {item.where}" for item in items if item.replicated is False)
         items = [item for item in items if item.replicated is not False]
         seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
@@ -290,7 +301,7 @@ def _cause_items(simple: Explained, found: JointFit, shares: _Shares) -> list[It
         without = found.estimate.values.copy()
         without[places] -= cause.directions @ values
         share = shares.of(without)
-        for axis, (change, error) in enumerate(zip(values, errors)):
+        for axis, change, error in zip(cause.axes or (0,), values, errors):
             if cause.name == "mass":
                 was, name, where, key = float(inertial[0]), "mass", f"mass of {body}", f"{body}.mass"
             elif cause.name == "armature":
@@ -325,11 +336,21 @@ class _Shares:
         self._found, self._above, self._gain, self._after = found, above, gain, after
 
     def without(self, vector: FloatArray, was: float) -> float:
-        """Share of the simulation's variance above the noise, mean over the joints; the leading unknown is moved."""
+        """Share of the simulation's variance above the noise, mean over the joints."""
+        return self.of(self.back(vector, was))
+
+    def back(self, vector: FloatArray, was: float) -> FloatArray:
+        """(P,) the estimates with one combination as in the simulation; its leading unknown is moved."""
         values = self._found.estimate.values.copy()
         lead = int(np.argmax(vector == 1.0))
         values[lead] += was - self._found.estimate.of(vector)
-        return self.of(values)
+        return values
+
+    def rise(self, values: FloatArray) -> float:
+        """Largest share by which the variance that is left at a joint rises with other values (P,)."""
+        rms = self._gain * self._found.judge.rms(values)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return float(np.nanmax((rms / self._after) ** 2 - 1.0))
 
     def of(self, values: FloatArray) -> float:
         """The same of other values (P,)."""

@@ -231,8 +231,8 @@ class _State:
 
     def relinearise(self) -> None:
         """Build the linear problem around the model and the wiring."""
-        undone = self.wiring.undone(self.motions)
-        noise = weighted(self.wiring.under_gravity(self.fitted), undone)
+        undone = self.wiring.undone(self.motions, self.fitted)
+        noise = weighted(self.fitted, undone)
         self.linear = Linear(self.fitted, self.motions, noise.whiteners, self.wiring)
         size = np.sqrt(np.mean(np.concatenate([motion.torque_rows for motion in undone]) ** 2, axis=0))
         self.centre, self.spread, self.payload = inertial_belief(self.arm, size)

@@ -75,7 +75,7 @@ class JointFit:
         wiring = wired.wiring
         self.simulation, self.wiring, self.names = simulation, wiring, wired.found
         self._errors, self._judged = wired.errors, judged
-        noise = weighted(wiring.under_gravity(model), wiring.undone(motions))
+        noise = weighted(model, wiring.undone(motions, model))
         self.linear = Linear(model, motions, noise.whiteners, wiring)
         self.judge = Linear(model, judged, in_newton_metres(simulation.arm), wiring)
         self.again = Linear(model, judged, noise.whiteners, wiring)
@@ -215,7 +215,7 @@ class JointFit:
         """(M, n) measured minus what the simulation's own terms predict, all motions one after the other, N m."""
         known = dict(zip(linear.names, values.tolist()))
         own = np.array([known.get(parameter.name, 0.0) for parameter in self.base.parameters])
-        model = self.wiring.under_gravity(replace(self.simulation.model, parameters=own))
+        model = replace(self.simulation.model, parameters=own)
         return np.concatenate([motion.torque_rows - motion.reduce(model.torque(motion)) for motion in linear.motions])
 
     def traces(self, values: FloatArray) -> tuple[Trace, ...]:
@@ -225,13 +225,14 @@ class JointFit:
         gain, made = self.wiring.gain, []
         for recorded, undone in zip(self._judged, self.judge.motions):
             hidden = np.where(one_way(undone), 1.0, np.nan)
+            tilt = undone.reduce(self.wiring.by_tilt(undone, self.judge.model))
             made.append(
                 Trace(
                     undone.start_s
                     + undone.reduce(np.arange(float(len(undone.position)))[:, None])[:, 0] / undone.rate_hz,
-                    undone.torque_rows * gain * hidden,
+                    (undone.torque_rows + tilt) * gain * hidden,
                     recorded.reduce(self.simulation.model.torque(recorded)) * hidden,
-                    undone.reduce(mended.torque(undone)) * gain * hidden,
+                    (undone.reduce(mended.torque(undone)) + tilt) * gain * hidden,
                 )
             )
         return tuple(made)

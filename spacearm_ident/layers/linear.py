@@ -27,7 +27,7 @@ from ..identification.prior import make_prior
 from ..mismatch.noise import Noise
 from ..mismatch.scene import Scene, Whitener
 from ..recording.motion import Motion
-from .wiring import Wiring, column_names
+from .wiring import Wiring, column_names, gravity_torque
 
 ZERO_STEP = 1e-4
 """rad: step of the difference quotient of the torque by a zero."""
@@ -69,7 +69,7 @@ class Linear:
     """Motions under a model and a wiring.
 
     Attributes:
-        model: The model with values that the columns are built around, under the true gravity.
+        model: The model with values that the columns are built around.
         wiring: What was undone in the motions.
         names: (P,) of the unknowns.
         blocks: Number of blocks of time.
@@ -84,13 +84,13 @@ class Linear:
         """Build the columns.
 
         Args:
-            model: With values, under the simulation's gravity.
+            model: With values.
             motions: As recorded.
             whiteners: What a row of each joint counts for.
             wiring: What is undone first; columns of gains, zeros and delay are of what is left.
         """
-        self.model, self.wiring = model, wiring = wiring.under_gravity(model), wiring
-        undone = wiring.undone(motions)
+        self.model, self.wiring = model, wiring
+        undone = wiring.undone(motions, model)
         self.motions = undone
         scene = Scene(model, undone, whiteners)
         joints = model.model.arm.joint_names
@@ -240,7 +240,7 @@ def _wiring_columns(model: IdentifiedModel, motion: Motion) -> Columns:
     torque = model.torque(motion)
     late = -np.gradient(torque, 1.0 / motion.rate_hz, axis=0)
     slopes = np.stack([_slope(model.model, model.parameters, motion, k) for k in range(n)], axis=2)
-    tilts = np.stack([_by_tilt(model.model, model.parameters, motion, axis) for axis in np.eye(3)], axis=2)
+    tilts = np.stack([_by_tilt(model, motion, axis) for axis in np.eye(3)], axis=2)
     columns: Columns = {}
     for row in range(n):
         own = np.concatenate([torque[:, [row]], slopes[:, row], late[:, [row]], tilts[:, row]], axis=1)
@@ -248,14 +248,11 @@ def _wiring_columns(model: IdentifiedModel, motion: Motion) -> Columns:
     return columns
 
 
-def _by_tilt(model: TorqueModel, parameters: FloatArray, motion: Motion, axis: FloatArray) -> FloatArray:
+def _by_tilt(model: IdentifiedModel, motion: Motion, axis: FloatArray) -> FloatArray:
     """(N, n) derivative of the rigid bodies' torque by a tilt about an axis; none where the base's motion is known."""
-    change = np.cross(model.arm.gravity, axis)
-    if motion.base is not None or not change.any():
+    if motion.base is not None:
         return np.zeros_like(motion.torque)
-    inertials = parameters[: 10 * len(model.arm.joints)].reshape(-1, 10)
-    still = np.zeros_like(motion.position)
-    return rigid_body_torque(model.arm.with_gravity(change), inertials, motion.position, still, still)
+    return gravity_torque(model, motion.position, np.cross(model.model.arm.gravity, axis))
 
 
 def _slope(model: TorqueModel, parameters: FloatArray, motion: Motion, joint: int) -> FloatArray:

@@ -77,6 +77,7 @@ class Cause:
         unit: SI.
         inertial: (10,) of the body in the simulation, in the frame of the joint.
         directions: (11 n, d) change of all inertials and rotor inertias a unit of each of its d directions.
+        axes: (d,) of the joint's frame, along which a centre of mass moves.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Cause:
     unit: str
     inertial: FloatArray
     directions: FloatArray
+    axes: tuple[int, ...] = ()
 
 
 def determined(linear: Linear, found: Estimate, prior: Prior, simulation: Simulation) -> list[Change]:
@@ -238,7 +240,10 @@ def causes(simulation: Simulation) -> list[Cause]:
         found += [
             Cause("mass", part.name, part.joint, "kg", part.inertial, dense),
             Cause("mass", part.name, part.joint, "kg", part.inertial, point),
-            Cause("centre_of_mass", part.name, part.joint, "m", part.inertial, centre),
+        ]
+        found += [
+            Cause("centre_of_mass", part.name, part.joint, "m", part.inertial, centre[:, list(axes)], axes)
+            for axes in ((0,), (1,), (2,), (0, 1, 2))
         ]
     for k, joint in enumerate(names):
         rotor = np.zeros((11 * n, 1))

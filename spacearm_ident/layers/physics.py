@@ -182,8 +182,9 @@ def with_friction_terms(
 
 
 def optional_terms(model: IdentifiedModel, base: TorqueModel) -> list[Added]:
-    """The friction terms of a model that its base does not have."""
+    """The friction terms of a model that its base does not have; effects of the catalogue are none of them."""
     known = {parameter.name for parameter, in_base in _free(base) if in_base}
+    known |= {p.name for term, _, _ in model.model.numbered() if isinstance(term, Effect) for p in term.parameters}
     by_symbol = {term.symbol: term for term in OPTIONAL}
     found = []
     for number, (parameter, is_free) in enumerate(_free(model.model)):

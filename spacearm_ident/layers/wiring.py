@@ -10,8 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.model import IdentifiedModel
+from ..dynamics.regressor import rigid_body_torque
 from ..recording.corrections import Corrections, JointCorrection
 from ..recording.motion import Motion
+from ..recording.recording import Recording
 
 GAIN, ZERO, DELAY, TILT = "gain", "zero", "delay", "tilt"
 """Kinds of what may be off; a column is called `gain[JOINT]`, `zero[JOINT]`, `delay` or `tilt[AXIS]`."""
@@ -31,9 +33,12 @@ def kind_and_joint(column: str) -> tuple[str, str]:
     return kind, joint
 
 
-def on_arm(model: IdentifiedModel, arm: Arm) -> IdentifiedModel:
-    """The same terms and values of another arm with the same joints."""
-    return replace(model, model=replace(model.model, arm=arm))
+def gravity_torque(model: IdentifiedModel, position: FloatArray, gravity: FloatArray) -> FloatArray:
+    """(N, n) torque of a model's bodies at rest at positions (N, n) under a gravity vector (3,), base frame."""
+    arm = model.model.arm.with_gravity(gravity)
+    still = np.zeros_like(position)
+    inertials = model.parameters[: 10 * len(arm.joints)].reshape(-1, 10)
+    return rigid_body_torque(arm, inertials, position, still, still)
 
 
 @dataclass(frozen=True)
@@ -75,20 +80,42 @@ class Wiring:
             return arm
         return arm.with_gravity(Rotation.from_rotvec(-self.tilt_rad).apply(arm.gravity))
 
-    def under_gravity(self, model: IdentifiedModel) -> IdentifiedModel:
-        """A model of the simulation's arm under the true gravity."""
-        return on_arm(model, self.tilted(model.model.arm))
+    def undone(self, motions: Sequence[Motion], model: IdentifiedModel) -> list[Motion]:
+        """Motions as they would have been recorded rightly; torque is interpolated at the later times.
 
-    def undone(self, motions: Sequence[Motion]) -> list[Motion]:
-        """Motions as they would have been recorded rightly; torque is interpolated at the later times."""
-        return [self._undone(motion) for motion in motions]
+        Args:
+            motions: As recorded.
+            model: Whose bodies' weight the tilt acts on. With the tilted gravity in a fit instead, a first moment of
+                the first link would be free to explain any torque along its joint.
+        """
+        return [self._undone(motion, model) for motion in motions]
 
-    def _undone(self, motion: Motion) -> Motion:
+    def _undone(self, motion: Motion, model: IdentifiedModel) -> Motion:
         torque = motion.torque
         if self.delay_s:
             time = np.arange(len(torque)) / motion.rate_hz
             torque = np.column_stack([np.interp(time + self.delay_s, time, one) for one in torque.T])
-        return replace(motion, position=motion.position + self.zero_rad, torque=torque / self.gain)
+        right = replace(motion, position=motion.position + self.zero_rad)
+        return replace(right, torque=torque / self.gain - self.by_tilt(right, model))
+
+    def by_tilt(self, motion: Motion, model: IdentifiedModel) -> FloatArray:
+        """(N, n) what the tilt adds to the torque of a model's bodies; zero where the base's motion is known."""
+        if motion.base is not None:
+            return np.zeros_like(motion.torque)
+        return self._by_tilt(motion.position, model)
+
+    def _by_tilt(self, position: FloatArray, model: IdentifiedModel) -> FloatArray:
+        arm = model.model.arm
+        return gravity_torque(model, position, self.tilted(arm).gravity - arm.gravity)
+
+    def without_tilt(self, recording: Recording, model: IdentifiedModel) -> Recording:
+        """A recording, right but for the tilt, with the torque that it would have without (arguments as `undone`)."""
+        if recording.base is not None or not self.tilt_rad.any():
+            return recording
+        order = [recording.joints.index(joint) for joint in model.model.arm.joint_names]
+        effort = recording.effort.copy()
+        effort[:, order] -= self._by_tilt(recording.position[:, order], model)
+        return replace(recording, effort=effort)
 
     def corrections(self, joints: Sequence[str]) -> Corrections:
         """The same as corrections of a recording."""
