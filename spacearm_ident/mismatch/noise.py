@@ -64,48 +64,9 @@ def coloured(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
         UnfitDataError: No joint moves for long enough.
     """
     plain, scene, residual = _unwhitened(base, motions)
-    whiteners = _louder(base, motions, _coloured(motions, scene, residual), 2)
+    own = [fit_whitener(*_series(scene, residual, j), ORDER, _least(motions, j)) for j in range(len(plain))]
+    whiteners = _louder(base, motions, _known(own), 2)
     return Noise(whiteners, plain, _floor(whiteners), np.full(len(plain), np.nan))
-
-
-def of_field(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
-    """The noise as an autoregressive process, from recordings that may contain any physics beside the base's.
-
-    Arguments and errors as for `coloured`. Per joint, what the base leaves is fitted by splines of position, of
-    position times direction, of torque and, recording by recording, of velocity.
-    """
-    plain, scene, residual = _unwhitened(base, motions)
-    noise = residual - _smooth(base, scene, residual)
-    plain = louder(plain, scene, noise)
-    whiteners = [replace(w, loud=p.loud) for w, p in zip(_coloured(motions, scene, noise), plain)]
-    return Noise(whiteners, plain, _floor(whiteners), np.full(len(plain), np.nan))
-
-
-def _coloured(motions: Sequence[Motion], scene: Scene, residual: FloatArray) -> list[Whitener]:
-    """What makes a residual (R,) of unwhitened rows white, joint by joint."""
-    joints = range(len(scene.whiteners))
-    return _known([fit_whitener(*_series(scene, residual, j), ORDER, _least(motions, j)) for j in joints])
-
-
-def _smooth(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> FloatArray:
-    """(R,) the part of a residual that smooth functions of each joint's own motion and torque explain."""
-    explained = np.zeros(len(residual))
-    places = [place for place in rivals(scene.motions) if place["of"] in SMOOTH and "with" not in place]
-    for joint, name in enumerate(scene.motions[0].joints):
-        rows = scene.rows_of(joint, joint)
-        columns = []
-        for place in (place for place in places if place["joint"] == name):
-            own = stacked_effect(scene, Rival.at(base.model.arm, place), ()).columns
-            days = [scene.slot(joint, m) for m in range(len(scene.motions))] if place["of"] == "velocity" else [rows]
-            for day in days:
-                here = np.zeros_like(own)
-                here[day.start - rows.start : day.stop - rows.start] = own[
-                    day.start - rows.start : day.stop - rows.start
-                ]
-                columns.append(here)
-        matrix = np.concatenate(columns, axis=1) if columns else np.zeros((rows.stop - rows.start, 0))
-        explained[rows] = matrix @ np.linalg.lstsq(matrix, residual[rows], rcond=1e-9)[0]
-    return explained
 
 
 def weighted(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
@@ -128,6 +89,48 @@ def weighted(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     correlation = np.sqrt(common_correlation(noises))
     whiteners = [replace(weights, sigma_Nm=float(sigma * correlation)) for weights, sigma in zip(plain, floor)]
     return Noise(_known(whiteners), plain, floor, np.where(np.isfinite(relative), relative, np.nan))
+
+
+def of_field(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
+    """The noise as a variance, from recordings that may contain any physics beside the base's.
+
+    Arguments and errors as for `coloured`. Per joint, what the base leaves is fitted by splines of position, of
+    position times direction, of torque and, recording by recording, of velocity. What that leaves is taken to be white
+    before the low-pass: how slow it is, physics that no spline follows says as well. It is no filter either: one that
+    makes the rest white would take what is sought, which is slow, for noise, and the base's errors at reversals for
+    more than they are.
+    """
+    plain, scene, residual = _unwhitened(base, motions)
+    noise = residual - _smooth(base, scene, residual)
+    plain, floor = louder(plain, scene, noise), np.full(len(plain), np.inf)
+    for j in range(len(plain)):
+        rows = np.concatenate([series[kept] for series, kept in zip(*_series(scene, noise, j))])
+        if len(rows) >= FEWEST_ROWS:
+            floor[j] = max(float(np.sqrt(np.mean(rows**2))), _least(motions, j))
+    white = np.mean([white_correlation_time(motion.white_correlation) for motion in motions])
+    whiteners = [replace(weights, sigma_Nm=float(sigma * np.sqrt(white))) for weights, sigma in zip(plain, floor)]
+    return Noise(_known(whiteners), plain, floor, np.full(len(plain), np.nan))
+
+
+def _smooth(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> FloatArray:
+    """(R,) the part of a residual that smooth functions of each joint's own motion and torque explain."""
+    explained = np.zeros(len(residual))
+    places = [place for place in rivals(scene.motions) if place["of"] in SMOOTH and "with" not in place]
+    for joint, name in enumerate(scene.motions[0].joints):
+        rows = scene.rows_of(joint, joint)
+        columns = []
+        for place in (place for place in places if place["joint"] == name):
+            own = stacked_effect(scene, Rival.at(base.model.arm, place), ()).columns
+            days = [scene.slot(joint, m) for m in range(len(scene.motions))] if place["of"] == "velocity" else [rows]
+            for day in days:
+                here = np.zeros_like(own)
+                here[day.start - rows.start : day.stop - rows.start] = own[
+                    day.start - rows.start : day.stop - rows.start
+                ]
+                columns.append(here)
+        matrix = np.concatenate(columns, axis=1) if columns else np.zeros((rows.stop - rows.start, 0))
+        explained[rows] = matrix @ np.linalg.lstsq(matrix, residual[rows], rcond=1e-9)[0]
+    return explained
 
 
 def _unwhitened(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[Whitener], Scene, FloatArray]:
