@@ -99,6 +99,7 @@ class Competition:
                 scene.believe_high_orders(thin)
         self._pool = list(self._candidates(excluded))
         self._grids: dict[int, list[Candidate]] = {}
+        self._rounds: list[Round] = []
         self.common: list[Scored] = []
 
     def _candidates(self, excluded: Sequence[str]) -> Iterator[Effect]:
@@ -116,8 +117,8 @@ class Competition:
             yield Rival.at(arm, place)
 
     def run(self, progress: Callable[[float, str], None]) -> Outcome:
-        """Until nothing more scores."""
-        rounds: list[Round] = []
+        """Until nothing more scores; from what is accepted already, where it ran before."""
+        rounds = self._rounds
         left = None
         left_values = np.zeros(0)
         dropped = 0
@@ -142,6 +143,7 @@ class Competition:
             self._renew_pool(winner.candidate.effect)
             rounds.append(Round(winner, tuple(s for s in ranked if s is not winner)))
             rounds = self._without_the_idle(rounds)
+        self._rounds = rounds
         return Outcome(
             tuple(rounds),
             tuple(self.accepted),
@@ -150,6 +152,12 @@ class Competition:
             left,
             left_values,
         )
+
+    def reweigh(self, evidence: Evidence, unseen: Unseen | None) -> None:
+        """Go on with the same rows under other weights of the joints."""
+        before, self.evidence, self.unseen = self.evidence, evidence, unseen
+        self.accepted = [evidence.reweighted([candidate], before)[0] for candidate in self.accepted]
+        self._grids = {key: evidence.reweighted(grid, before) if grid else [] for key, grid in self._grids.items()}
 
     def tried(self) -> Iterator[list[Candidate]]:
         """Named effects that are not accepted, each at the points of its constants' grids."""

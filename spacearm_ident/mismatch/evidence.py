@@ -196,6 +196,17 @@ class Evidence:
         stacks = [stacked_effect(self.field, effect, point) for point in constants]
         if not stacks:
             return []
+        return self._candidates(effect, constants, stacks)
+
+    def reweighted(self, known: Sequence[Candidate], before: Evidence) -> list[Candidate]:
+        """One effect at some values of its constants, known under other weights of the joints' rows."""
+        ratio = [old.sigma_Nm / new.sigma_Nm for old, new in zip(before.field.whiteners, self.field.whiteners)]
+        rows = known[0].stacked.rows
+        times = np.array(ratio)[self.field.joint[rows], None]
+        stacks = [Stacked(rows, candidate.stacked.columns * times) for candidate in known]
+        return self._candidates(known[0].effect, [candidate.constants for candidate in known], stacks)
+
+    def _candidates(self, effect: Effect, constants: Sequence[Values], stacks: Sequence[Stacked]) -> list[Candidate]:
         # Where an effect acts its place says, not its constants.
         insides = self._basis[stacks[0].rows].T @ np.concatenate([stacked.columns for stacked in stacks], axis=1)
         return [self._candidate(effect, *known) for known in zip(constants, stacks, np.hsplit(insides, len(stacks)))]

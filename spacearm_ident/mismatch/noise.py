@@ -101,15 +101,28 @@ def of_field(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     more than they are.
     """
     plain, scene, residual = _unwhitened(base, motions)
-    noise = residual - _smooth(base, scene, residual)
-    plain, floor = louder(plain, scene, noise), np.full(len(plain), np.inf)
-    for j in range(len(plain)):
-        rows = np.concatenate([series[kept] for series, kept in zip(*_series(scene, noise, j))])
-        if len(rows) >= FEWEST_ROWS:
-            floor[j] = max(float(np.sqrt(np.mean(rows**2))), _least(motions, j))
+    plain = louder(plain, scene, residual - _smooth(base, scene, residual))
+    floor = floor_in_field(base, scene, residual)
     white = np.mean([white_correlation_time(motion.white_correlation) for motion in motions])
     whiteners = [replace(weights, sigma_Nm=float(sigma * np.sqrt(white))) for weights, sigma in zip(plain, floor)]
     return Noise(_known(whiteners), plain, floor, np.full(len(plain), np.nan))
+
+
+def floor_in_field(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> FloatArray:
+    """(n,) standard deviation of a row that counts in full, N m, as in `of_field`; infinite where it is not known.
+
+    Args:
+        base: Model of the arm.
+        scene: Rows that are not whitened.
+        residual: (R,) what base, and effects if any, leave of them.
+    """
+    noise = residual - _smooth(base, scene, residual)
+    floor = np.full(len(scene.whiteners), np.inf)
+    for j in range(len(floor)):
+        rows = np.concatenate([series[kept] for series, kept in zip(*_series(scene, noise, j))])
+        if len(rows) >= FEWEST_ROWS:
+            floor[j] = max(float(np.sqrt(np.mean(rows**2))), _least(scene.motions, j))
+    return floor
 
 
 def _smooth(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> FloatArray:

@@ -31,9 +31,9 @@ from ..recording.motion import Motion
 from ..recording.recording import Recording
 from ..recording.signals import prepare
 from .base_structure import GATE, RESISTS, choose_base
-from .evidence import Evidence, Unseen
+from .evidence import Candidate, Evidence, Unseen
 from .left_out import LeftOut
-from .noise import Noise, NoiseModel, coloured, of_field, weighted
+from .noise import Noise, NoiseModel, coloured, floor_in_field, of_field, weighted
 from .residuals import Residuals
 from .scene import Scene, Whitener, coarse
 
@@ -49,6 +49,9 @@ COST = 0.25
 `MODEL_ERROR` too, if the difference is clear by t as well: friction that the paper's law lacks at low speeds alone
 leaves a residual as short as noise (inflation 1.1), and a smaller structure predicts better. Of six simulated arms it
 was 0.06 and 0.13 at the two where t is clear, and -0.02 to 0.33 at the others."""
+QUIETER = 0.8
+"""Ratio of a joint's noise beside the effects that were found to what it was taken for before, below which the search
+goes on with the smaller: chi-square of anything else there is half as much again."""
 
 ChooseStructure = Callable[[Fit], tuple[Structure, tuple[Choice, ...]]]
 """Chooses a structure from a fit of the paper's, as `Settings.choose`."""
@@ -77,6 +80,25 @@ class Prepared:
     cutoff_hz: float
     modelled: bool = False
     weighted: bool = False
+
+    def beside(self, effects: Sequence[Candidate]) -> Prepared | None:
+        """The same with the noise that is left beside effects, where the field's own residual is what says it.
+
+        None where that is no smaller at any joint (`QUIETER`).
+        """
+        field = self.evidence.field
+        floor = floor_in_field(self.base, field, self.evidence.residual_beside(effects))
+        with np.errstate(invalid="ignore"):
+            ratio = np.fmin(floor / self.noise_floor_Nm, 1.0)
+        if not np.nanmin(ratio) < QUIETER:
+            return None
+        whiteners = [replace(own, sigma_Nm=float(own.sigma_Nm * r)) for own, r in zip(field.whiteners, ratio)]
+        evidence = Evidence(self.base, Scene(self.base, field.motions, whiteners, field.backgrounds), None)
+        unseen = None
+        if self.unseen is not None:
+            held = self.unseen.scene
+            unseen = Unseen(evidence, Scene(self.base, held.motions, whiteners, held.backgrounds))
+        return replace(self, evidence=evidence, unseen=unseen, noise_floor_Nm=self.noise_floor_Nm * ratio)
 
 
 def prepare_evidence(
