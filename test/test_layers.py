@@ -90,8 +90,10 @@ def test_many_changes_become_combinations_with_the_simulations_names(simulation:
         (Wiring(np.array([1.0, 0.75, 1.0]), np.zeros(3)), ("gain[shoulder]",)),
         (Wiring(np.ones(3), np.array([0.0, 0.03, 0.0])), ("zero[shoulder]",)),
         (Wiring(np.ones(3), np.zeros(3), 0.006), ("delay",)),
+        (Wiring(np.ones(3), np.zeros(3), -0.0025), ()),
         (Wiring(np.ones(3), np.zeros(3)), ()),
     ],
+    ids=["gain", "zero", "late", "half a sampling period early", "nothing"],
 )
 def test_wiring_that_is_off_is_found_with_its_size(
     simulation: Simulation, wiring: Wiring, found: tuple[str, ...]
@@ -102,6 +104,44 @@ def test_wiring_that_is_off_is_found_with_its_size(
     np.testing.assert_allclose(wired.wiring.gain, wiring.gain, rtol=0.02)
     np.testing.assert_allclose(wired.wiring.zero_rad, wiring.zero_rad, atol=0.004)
     assert abs(wired.wiring.delay_s - wiring.delay_s) < 0.001
+
+
+def test_tilted_base_is_found_about_the_axis_it_is_tilted_about(simulation: Simulation) -> None:
+    """Turned by -0.03 rad about x the arm feels gravity as in a base frame turned by +0.03."""
+    text = mjcf().replace(
+        'timestep="0.001"', f'timestep="0.001" gravity="0 {-9.81 * np.sin(0.03)} {-9.81 * np.cos(0.03)}"'
+    )
+    wired = find_wiring(simulation.model, banded([recorded(text, 3)], JOINTS, 20.0, 70.0))
+    assert "tilt[x]" in wired.found and set(wired.found) <= {"tilt[x]", "tilt[y]"}
+    np.testing.assert_allclose(wired.wiring.tilt_rad, [0.03, 0.0, 0.0], atol=0.002)
+
+
+def test_current_offset_does_not_hide_a_torque_constant(simulation: Simulation) -> None:
+    run = _recorded_as(recorded(mjcf(), 3), Wiring(np.array([1.0, 1.0, 0.8]), np.zeros(3)))
+    run = replace(run, effort=run.effort + np.array([0.0, 0.0, 0.5]))
+    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0))
+    assert wired.found == ("gain[elbow]",)
+    assert abs(wired.wiring.gain[2] - 0.8) < 0.02
+
+
+def test_effects_that_a_simulation_lacks_are_named_where_nothing_but_the_field_says_what_noise_is(
+    simulation: Simulation,
+) -> None:
+    """A spring is slow and a ripple large: both would be noise to a model of the residual that contains them."""
+    runs = [recorded(mjcf(), seed) for seed in (1, 2, 3)]
+    torque = np.array([0.0, 0.5, 0.0]), np.array([2.0, 0.0, 0.0])
+    runs = [
+        replace(run, effort=run.effort + torque[0] * np.sin(31 * run.position) + torque[1] * run.position)
+        for run in runs
+    ]
+    comparison = compare(simulation, runs[:2], runs[2:])
+    items = {item.name: item for item in _items(comparison, "physics")}
+    assert {name: item.joints for name, item in items.items()} == {
+        "harness_spring": ("base_turn",),
+        "torque_ripple": ("shoulder",),
+    }
+    assert items["harness_spring"].low < 2.0 < items["harness_spring"].high
+    assert np.all(comparison.after_Nm < 1.5 * 0.02)
 
 
 def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -20,6 +20,7 @@ from scipy.stats import chi2
 
 from ..conventions.evidence import CAD_SCALES, inertial_belief
 from ..dynamics.arm import FloatArray
+from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..mismatch.noise import weighted
 from ..recording.motion import Motion
@@ -35,10 +36,12 @@ degrees)."""
 STAMP_PERIODS = 1 / 6
 """Standard deviation of a right stamp, sampling periods: effort is what held before the sample or what will hold after
 it, half a period early or late, at three standard deviations."""
-ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5}
-"""Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes). Of the five real arms in
-hand torque from current is 8 to 43 % off at single joints of two; a zero that is off shows as soon as an arm is used;
-late torque is common."""
+SPRING = "stiffness"
+"""Of a spring at a joint: its column is the parameter of `harness_spring`. It is no wiring, and not reported here."""
+ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5, SPRING: 0.05}
+"""Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes), and of a spring. Of the
+five real arms in hand torque from current is 8 to 43 % off at single joints of two; a zero that is off shows as soon as
+an arm is used; late torque is common."""
 LARGEST = {GAIN: 1.6, ZERO: 0.35, DELAY: 0.1, TILT: 0.35}
 """Largest size of each that is considered: a factor of five, twenty degrees, a tenth of a second, twenty degrees.
 Beyond, the torque is in another unit or the joint has another zero, and the linear problem around the simulation does
@@ -98,7 +101,7 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
         motions: As recorded, in the bandwidth to look at.
         known: What was found before that physics was known; tested again beside it.
     """
-    state = _State(_with_offsets(model), motions)
+    state = _State(_with_springs(model), motions, model.model)
     if known is not None:
         state.found, state.wiring = list(known.found), known.wiring
         state.relinearise()
@@ -115,16 +118,24 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
         odds = {name: state.log_odds(name) for name in state.found}
     return Wired(
         state.wiring,
-        tuple(state.found),
+        tuple(name for name in state.found if name not in state.springs),
         state.errors(),
         state.suspected(),
         _with_terms_of(state.fitted, model.model),
     )
 
 
-def _with_offsets(model: IdentifiedModel) -> IdentifiedModel:
-    """With a constant torque at every joint: a current offset or asymmetric friction is no gain and no zero."""
-    return _with_terms_of(model, TorqueModel(model.model.arm, {**model.model.structure, "torque_offset": {}}))
+def _with_springs(model: IdentifiedModel) -> IdentifiedModel:
+    """With a constant torque at every joint, and a spring that is a hypothesis beside gains, zeros and tilt.
+
+    A current offset, asymmetric friction or a cable is no gain; a cable at a vertical first joint is no tilted base.
+    """
+    structure = dict(model.model.structure)
+    known = structure.get(HarnessSpring.kind, {"at": []})["at"]
+    taken = {place["joint"] for place in known}
+    places = [{"joint": joint} for joint in model.model.arm.joint_names if joint not in taken]
+    structure[HarnessSpring.kind] = {"at": [*known, *places]}
+    return _with_terms_of(model, TorqueModel(model.model.arm, structure))
 
 
 def _with_terms_of(values: IdentifiedModel, model: TorqueModel) -> IdentifiedModel:
@@ -139,11 +150,18 @@ def _with_terms_of(values: IdentifiedModel, model: TorqueModel) -> IdentifiedMod
     )
 
 
+def _too_large(name: str, value: float) -> bool:
+    return abs(value) > LARGEST.get(kind_and_joint(name)[0], np.inf)
+
+
 class _State:
     """A set of hypotheses, and the linear problem around their most probable values."""
 
-    def __init__(self, model: IdentifiedModel, motions: Sequence[Motion]) -> None:
+    def __init__(self, model: IdentifiedModel, motions: Sequence[Motion], known: TorqueModel) -> None:
         self.motions = motions
+        own = {parameter.name for parameter in known.parameters}
+        springs = [f"{SPRING}[{joint}]" for joint in known.arm.joint_names]
+        self.springs = [name for name in springs if name not in own]
         self.arm = model.model.arm
         self.found: list[str] = []
         self.wiring = Wiring.right(len(self.arm.joints))
@@ -160,8 +178,8 @@ class _State:
         solution = self._solved(self.found)
         step, joints = dict(zip(self.linear.names, solution.values.tolist())), self.arm.joint_names
         now = self.wiring.by_column(joints)
-        now |= {name: now[name] + step[name] for name in (*self.found, DELAY)}
-        self.found = [name for name in self.found if abs(now[name]) <= LARGEST[kind_and_joint(name)[0]]]
+        now |= {name: now[name] + step[name] for name in (*self.found, DELAY) if name not in self.springs}
+        self.found = [name for name in self.found if not _too_large(name, now.get(name, 0.0))]
         kept = {*self.found, DELAY}
         self.wiring = Wiring.of_columns(joints, {k: v if k in kept else 0.0 for k, v in now.items()})
         self.fitted = self._with(solution.values)
@@ -170,25 +188,28 @@ class _State:
     def best_addition(self) -> tuple[str, ...] | None:
         """The hypotheses that gain most beside those found, if they gain enough."""
         sure = [(odds, names) for odds, names in self._additions() if odds > SURE * len(names)]
-        agreed = (names for _, names in sorted(sure, reverse=True)[:SHORT_LIST] if self._agreed(names))
+        best = sorted(sure, reverse=True)[:SHORT_LIST]
+        # A spring is there to be ruled out: beside what is still missing it need not be the same in all parts.
+        agreed = (names for _, names in best if names[0] in self.springs or self._agreed(names))
         return next(agreed, None)
 
     def suspected(self) -> tuple[Suspicion, ...]:
         """The best addition that is more probable than none, and that all parts of the data support."""
-        probable = sorted((one for one in self._additions() if one[0] > 0.0), reverse=True)[:SHORT_LIST]
+        wired = (one for one in self._additions() if one[1][0] not in self.springs)
+        probable = sorted((one for one in wired if one[0] > 0.0), reverse=True)[:SHORT_LIST]
         best = next((one for one in probable if self._agreed(one[1])), None)
         if best is None:
             return ()
         solution = self._solved([*self.found, *best[1]])
         now = self.wiring.by_column(self.arm.joint_names)
-        values = [now[name] + float(solution.values[self.linear.names.index(name)]) for name in best[1]]
+        values = [now.get(name, 0.0) + float(solution.values[self.linear.names.index(name)]) for name in best[1]]
         shown = [float(np.exp(v)) if name.startswith(GAIN) else v for name, v in zip(best[1], values)]
         return (Suspicion(best[1], tuple(shown), float(expit(best[0]))),)
 
     def _additions(self) -> list[tuple[float, tuple[str, ...]]]:
         """What may be off beside what was found: log odds, and the columns; two gains may need each other."""
         here = self._evidence(self.found)
-        others = [name for name in self._candidates() if name not in self.found]
+        others = [name for name in self._candidates() if name not in (*self.found, *self.tilts)]
         pairs: list[tuple[str, ...]] = [*combinations([name for name in others if name.startswith(GAIN)], 2)]
         if self.tilts and not set(self.tilts) & set(self.found):
             pairs.append(self.tilts)
@@ -213,7 +234,7 @@ class _State:
             if self._evidence(together, part) < self._evidence(self.found, part) + self._log_prior(names):
                 return False
             solution = self._solved(together, blocks=part)
-            if any(abs(solution.values[k]) > LARGEST[kind_and_joint(n)[0]] for k, n in zip(places, names)):
+            if any(_too_large(name, float(solution.values[k])) for k, name in zip(places, names)):
                 return False
             solutions.append((solution.values[places], np.diag(solution.covariance)[places]))
         values, variances = (np.stack(each) for each in zip(*solutions))
@@ -227,7 +248,7 @@ class _State:
     def _candidates(self) -> list[str]:
         revolute = [joint.name for joint in self.arm.joints if joint.revolute]
         gains = [f"{GAIN}[{joint}]" for joint in self.arm.joint_names]
-        return [*gains, *(f"{ZERO}[{joint}]" for joint in revolute), DELAY, *self.tilts]
+        return [*gains, *(f"{ZERO}[{joint}]" for joint in revolute), DELAY, *self.tilts, *self.springs]
 
     def relinearise(self) -> None:
         """Build the linear problem around the model and the wiring."""
@@ -251,6 +272,8 @@ class _State:
         now = self.wiring.by_column(self.arm.joint_names)
         spread = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD, TILT: TILT_SD}
         for number, name in enumerate(self.linear.names):
+            if name in self.springs and name not in names:
+                mean[number], free[number] = 0.0, False
             if name not in now:
                 continue
             # The prior is of the whole; the column is of what is not undone yet.
