@@ -50,8 +50,8 @@ OPTIONAL = (
     Optional("offset", "current_offset", "constant torque", frozenset({"asymmetric_friction", "base_tilt"})),
     Optional("f_b", "stribeck", "Stribeck friction f_b - f_c"),
     Optional("mu", "load_friction", "friction per load", frozenset({"gear_efficiency"})),
-    Optional("k_v2", "viscous_second_order", "quadratic friction", frozenset({"asymmetric_friction"})),
-    Optional("k_v3", "viscous_third_order", "cubic friction", frozenset({"motor_saturation"})),
+    Optional("k_v2", "viscous_second_order", "quadratic friction", frozenset({"asymmetric_friction", "stribeck"})),
+    Optional("k_v3", "viscous_third_order", "cubic friction", frozenset({"motor_saturation", "stribeck"})),
 )
 """Presliding is not among them: rows beside a reversal do not count in the joint fit."""
 
