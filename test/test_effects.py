@@ -232,15 +232,6 @@ def test_friction_follows_the_temperature_above_twenty_degrees():
     assert effect.needs_temperature
 
 
-def test_viscosity_that_falls_by_a_share_for_each_kelvin():
-    """k_v1 exp(-beta (T - T_0)) less k_v1 is alpha_v (1 - exp(-beta (T - T_0))) / beta with alpha_v = -beta k_v1."""
-    warmth = np.linspace(20.0, 40.0, len(Q))[:, None] * np.array([0.0, 1.0, 0.0]) + 20.0
-    effect = one("temperature_friction", ARM, joint="shoulder", of=["k_v1"], exponential=True)
-    want = 3.0 * (np.exp(-0.03 * np.linspace(20.0, 40.0, len(Q))) - 1.0) * V
-    found = torque(effect, replace(W, temperature=warmth), [-0.03 * 3.0], [0.03])
-    np.testing.assert_allclose(found, only(1, want), atol=1e-12)
-
-
 def test_presliding_lacks_what_the_bristles_still_have_to_bend():
     """After a reversal z = 1 - 2 exp(-x/d_s) at the distance x beyond it."""
     velocity = np.repeat([0.5, -0.5], 500)[:, None]

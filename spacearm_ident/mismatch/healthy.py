@@ -71,7 +71,8 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
 
     The floor is what the base leaves of the reference. Where that is what the model lacks (`noise.weighted`), it is
     what is left of parts that a fit left out. Beside it stand the error of what is predicted of the judged motion, and
-    what friction ordinarily differs by on another day.
+    what friction ordinarily differs by on another day. It does so as the joints are warmer or colder: where their
+    temperatures were recorded, what that does is not ordinary but an effect to be found.
     Without a recorded reference: the noise as it was estimated in the field, and without any its parameters too.
 
     Args:
@@ -94,10 +95,18 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
     made = []
     for rows in judged:
         error = left_out.error_Nm(rows) if prepared.weighted else np.zeros(len(floor))
-        day = _another_day(evidence.reference, rows.ordinary_Nm(evidence.base.model, parameters))
+        day = np.zeros(len(floor))
+        if not _temperatures_known(evidence.reference, rows.scene):
+            day = _another_day(evidence.reference, rows.ordinary_Nm(evidence.base.model, parameters))
         most = np.sqrt(largest**2 + (left_out.times * error) ** 2 + day**2)
         made.append(Healthy(parameters, np.hypot(floor, error), most, left_out))
     return made
+
+
+def _temperatures_known(*scenes: Scene) -> bool:
+    """Whether the temperature of every joint was recorded throughout."""
+    measured = [motion.temperature for scene in scenes for motion in scene.motions]
+    return all(one is not None and bool(np.isfinite(one).all()) for one in measured)
 
 
 def _another_day(reference: Scene, ordinary_Nm: FloatArray) -> FloatArray:

@@ -17,8 +17,6 @@ from .effect import Effect, Options, direction, each, known_joint, known_joints,
 
 BETWEEN = 1.05
 """A constant nearer to the end of its grid than this ratio is at its end."""
-BETA_GRID = (0.01, 0.02, 0.04, 0.08)
-"""1/K: of lubricants between mineral oil in the cold and a grease that hardly minds."""
 SPOT_GRID = tuple(float(q) for q in np.linspace(-3.2, 3.2, 33))
 WIDTH_GRID = (0.1, 0.2, 0.4, 0.8)
 """rad: a dent in a race or a seal that pinches, to a part of the range that is worn."""
@@ -95,28 +93,21 @@ class TemperatureFriction(_Friction):
     kind: ClassVar[str] = "temperature_friction"
     one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "friction follows temperature"
-    equation: ClassVar[str] = (
-        "[alpha_c sgn(qd) + alpha_v qd] (T - T_0); with beta: alpha_v qd (1 - exp(-beta (T - T_0))) / beta"
-    )
-    source: ClassVar[str] = "paper §2.2.2; Reynolds 1886 for beta (viscosity falls exponentially)"
+    equation: ClassVar[str] = "[alpha_c sgn(qd) + alpha_v qd] (T - T_0)"
+    source: ClassVar[str] = "paper §2.2.2"
     confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "torque_constant")
     experiment: ClassVar[str] = "constant-velocity runs over a temperature sweep (spacearm excite --for temperature)"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Coulomb level, viscosity, or both; viscosity in proportion to the temperature, or exponentially."""
+        """Coulomb level, viscosity, or both."""
         for joint in arm.joint_names:
             for of in (["f_c"], ["k_v1"], ["f_c", "k_v1"]):
                 yield {"joint": joint, "of": of}
-                if "k_v1" in of:
-                    yield {"joint": joint, "of": of, "exponential": True}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """At one joint: `of` names what follows the temperature; `rising` lets friction grow with it.
-
-        `exponential`: viscosity falls by a constant share for each kelvin.
-        """
+        """At one joint: `of` names what follows the temperature; `rising` lets friction grow with it."""
         joint = known_joint(arm, place)
         # Lubricants thin out: friction falls, unless a bearing's preload grows. Whoever asks for it is told which.
         highest = np.inf if place.get("rising") else 0.0
@@ -124,25 +115,18 @@ class TemperatureFriction(_Friction):
             "f_c": Parameter("alpha_c", joint, "N m/K", scale=1.0, upper=highest),
             "k_v1": Parameter("alpha_v", joint, "N m s/(rad K)", scale=1.0, upper=highest),
         }
-        constants = (Constant("beta", joint, "1/K", BETA_GRID),) if place.get("exponential") else ()
-        return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), constants, place=place)
+        return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), place=place)
 
     @property
     def needs_temperature(self) -> bool:
         """It is nothing without them."""
         return True
 
-    def replaces(self, other: Effect) -> bool:
-        """One law is enough for what follows it."""
-        mine, theirs = (set(effect.place.get("of", ["f_c"])) for effect in (self, other))
-        return isinstance(other, TemperatureFriction) and other.joints == self.joints and bool(mine & theirs)
-
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Direction and velocity times the excess temperature; nothing where no temperature was recorded."""
         row = self.row(motion)
         excess = excess_temperature(motion, row)
-        thinned = excess if not self.constants else -np.expm1(-constants[0] * excess) / constants[0]
-        signals = {"f_c": direction(motion, row) * excess, "k_v1": motion.velocity[:, row] * thinned}
+        signals = {"f_c": direction(motion, row) * excess, "k_v1": motion.velocity[:, row] * excess}
         return own(row, *(signals[of] for of in self.place.get("of", ["f_c"])))
 
 

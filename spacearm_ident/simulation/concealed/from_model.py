@@ -164,8 +164,6 @@ def _payload(found: _Found) -> Values:
 
 
 def _temperature_friction(found: _Found) -> Values:
-    if found.place.get("exponential"):
-        raise found.refused("friction of the simulated arm is in proportion to the temperature")
     slopes = {}
     for name, symbol, level in (("coulomb_slope", "alpha_c", "f_c"), ("viscous_slope", "alpha_v", "k_v1")):
         change, cold = found[symbol], found.of_joint(level)
