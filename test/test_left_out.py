@@ -26,7 +26,8 @@ from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
 from spacearm_ident.mismatch.scene import Scene
 from spacearm_ident.mismatch.stacked import base_columns, nuisance_scale
-from spacearm_ident.recording import read_recording
+from spacearm_ident.recording import Recording, read_recording
+from spacearm_ident.recording.recording import Series
 
 REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
 
@@ -129,6 +130,24 @@ def test_a_real_arm_gets_weights_and_leaves_no_more_of_another_run_than_a_health
     (healthy,) = healthy_levels(prepared.evidence, prepared, [residuals])
     left = residuals.of(healthy.parameters, [], np.zeros(0))
     assert not healthy.beyond(residuals.rms_throughout(left), residuals.rms(left)).any()
+
+
+def _detectable_Nm(with_temperatures: bool) -> np.ndarray:
+    """What a healthy arm leaves of another run at most, with or without the joints' temperatures."""
+
+    def recorded(recording: Recording) -> Recording:
+        warm = Series(recording.time, np.full(len(recording.time), 25.0))
+        return replace(recording, temperatures=dict.fromkeys(recording.joints, warm) if with_temperatures else {})
+
+    prepared = prepare_evidence(ARM, [recorded(HEALTHY)], [recorded(run(2))], [recorded(run(3))])
+    residuals = Residuals(prepared.evidence, prepared.unseen.scene, prepared.plain)
+    (healthy,) = healthy_levels(prepared.evidence, prepared, [residuals])
+    return healthy.detectable_Nm
+
+
+def test_another_days_friction_is_ordinary_only_where_temperatures_were_not_recorded():
+    with_them, without = _detectable_Nm(True), _detectable_Nm(False)
+    assert (with_them <= without * 1.001).all() and (with_them < 0.9 * without).any()
 
 
 def test_all_joints_together_decide_which_model_predicts_better():
