@@ -27,11 +27,12 @@ def run_all(bags: Path, results: Path, trials: range, timeout: float, wall: floa
         wall: time by the clock a trial, s. On an idle machine it may be the same; beside other work it is longer.
         until: HH:MM after which no trial is begun, or empty.
     """
+    end = deadline(until) if until else None
     done = {json.loads(line)["trial"] for line in results.read_text().splitlines()} if results.exists() else set()
     for trial in trials:
         if trial in done:
             continue
-        if until and datetime.datetime.now().strftime("%H:%M") >= until:
+        if end is not None and datetime.datetime.now() >= end:
             break
         folder = bags / f"{trial:03d}"
         for _ in range(300):
@@ -45,6 +46,14 @@ def run_all(bags: Path, results: Path, trials: range, timeout: float, wall: floa
         with results.open("a") as stream:
             stream.write(json.dumps(record) + "\n")
         print(f"{trial:03d} exit {record['exit']} {record['seconds']:.1f} s", flush=True)
+
+
+def deadline(until: str) -> datetime.datetime:
+    """The next time that a clock shows HH:MM."""
+    now = datetime.datetime.now()
+    hour, minute = (int(part) for part in until.split(":"))
+    today = now.replace(hour=hour, minute=minute, second=0, microsecond=0)
+    return today if today > now else today + datetime.timedelta(days=1)
 
 
 def _complete(folder: Path) -> bool:
