@@ -101,8 +101,8 @@ def of_field(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     more than they are.
     """
     plain, scene, residual = _unwhitened(base, motions)
-    plain = louder(plain, scene, residual - _smooth(base, scene, residual))
-    floor = floor_in_field(base, scene, residual)
+    noise = residual - _smooth(base, scene, residual)
+    plain, floor = louder(plain, scene, noise), _spread(scene, noise)
     white = np.mean([white_correlation_time(motion.white_correlation) for motion in motions])
     whiteners = [replace(weights, sigma_Nm=float(sigma * np.sqrt(white))) for weights, sigma in zip(plain, floor)]
     return Noise(_known(whiteners), plain, floor, np.full(len(plain), np.nan))
@@ -116,7 +116,11 @@ def floor_in_field(base: IdentifiedModel, scene: Scene, residual: FloatArray) ->
         scene: Rows that are not whitened.
         residual: (R,) what base, and effects if any, leave of them.
     """
-    noise = residual - _smooth(base, scene, residual)
+    return _spread(scene, residual - _smooth(base, scene, residual))
+
+
+def _spread(scene: Scene, noise: FloatArray) -> FloatArray:
+    """(n,) standard deviation of the rows (R,) of each joint that count in full; infinite where they are too few."""
     floor = np.full(len(scene.whiteners), np.inf)
     for j in range(len(floor)):
         rows = np.concatenate([series[kept] for series, kept in zip(*_series(scene, noise, j))])
@@ -136,10 +140,8 @@ def _smooth(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> FloatA
             own = stacked_effect(scene, Rival.at(base.model.arm, place), ()).columns
             days = [scene.slot(joint, m) for m in range(len(scene.motions))] if place["of"] == "velocity" else [rows]
             for day in days:
-                here = np.zeros_like(own)
-                here[day.start - rows.start : day.stop - rows.start] = own[
-                    day.start - rows.start : day.stop - rows.start
-                ]
+                inside, here = slice(day.start - rows.start, day.stop - rows.start), np.zeros_like(own)
+                here[inside] = own[inside]
                 columns.append(here)
         matrix = np.concatenate(columns, axis=1) if columns else np.zeros((rows.stop - rows.start, 0))
         explained[rows] = matrix @ np.linalg.lstsq(matrix, residual[rows], rcond=1e-9)[0]
