@@ -94,7 +94,7 @@ class Wired:
 
 
 def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired | None = None) -> Wired:
-    """Find what gains, zeros and delay the data demand.
+    """Find what gains, zeros, delay and tilt the data demand.
 
     Args:
         model: The simulation's torque model, with its values; physics that it lacks may have been added.
@@ -178,7 +178,7 @@ class _State:
         solution = self._solved(self.found)
         step, joints = dict(zip(self.linear.names, solution.values.tolist())), self.arm.joint_names
         now = self.wiring.by_column(joints)
-        now |= {name: now[name] + step[name] for name in (*self.found, DELAY) if name not in self.springs}
+        now |= {name: now[name] + step[name] for name in (*self.found, DELAY) if name in now}
         self.found = [name for name in self.found if not _too_large(name, now.get(name, 0.0))]
         kept = {*self.found, DELAY}
         self.wiring = Wiring.of_columns(joints, {k: v if k in kept else 0.0 for k, v in now.items()})

@@ -76,8 +76,6 @@ class Wiring:
 
     def tilted(self, arm: Arm) -> Arm:
         """The arm under the true gravity."""
-        if not self.tilt_rad.any():
-            return arm
         return arm.with_gravity(Rotation.from_rotvec(-self.tilt_rad).apply(arm.gravity))
 
     def undone(self, motions: Sequence[Motion], model: IdentifiedModel) -> list[Motion]:
@@ -105,6 +103,8 @@ class Wiring:
         return self._by_tilt(motion.position, model)
 
     def _by_tilt(self, position: FloatArray, model: IdentifiedModel) -> FloatArray:
+        if not self.tilt_rad.any():
+            return np.zeros_like(position)
         arm = model.model.arm
         return gravity_torque(model, position, self.tilted(arm).gravity - arm.gravity)
 

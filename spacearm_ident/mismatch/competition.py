@@ -104,8 +104,7 @@ class Competition:
 
     def _candidates(self, excluded: Sequence[str]) -> Iterator[Effect]:
         arm = self.evidence.base.model.arm
-        measured = [motion.temperature for motion in self.evidence.field.motions]
-        warm = all(signal is not None and bool(np.isfinite(signal).all()) for signal in measured)
+        warm = self.evidence.field.temperatures_known
         for kind, effect in EFFECTS.items():
             if kind in excluded:
                 continue

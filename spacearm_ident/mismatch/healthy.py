@@ -96,17 +96,11 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
     for rows in judged:
         error = left_out.error_Nm(rows) if prepared.weighted else np.zeros(len(floor))
         day = np.zeros(len(floor))
-        if not _temperatures_known(evidence.reference, rows.scene):
+        if not (evidence.reference.temperatures_known and rows.scene.temperatures_known):
             day = _another_day(evidence.reference, rows.ordinary_Nm(evidence.base.model, parameters))
         most = np.sqrt(largest**2 + (left_out.times * error) ** 2 + day**2)
         made.append(Healthy(parameters, np.hypot(floor, error), most, left_out))
     return made
-
-
-def _temperatures_known(*scenes: Scene) -> bool:
-    """Whether the temperature of every joint was recorded throughout."""
-    measured = [motion.temperature for scene in scenes for motion in scene.motions]
-    return all(one is not None and bool(np.isfinite(one).all()) for one in measured)
 
 
 def _another_day(reference: Scene, ordinary_Nm: FloatArray) -> FloatArray:

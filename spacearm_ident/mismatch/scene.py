@@ -218,6 +218,12 @@ class Scene:
     def __len__(self) -> int:
         return len(self.joint)
 
+    @property
+    def temperatures_known(self) -> bool:
+        """Whether the temperature of every joint was recorded throughout."""
+        measured = [motion.temperature for motion in self.motions]
+        return all(signal is not None and bool(np.isfinite(signal).all()) for signal in measured)
+
     def part(self, count: int) -> np.ndarray:
         """(R,) the part of the time, out of so many equal ones, in which each stacked row is."""
         lengths = [len(sound) for sound in self.sound]
