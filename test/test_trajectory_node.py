@@ -17,6 +17,7 @@ from live_nodes import LIVE, Probe, Processes, end, output
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from simulated_arm import CONFIG, paper_limits
 
+from spacearm_ident.driver.set_points import PAUSE
 from spacearm_ident.excitation.trajectory import Rest, Trajectory, random_feasible
 from spacearm_ident.excitation.trajectory_file import save_trajectory
 from spacearm_ident.nodes.runtime import STREAM
@@ -207,6 +208,17 @@ def test_a_run_from_where_the_arm_is_and_back(processes, probe, arm, file, serie
     # Late or not, every slot has its set-point.
     slots = round(np.ptp(stamps) * 500e-9) + 1
     assert slots == len(stamps) == int(probe.values("trajectory")["set_points"])
+
+
+def test_a_run_asked_for_the_moment_another_is_done_is_a_stream_of_its_own(processes, probe, arm, file):
+    """The driver must not take the way from where the arm was sent to where it is measured for a motion."""
+    node(processes, file)
+    start(probe, arm)
+    probe.wait_for(lambda: done(arm), "the run ends")
+    first = arm.states[-1]["run"]
+    start(probe, arm)
+    probe.wait_for(lambda: arm.states[-1]["state"] == "running" and arm.states[-1]["run"] != first, "another runs")
+    assert np.diff(arm.stamps()).max() > 1e9 * PAUSE
 
 
 @pytest.mark.parametrize("moment", ["approach", "running", "returning"])

@@ -18,12 +18,16 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray
 
 from ..canbus.realtime import Pacer, prepare_thread
+from ..driver.set_points import PAUSE
 from ..excitation.run import Brake, Phase, Run
 from ..excitation.trajectory import FloatArray, Motion, MotionLimits
 from ..recording import cdr
 
 HOLD_S = 1.0
 """How long the last set-point is repeated at the end: whoever follows sees the arm come to rest."""
+SILENCE_S = 2.0 * PAUSE
+"""Nothing is sent for so long after the last set-point. The driver takes set-points that follow sooner than `PAUSE` for
+the same motion, and where the arm is measured for another jump of it; twice that, for a thread that is late."""
 
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
@@ -209,8 +213,8 @@ class SetPointStream:
     def phase(self) -> Phase:
         """Where the stream is.
 
-        `done` from when the arm is at rest; where it was stopped, not before the last set-point: drives that are
-        enabled again must not meet it.
+        `done` from when the arm is at rest; where it was stopped, not before the silence after the last set-point:
+        drives that are enabled again must not meet it.
         """
         if not self._thread.is_alive():
             return Phase("done", 0)
@@ -227,7 +231,7 @@ class SetPointStream:
             self._stop.set()
 
     def wait(self, timeout_s: float) -> None:
-        """Wait for the last set-point."""
+        """Wait for the last set-point, and for the silence after which another stream may begin."""
         self._thread.join(timeout_s)
 
     def _work(self) -> None:
@@ -249,6 +253,7 @@ class SetPointStream:
         while self._slot < until:
             for slot in self._next_slots():
                 self._send(slot, last.q, last.qd)
+        time.sleep(SILENCE_S)
 
     def _follow(self) -> Motion:
         """Publish the run until its end or a stop; returns the state at the end."""
