@@ -59,12 +59,33 @@ def lacking(error):
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item, call):
-    """The same where a test or a fixture imports it."""
+    """The same where a test or a fixture imports it, and where a live test failed on a machine that stood still."""
     outcome = yield
-    if reason := lacking(call.excinfo.value if call.excinfo else None):
-        report = outcome.get_result()
+    report = outcome.get_result()
+    reason = lacking(call.excinfo.value if call.excinfo else None)
+    if not reason and report.failed and (watch := item.config.stash.get(WATCH, None)):
+        reason = watch.excuse(item, call)
+    if reason:
         report.outcome = "skipped"
         report.longrepr = (str(item.path), item.location[1] or 0, f"Skipped: {reason}")
+
+
+WATCH = pytest.StashKey()
+"""The machine's watch, where live tests are run."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def machine_watch(request, tmp_path_factory):
+    """Watches whether the machine keeps time, where a live test is to be run."""
+    if not any(item.get_closest_marker("live") for item in request.session.items):
+        yield
+        return
+    from machine_watch import MachineWatch
+
+    watch = request.config.stash[WATCH] = MachineWatch(tmp_path_factory.mktemp("watch"))
+    yield
+    del request.config.stash[WATCH]
+    watch.close()
 
 
 @pytest.hookimpl(tryfirst=True)
