@@ -30,7 +30,7 @@ from ..mismatch.rivals import UNKNOWN
 from ..recording.recording import Recording
 from ..simulations import Simulation
 from .comparison import Comparison
-from .conventions import Suspicion, find_wiring
+from .conventions import Suspicion, find_wiring, without_columns
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
 from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
@@ -42,9 +42,10 @@ Progress = Callable[[float, str], None]
 WORDS = {GAIN: "effort_gain", ZERO: "encoder_zero", DELAY: "delay", TILT: "base_tilt"}
 UNITS = {GAIN: "1", ZERO: "rad", DELAY: "s", TILT: "rad"}
 SHOWS = 0.02
-"""Share by which a parameter's change must lower the held-out variance that is left at some joint to be named: one per
-cent of its RMS, as for a model that is no worse than another (`bench/real_arms.py`). Errors shrink with the length of
-the recordings; half a sampling period and a simulator's integration step stay, and both look like friction."""
+"""Share by which a parameter's change, a gain, a zero, a tilt or a delay must lower the held-out variance that is left
+at some joint to be named: one per cent of its RMS, as for a model that is no worse than another (`bench/real_arms.py`).
+Errors shrink with the length of the recordings; half a sampling period and a simulator's integration step stay, and
+both look like friction."""
 
 
 def compare(
@@ -126,10 +127,15 @@ class _Pass:
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
         wired = find_wiring(whole, self.motions, wired)
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
+        idle = found.idle_wiring(SHOWS)
+        if idle:
+            wired = without_columns(whole, self.motions, wired, idle)
+            found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         added = added_terms(whole, base, explanation.findings)
         optional = optional_terms(whole, base)
         report(0.9, "what a flexible function could remove")
-        return self._answer(found, added, optional, explanation, wired.suspected)
+        lost = tuple(f"{_wiring_words(name)}, which lowers nothing in the held-out recordings" for name in idle)
+        return self._answer(found, added, optional, explanation, wired.suspected, lost)
 
     def _answer(
         self,
@@ -138,6 +144,7 @@ class _Pass:
         optional: list[Added],
         explanation: Explanation,
         suspected: tuple[Suspicion, ...],
+        idle: tuple[str, ...],
     ) -> Comparison:
         gain = found.wiring.gain
         simulated = self._as_simulated()
@@ -182,7 +189,7 @@ class _Pass:
             suspected=suspected,
             explanation=_standing(explanation, gone),
             traces=traces,
-            unconfirmed=(*lost, *(f"{one.effect} at {', '.join(one.joints)}" for one in gone)),
+            unconfirmed=(*idle, *lost, *(f"{one.effect} at {', '.join(one.joints)}" for one in gone)),
             would_have_seen=seen,
             judged_on=self.judged_on,
             cutoff_hz=self.cutoff,

@@ -116,13 +116,17 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
         state.found.remove(min(odds, key=lambda name: odds[name]))
         state.settle()
         odds = {name: state.log_odds(name) for name in state.found}
-    return Wired(
-        state.wiring,
-        tuple(name for name in state.found if name not in state.springs),
-        state.errors(),
-        state.suspected(),
-        _with_terms_of(state.fitted, model.model),
-    )
+    return state.answer(model.model)
+
+
+def without_columns(model: IdentifiedModel, motions: Sequence[Motion], known: Wired, names: Sequence[str]) -> Wired:
+    """What was found less some of its columns, the rest fitted again (arguments as `find_wiring`)."""
+    state = _State(_with_springs(model), motions, model.model)
+    state.found, state.wiring = [name for name in known.found if name not in names], known.wiring
+    state.relinearise()
+    for _ in range(1 + SETTLING):
+        state.settle()
+    return state.answer(model.model)
 
 
 def _with_springs(model: IdentifiedModel) -> IdentifiedModel:
@@ -184,6 +188,16 @@ class _State:
         self.wiring = Wiring.of_columns(joints, {k: v if k in kept else 0.0 for k, v in now.items()})
         self.fitted = self._with(solution.values)
         self.relinearise()
+
+    def answer(self, model: TorqueModel) -> Wired:
+        """What was found, with the values of a model's terms."""
+        return Wired(
+            self.wiring,
+            tuple(name for name in self.found if name not in self.springs),
+            self.errors(),
+            self.suspected(),
+            _with_terms_of(self.fitted, model),
+        )
 
     def best_addition(self) -> tuple[str, ...] | None:
         """The hypotheses that gain most beside those found, if they gain enough."""

@@ -129,6 +129,28 @@ class JointFit:
             self._gone |= {int(number) for one in terms for number in one.columns}
             self._settle()
 
+    def idle_wiring(self, least: float) -> tuple[str, ...]:
+        """Columns of the wiring that do not lower the variance of the held-out recordings.
+
+        Nothing is fitted again without a column: what it is worth against a heavier link was decided by how far a
+        simulation's inertials may be off (`conventions`), which this fit leaves free.
+
+        Args:
+            least: Share by which a column must lower the variance that is left at some joint; in all joints together,
+                each counted by what is left there, it must lower it at all.
+        """
+        left = self.judge.rms(self.estimate.values) ** 2
+        idle = []
+        for name, undone in self.wiring.by_column(self.simulation.arm.joint_names).items():
+            if name in self.names:
+                values = self.estimate.values.copy()
+                values[self.linear.names.index(name)] = -undone
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    rise = self.judge.rms(values) ** 2 / left - 1.0
+                if not (np.nanmax(rise) > least and np.nanmean(rise) > 0.0):
+                    idle.append(name)
+        return tuple(idle)
+
     def predicted_better_with(self, terms: Sequence[Added]) -> bool:
         """Whether held-out parts of the fitted recordings are predicted better with some physics, beyond chance."""
         numbers = [int(number) for one in terms for number in one.columns]
