@@ -66,7 +66,7 @@ class Constant:
     `grid[0] == 0` stands for "not there"; a constant that ends on the first or last value is at a bound. One that
     is a `speed` cannot be seen below the speeds that the motion and its bandwidth resolve; one that is a `position` is
     looked for where the joint has been. One with a `reach` (lowest, highest) is refined all over that, where the rest
-    is almost right already.
+    is almost right already. One that `begins` is the time in a recording when an event does.
     """
 
     symbol: str
@@ -76,6 +76,7 @@ class Constant:
     speed: bool = False
     position: bool = False
     reach: tuple[float, float] | None = None
+    begins: bool = False
 
     @property
     def name(self) -> str:

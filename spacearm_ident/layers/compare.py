@@ -99,7 +99,7 @@ class _Pass:
         self.arm, self.joints = simulation.arm, simulation.arm.joint_names
         self.cutoff, wide = cut_offs([*fitted, *held])
         self.motions = banded(fitted, self.joints, self.cutoff, wide)
-        self.judged = banded(held, self.joints, self.cutoff, wide)
+        self.judged = banded(held, self.joints, self.cutoff, wide, first=len(fitted))
 
     def run(self, excluded: Sequence[str], report: Progress) -> Comparison:
         """All layers."""

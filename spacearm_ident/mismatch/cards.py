@@ -44,6 +44,8 @@ class Cards:
         values = self._values(number)
         rivals = _others(winner, others)
         before, after, beside, explained = self._on_unseen(number)
+        if effect.event:
+            beside, explained = self._while_it_lasts(number)
         joints = effect.joints or tuple(before)
         return Finding(
             effect=effect.kind,
@@ -107,6 +109,20 @@ class Cards:
             {names[row]: float(rms_beside[row]) for row in rows},
             explained,
         )
+
+    def _while_it_lasts(self, number: int) -> tuple[dict[str, float], float]:
+        """Of an event in the field: RMS by joint with it, N m, and the share of variance above the noise it removes.
+
+        No other recording need have it.
+        """
+        own, others = self.accepted[number], [c for k, c in enumerate(self.accepted) if k != number]
+        rows = own.stacked.rows
+        left, without = (self.evidence.residual_beside(some)[rows] for some in (self.accepted, others))
+        above = float(np.sum(without**2 - 1.0))
+        explained = float(np.clip(np.sum(without**2 - left**2) / above, 0.0, 1.0)) if above > 0 else float("nan")
+        names, joint = self.evidence.base.model.arm.joint_names, self.evidence.field.joint[rows]
+        rms = {k: float(np.sqrt(np.mean(left[joint == k] ** 2))) for k in self._felt_at(number) if np.any(joint == k)}
+        return {names[k]: float(self.floor[k]) * size for k, size in rms.items()}, explained
 
     def _swings(self, number: int) -> list[tuple[float, float] | None]:
         """By unseen motion, the band in which an effect rings, if it does."""

@@ -17,7 +17,7 @@ import numpy as np
 from ..dynamics.arm import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
-from .constants import grid_points, is_event, polish, refine, search
+from .constants import grid_points, polish, refine, search
 from .evidence import Candidate, Evidence, Refit, Unseen
 from .residuals import unwhitened
 from .rivals import UNKNOWN, Rival, rivals
@@ -111,9 +111,17 @@ class Competition:
             for place in effect.variants(arm):
                 term = effect.at(arm, place)
                 if warm or not term.needs_temperature:
-                    yield term
+                    yield from self._in_each_recording(term)
         for place in rivals(self.evidence.field.motions):
-            yield Rival.at(arm, place)
+            yield from self._in_each_recording(Rival.at(arm, place))
+
+    def _in_each_recording(self, effect: Effect) -> Iterator[Effect]:
+        """An event for each recording of the field, for it need not happen in another, or not then."""
+        if not effect.event:
+            yield effect
+            return
+        for recording in sorted({motion.source for motion in self.evidence.field.motions}):
+            yield replace(effect, place={**effect.place, "recording": recording})
 
     def run(self, progress: Callable[[float, str], None]) -> Outcome:
         """Until nothing more scores; from what is accepted already, where it ran before."""
@@ -121,7 +129,7 @@ class Competition:
         left = None
         left_values = np.zeros(0)
         dropped = 0
-        while len(rounds) + len(self.common) + dropped < MOST:
+        while self._causes(rounds) + len(self.common) + dropped < MOST:
             progress(len(rounds) / MOST, f"comparing effects, round {len(rounds) + 1}")
             ranked = self._ranked()
             stands = [self._stands(scored) for scored in ranked]
@@ -151,6 +159,11 @@ class Competition:
             left,
             left_values,
         )
+
+    def _causes(self, rounds: Sequence[Round]) -> int:
+        """How many effects there are; the same event in several recordings counts once."""
+        effects = [one.winner.candidate.effect for one in rounds]
+        return len({effect.kind if effect.event and effect.one_cause else id(effect) for effect in effects})
 
     def reweigh(self, evidence: Evidence, unseen: Unseen | None) -> None:
         """Go on with the same rows under other weights of the joints."""
@@ -201,7 +214,7 @@ class Competition:
 
     def _acts_on(self, scored: Scored) -> Set[str]:
         """Names of the joints where an effect acts; of an event, of those that feel it."""
-        if not is_event(scored.candidate.effect):
+        if not scored.candidate.effect.event:
             return set(scored.joints)
         felt = feels(self._energy([scored.candidate], self._values_of(scored)))
         return {name for name, feeling in zip(self.evidence.base.model.arm.joint_names, felt) if feeling}
@@ -213,10 +226,10 @@ class Competition:
         values = self._values_of(scored)
         mine = self._energy([scored.candidate], values)
         felt = feels(mine)
-        share = scored.gain / max(float(self._excess()[felt].sum()), 1e-9)
+        share = scored.gain / max(float(self._excess(scored.candidate.effect)[felt].sum()), 1e-9)
         if scored.named and share < NAMES_ENOUGH:
             return False
-        lasting = not is_event(scored.candidate.effect)
+        lasting = not scored.candidate.effect.event
         if self.unseen is not None and lasting:
             again = scored.unseen / len(self.unseen.scene) / (scored.gain / self.evidence.rows)
             asleep = scored.named and share > CLEARS_UP and scored.asleep
@@ -232,7 +245,7 @@ class Competition:
     def _lasts(self, scored: Scored) -> bool:
         """Whether an effect has a score without the best moments of field and unseen rows, too; an event need not."""
         effect = scored.candidate.effect
-        if is_event(effect) or (isinstance(effect, Rival) and effect.place["of"] == "time_window"):
+        if effect.event:
             return True
         both = [*self.accepted, scored.candidate]
         drop = throughout(
@@ -245,10 +258,15 @@ class Competition:
             drop += throughout(self.unseen.scene, before, after)
         return drop - penalty(effect, self.evidence.rows) > LASTS * self.gate
 
-    def _excess(self) -> FloatArray:
-        """(n,) chi-square of each joint's field rows above what noise would leave, beside what is accepted."""
-        residual = self.evidence.residual_beside(self.accepted)
-        return np.maximum(self.evidence.field.by_joint(residual**2 - 1.0), 0.0)
+    def _excess(self, effect: Effect) -> FloatArray:
+        """(n,) chi-square of each joint's field rows above what noise would leave, beside what is accepted.
+
+        For an event, of the recording in which it is.
+        """
+        field = self.evidence.field
+        above = self.evidence.residual_beside(self.accepted) ** 2 - 1.0
+        here = np.array([not effect.elsewhere(motion) for motion in field.motions])
+        return np.maximum(field.by_joint(np.where(here[field.owner], above, 0.0)), 0.0)
 
     def _energy(self, candidates: Sequence[Candidate], values: FloatArray, event: Scored | None = None) -> FloatArray:
         """(n,) sum of squares by joint of what effects add to the torque, in all rows or in those of an event."""
@@ -333,7 +351,7 @@ class Competition:
             refined = search(refine, candidate, self.evidence, lambda trial: self._gain(trial, beside))
             scored.append(self._scored(refined, beside, unseen_before))
         # Which link was touched, only windows that fit well tell.
-        scored = [self._polished(s) if s.named and is_event(s.candidate.effect) else s for s in scored]
+        scored = [self._polished(s) if s.named and s.candidate.effect.event else s for s in scored]
         return sorted(scored, key=lambda s: -s.score)
 
     def _grid(self, effect: Effect) -> list[Candidate]:

@@ -10,7 +10,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.effects.effect import Effect
-from ..dynamics.term import Constant, Values
+from ..dynamics.term import Values
 from ..recording.motion import Motion
 from .evidence import Candidate, Evidence
 
@@ -23,23 +23,15 @@ EVENT_POLISHES, EDGE_S = 240, 0.5
 Gain = Callable[[Values], float]
 
 
-def is_event(effect: Effect) -> bool:
-    """Whether it begins and ends in time."""
-    return any(_begins(constant) for constant in effect.constants)
-
-
-def _begins(constant: Constant) -> bool:
-    return constant.unit == "s" and constant.symbol == "start"
-
-
 def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[float, ...]]:
     """Every point of its constants' grids; an event begins while something was recorded, a position was passed."""
+    motions = [motion for motion in motions if not effect.elsewhere(motion)]
     begin = min(motion.start_s for motion in motions)
     end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in motions)
     grids = []
     for constant in effect.constants:
         low, high = -np.inf, np.inf
-        if _begins(constant):
+        if constant.begins:
             low, high = begin, end
         elif constant.position:
             row = motions[0].joints.index(constant.joint)
@@ -92,7 +84,7 @@ def polish(effect: Effect, constants: Values, gain: Gain, best: float) -> Values
         return -gain(tuple(point.tolist()))
 
     options = {
-        "maxfev": EVENT_POLISHES if is_event(effect) else POLISHES,
+        "maxfev": EVENT_POLISHES if effect.event else POLISHES,
         "initial_simplex": _simplex(effect, np.array(constants)),
     }
     bounds = [constant.bounds for constant in effect.constants]
@@ -106,7 +98,7 @@ def _simplex(effect: Effect, begin: FloatArray) -> FloatArray:
     inward = np.where(begin - low < high - begin, 1.0, -1.0)
     far = np.minimum(POLISH_STEP * np.maximum(np.abs(begin), POLISH_STEP * high), 0.5 * (high - low))
     steps = np.diag(inward * far)
-    if is_event(effect):
+    if effect.event:
         symbols = [constant.symbol for constant in effect.constants]
         start, length = symbols.index("start"), symbols.index("length")
         steps[start, start] = -EDGE_S

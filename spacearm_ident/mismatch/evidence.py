@@ -201,15 +201,19 @@ class Evidence:
     def reweighted(self, known: Sequence[Candidate], before: Evidence) -> list[Candidate]:
         """One effect at some values of its constants, known under other weights of the joints' rows."""
         ratio = [old.sigma_Nm / new.sigma_Nm for old, new in zip(before.field.whiteners, self.field.whiteners)]
-        rows = known[0].stacked.rows
-        times = np.array(ratio)[self.field.joint[rows], None]
-        stacks = [Stacked(rows, candidate.stacked.columns * times) for candidate in known]
+        times = np.array(ratio)[self.field.joint, None]
+        rows = [candidate.stacked.rows for candidate in known]
+        stacks = [Stacked(own, candidate.stacked.columns * times[own]) for own, candidate in zip(rows, known)]
         return self._candidates(known[0].effect, [candidate.constants for candidate in known], stacks)
 
     def _candidates(self, effect: Effect, constants: Sequence[Values], stacks: Sequence[Stacked]) -> list[Candidate]:
-        # Where an effect acts its place says, not its constants.
-        insides = self._basis[stacks[0].rows].T @ np.concatenate([stacked.columns for stacked in stacks], axis=1)
-        return [self._candidate(effect, *known) for known in zip(constants, stacks, np.hsplit(insides, len(stacks)))]
+        if effect.event:
+            insides = [self._basis[stacked.rows].T @ stacked.columns for stacked in stacks]
+        else:
+            # Where an effect acts its place says, not its constants.
+            columns = np.concatenate([stacked.columns for stacked in stacks], axis=1)
+            insides = np.hsplit(self._basis[stacks[0].rows].T @ columns, len(stacks))
+        return [self._candidate(effect, *known) for known in zip(constants, stacks, insides)]
 
     def _candidate(self, effect: Effect, constants: Values, stacked: Stacked, inside: FloatArray) -> Candidate:
         columns = stacked.columns
@@ -343,23 +347,7 @@ def _gram_with(gram: FloatArray, candidates: Sequence[Candidate]) -> FloatArray:
 
 def _inner(one: Candidate, other: Candidate) -> FloatArray:
     """(k, l) inner products of what the base cannot take over."""
-    first, last = (f(one.stacked.rows, other.stacked.rows) for f in (_latest_start, _earliest_stop))
-    inner = -one.inside.T @ other.inside
-    if last > first:
-        mine, theirs = one.stacked, other.stacked
-        inner += (
-            mine.columns[first - mine.rows.start : last - mine.rows.start].T
-            @ theirs.columns[first - theirs.rows.start : last - theirs.rows.start]
-        )
-    return np.asarray(inner)
-
-
-def _latest_start(one: slice, other: slice) -> int:
-    return int(max(one.start, other.start))
-
-
-def _earliest_stop(one: slice, other: slice) -> int:
-    return int(min(one.stop, other.stop))
+    return np.asarray(one.stacked.inner(other.stacked) - one.inside.T @ other.inside)
 
 
 class Unseen:

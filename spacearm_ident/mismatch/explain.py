@@ -19,7 +19,6 @@ from ..recording.recording import Recording
 from .base_structure import choose_base
 from .cards import Cards
 from .competition import GATE, Competition, Outcome
-from .constants import is_event
 from .evidence import Evidence, with_own
 from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
@@ -191,7 +190,7 @@ class _Judge:
 
     def _exceeds_null(self, number: int, outcome: Outcome) -> bool:
         candidate, values = [*with_own(outcome.accepted, outcome.refit.values)][number]
-        if self._healthy.left_out is None or is_event(candidate.effect):
+        if self._healthy.left_out is None or candidate.effect.event:
             return False
         return exceeds_null(candidate, values, self._evidence, self._healthy.left_out)
 

@@ -70,17 +70,14 @@ def _tangents(evidence: Evidence, accepted: Sequence[Candidate], values: FloatAr
     changes: list[FloatArray] = []
     free: list[bool] = []
     for candidate, own in with_own(accepted, values):
-        rows, columns = candidate.stacked.rows, candidate.stacked.columns
-        blocks = [columns]
+        here = candidate.stacked.whole(evidence.rows)
+        blocks = [here]
         for k, constant in enumerate(candidate.constants):
             step = step_of(constant)
             moved = [*candidate.constants[:k], constant + step, *candidate.constants[k + 1 :]]
-            there = stacked_effect(evidence.field, candidate.effect, moved).columns
-            blocks.append(((there - columns) @ own / step)[:, None])
-        change = np.concatenate(blocks, axis=1)
-        whole = np.zeros((evidence.rows, change.shape[1]))
-        whole[rows] = change
-        changes.append(whole)
+            there = stacked_effect(evidence.field, candidate.effect, moved).whole(evidence.rows)
+            blocks.append(((there - here) @ own / step)[:, None])
+        changes += blocks
         free += [*~candidate.held, *(True for _ in candidate.constants)]
     return np.concatenate(changes, axis=1), np.array(free)
 

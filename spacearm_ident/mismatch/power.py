@@ -14,7 +14,6 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ..dynamics.arm import FloatArray
-from .constants import is_event
 from .evidence import INVISIBLE, UNDERFLOW, Candidate, Evidence
 from .finding import Detectable, Finding
 from .healthy import Healthy
@@ -49,7 +48,7 @@ def would_have_seen(
     power = _Power(evidence, healthy, gate)
     sizes: dict[tuple[str, tuple[str, ...]], Detectable] = {}
     for grid in tried:
-        if not grid or is_event(effect := grid[0].effect) or (effect.kind, effect.joints) in sizes:
+        if not grid or (effect := grid[0].effect).event or (effect.kind, effect.joints) in sizes:
             continue
         if any((effect.kind, joint) in seen for joint in effect.joints):
             continue

@@ -126,7 +126,8 @@ def prepare_evidence(
     healthy, field, validation = placed(healthy, arm), placed(field, arm), placed(validation, arm)
     everything = [*healthy, *field, *validation]
     cutoff, wide = cut_offs(everything)
-    referred, examined, judged = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field, validation))
+    referred, examined = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field))
+    judged = banded(validation, arm.joint_names, cutoff, wide, first=len(field))
     if known is None:
         start = _identified(healthy or field, arm, cutoff, choose)
         found = _with_noise(start, referred or examined, coloured if healthy else of_field)
@@ -242,17 +243,26 @@ def cut_offs(recordings: Sequence[Recording]) -> tuple[float, float]:
     return cutoff, min(WIDER * cutoff, 0.35 * min(rates))
 
 
-def banded(recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float, wide_hz: float) -> list[Motion]:
+def banded(
+    recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float, wide_hz: float, first: int = 0
+) -> list[Motion]:
     """Recordings as motions: torque and columns are to go through one low-pass, positions before it up to `wide_hz`.
 
     Accelerations go through no other. Their noise would be less; but so would the jolt that a neighbour's reversal
     gives a joint, which the torque shows in full: by a tenth, or eleven standard deviations.
 
+    Args:
+        recordings: To convert.
+        joints: Their order.
+        cutoff_hz: Of torque and columns.
+        wide_hz: Of positions.
+        first: Number of the first of them among all that are worked with: an event belongs to one (`Effect.event`).
+
     Raises:
         UnfitDataError: There are too few samples, or they do not last.
     """
     motions = prepare(recordings, joints, wide_hz, average=False)[0] if recordings else []
-    return [coarse(motion, cutoff_hz) for motion in motions]
+    return [replace(coarse(motion, cutoff_hz), source=first + motion.source) for motion in motions]
 
 
 def _form_is_open(choices: Sequence[Choice]) -> bool:

@@ -48,7 +48,7 @@ class Rival(Effect):
             parameters = tuple(Parameter(symbol, joint, "N m") for symbol in ("sin", "cos"))
             return cls(parameters, (Constant("frequency", joint, "Hz", grid),), place=place)
         if place["of"] == "time_window":
-            start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
+            start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)), begins=True)
             length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 5.0))
             return cls((Parameter("torque", joint, "N m"),), (start, length), place=place)
         count = 3 if place["of"] == "time_drift" else int(place["count"]) + (place["of"] in JUMPS)
@@ -63,6 +63,8 @@ class Rival(Effect):
             angle = 2 * np.pi * constants[0] * time
             return own(row, np.sin(angle), np.cos(angle))
         if of == "time_window":
+            if self.elsewhere(motion):
+                return nothing(motion, [row], 1)
             return own(row, ((time >= constants[0]) & (time < constants[0] + constants[1])).astype(float))
         if of == "time_drift":
             moving, late = direction(motion, row), time / float(self.place["length"])

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.effects.effect import Effect
-from .constants import is_event
 from .evidence import Candidate
 from .rivals import UNKNOWN
 from .scene import Scene
@@ -78,11 +77,11 @@ def simplest(ranked: Sequence[Scored]) -> Scored:
     first = min(_near(ranked, TEMPER_SHARE), key=_plainness)
     if first.candidate.effect.exact:
         first = min(_near(ranked, 0.0), key=_plainness)
-    if not is_event(first.candidate.effect):
+    if not first.candidate.effect.event:
         return first
     # Of one law: only where the search of their constants ended sets them apart.
     same = [s for s in _near(ranked, ENDED_SHARE) if s.candidate.effect.kind == first.candidate.effect.kind] or [first]
-    return min(same, key=lambda s: s.candidate.stacked.rows.stop)
+    return min(same, key=lambda s: s.candidate.stacked.stop)
 
 
 def _near(ranked: Sequence[Scored], share: float) -> list[Scored]:

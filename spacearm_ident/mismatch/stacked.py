@@ -35,12 +35,45 @@ class Stacked:
     """An effect's whitened columns in a scene; zero outside some joints' rows.
 
     Attributes:
-        rows: Where in the stack.
+        rows: Where in the stack; of an event, whose rows lie apart, their numbers.
         columns: (r, k).
     """
 
-    rows: slice
+    rows: slice | np.ndarray
     columns: FloatArray
+
+    @property
+    def stop(self) -> int:
+        """The row after the last."""
+        if isinstance(self.rows, slice):
+            return int(self.rows.stop)
+        return int(self.rows[-1]) + 1 if len(self.rows) else 0
+
+    def whole(self, count: int) -> FloatArray:
+        """(count, k) the columns in all rows of a stack."""
+        everywhere = np.zeros((count, self.columns.shape[1]))
+        everywhere[self.rows] = self.columns
+        return everywhere
+
+    def inner(self, other: Stacked) -> FloatArray:
+        """(k, l) inner products of the columns with another's."""
+        first, second = self.rows, other.rows
+        if isinstance(first, slice) and isinstance(second, slice):
+            begin, end = max(first.start, second.start), min(first.stop, second.stop)
+            if end <= begin:
+                return np.zeros((self.columns.shape[1], other.columns.shape[1]))
+            mine, theirs = (
+                slice(begin - first.start, end - first.start),
+                slice(begin - second.start, end - second.start),
+            )
+            return np.asarray(self.columns[mine].T @ other.columns[theirs])
+        if isinstance(second, slice):
+            return other.inner(self).T
+        if isinstance(first, slice):
+            inside = (second >= first.start) & (second < first.stop)
+            return np.asarray(self.columns[second[inside] - first.start].T @ other.columns[inside])
+        _, here, there = np.intersect1d(first, second, assume_unique=True, return_indices=True)
+        return np.asarray(self.columns[here].T @ other.columns[there])
 
 
 def stacked_effect(scene: Scene, effect: Effect, constants: Values) -> Stacked:
@@ -53,10 +86,16 @@ def stacked_effect(scene: Scene, effect: Effect, constants: Values) -> Stacked:
     stacked = np.zeros((rows.stop - rows.start, len(effect.parameters)))
     for m, (motion, by_joint) in enumerate(zip(scene.motions, columns)):
         for joint, (indices, values) in by_joint.items():
+            if not values.any():
+                continue
             slot = scene.slot(joint, m)
             stacked[slot.start - rows.start : slot.stop - rows.start, indices] = scene.whiten(
                 joint, m, motion.reduce(values)
             )
+    if effect.event:
+        # A second or two of a minute: the rest would take most of the memory that a search has.
+        during = np.flatnonzero(np.any(stacked != 0.0, axis=1))
+        return Stacked(rows.start + during, stacked[during])
     return Stacked(rows, stacked)
 
 
@@ -72,10 +111,7 @@ def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Eff
     nuisance = [sharpness(motion) for motion in scene.motions]
     blocks.append(scene.stack(nuisance, NUISANCE * len(base.model.arm.joints)))
     for effect, values in common:
-        stacked = stacked_effect(scene, effect, values)
-        block = np.zeros((len(scene), len(effect.parameters)))
-        block[stacked.rows] = stacked.columns
-        blocks.append(block)
+        blocks.append(stacked_effect(scene, effect, values).whole(len(scene)))
     return np.concatenate(blocks, axis=1)
 
 

@@ -291,7 +291,7 @@ class ExternalContact(Effect):
         """On a link; its window and its point are searched."""
         joint = known_joint(arm, place)
         parameters = tuple(Parameter(f"force_{axis}", joint, "N", scale=50.0) for axis in "xyz")
-        start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)))
+        start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)), begins=True)
         length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 5.0))
         rise = Constant("rise", joint, "s", (RISE_S,), reach=RISE_REACH)
         point = (Constant(f"point_{axis}", joint, "m", (0.0,), reach=POINT_REACH) for axis in "xyz")
@@ -306,7 +306,7 @@ class ExternalContact(Effect):
         """Torque that holds against a force on the link along each base axis, within the window."""
         number = motion.joints.index(self.place["joint"])
         rows = range(number + 1)
-        if background is None or background.arm is None:
+        if background is None or background.arm is None or self.elsewhere(motion):
             return nothing(motion, rows, 3)
         arm, count = background.arm, len(motion.joints)
 

@@ -105,6 +105,18 @@ class Effect(Term):
         """Lowest and highest frequency, Hz, at which it rings along a motion; None where it does not."""
         return None
 
+    @property
+    def event(self) -> bool:
+        """Whether it begins and ends in time.
+
+        Its place may then have a `recording`, the number from 0 of the only one in which it happened.
+        """
+        return any(constant.begins for constant in self.constants)
+
+    def elsewhere(self, motion: Motion) -> bool:
+        """Whether it is an event of another recording than a motion's."""
+        return bool(self.place.get("recording", motion.source) != motion.source)
+
     def again(self, arm: Arm) -> Effect | None:
         """A further one of the same kind at the same place (another harmonic), once this one is known."""
         return None
