@@ -122,6 +122,10 @@ class _Pass:
         if explanation.verdict == DATA_UNFIT:
             return _unfit(self.arm, explanation.reasons)
         report(0.8, "fitting all layers together")
+        self.judged = [
+            replace(m, void=tuple((e.begin_s, e.end_s) for e in explanation.happened if e.recording == m.source))
+            for m in self.judged
+        ]
         chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
         extended = explanation.model or wired.model
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)

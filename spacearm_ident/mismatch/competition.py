@@ -19,6 +19,8 @@ from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from .constants import grid_points, polish, refine, search
 from .evidence import Candidate, Evidence, Refit, Unseen
+from .finding import Happened
+from .happened import happened, without
 from .residuals import unwhitened
 from .rivals import UNKNOWN, Rival, rivals
 from .scored import Scored, feels, penalty, plausible, shadow, simplest, sleeps, throughout
@@ -101,6 +103,7 @@ class Competition:
         self._grids: dict[int, list[Candidate]] = {}
         self._rounds: list[Round] = []
         self.common: list[Scored] = []
+        self.happened: list[Happened] = []
 
     def _candidates(self, excluded: Sequence[str]) -> Iterator[Effect]:
         arm = self.evidence.base.model.arm
@@ -148,6 +151,8 @@ class Competition:
             winner = self._polished(winner)
             self.accepted.append(winner.candidate)
             self._renew_pool(winner.candidate.effect)
+            if winner.candidate.effect.event:
+                self._leave_out_events()
             rounds.append(Round(winner, tuple(s for s in ranked if s is not winner)))
             rounds = self._without_the_idle(rounds)
         self._rounds = rounds
@@ -160,6 +165,14 @@ class Competition:
             left_values,
         )
 
+    def _leave_out_events(self) -> None:
+        """Judge nothing on unseen rows during an event like one that was found."""
+        if self.unseen is not None:
+            found = happened(self.unseen, self.accepted, self.evidence.refit(self.accepted).values, self.gate)
+            if found:
+                self.happened += found
+                self.unseen = without(self.unseen, self.happened)
+
     def _causes(self, rounds: Sequence[Round]) -> int:
         """How many effects there are; the same event in several recordings counts once."""
         effects = [one.winner.candidate.effect for one in rounds]
@@ -168,6 +181,8 @@ class Competition:
     def reweigh(self, evidence: Evidence, unseen: Unseen | None) -> None:
         """Go on with the same rows under other weights of the joints."""
         before, self.evidence, self.unseen = self.evidence, evidence, unseen
+        if unseen is not None and self.happened:
+            self.unseen = without(unseen, self.happened)
         self.accepted = [evidence.reweighted([candidate], before)[0] for candidate in self.accepted]
         self._grids = {key: evidence.reweighted(grid, before) if grid else [] for key, grid in self._grids.items()}
 

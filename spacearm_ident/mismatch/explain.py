@@ -21,7 +21,7 @@ from .cards import Cards
 from .competition import GATE, Competition, Outcome
 from .evidence import Evidence, with_own
 from .extend import extended_model
-from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Unexplained, joined, unfit
+from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Happened, Unexplained, joined, unfit
 from .healthy import Healthy, healthy_levels
 from .integrity import faults
 from .judgement import beyond_healthy, contradicted, doubted, harms, shows
@@ -156,6 +156,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         before_Nm=rms_before,
         after_Nm=rms_added,
         findings=findings,
+        happened=tuple(competition.happened),
         unexplained=_unexplained(joints, rms_after, healthy, outcome) if findings else (),
         next_experiment=words,
         next_effect=next_effect,
@@ -163,6 +164,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         already_there=tuple(_words(scored) for scored in outcome.common),
         reasons=(
             *_not_compared(joints, known, rms_before),
+            *_not_judged(competition.happened, len({motion.source for motion in evidence.field.motions})),
             *(() if findings else _moments(joints, rms_after, healthy)),
         ),
         model=extended_model(evidence, accepted, outcome.refit.values) if accepted else None,
@@ -220,6 +222,11 @@ def _not_compared(joints: Sequence[str], known: np.ndarray, before: FloatArray) 
         for left_out, where in reasons
         if left_out.any()
     )
+
+
+def _not_judged(events: Sequence[Happened], fitted: int) -> tuple[str, ...]:
+    """What of the recordings judged on is not."""
+    return tuple(f"not judged: {event.words} of held-out recording {event.recording - fitted + 1}" for event in events)
 
 
 def _moments(joints: Sequence[str], after: FloatArray, healthy: Healthy) -> tuple[str, ...]:

@@ -163,6 +163,27 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class Happened:
+    """An event in a recording that no fit sees.
+
+    Attributes:
+        kind: Of the effect.
+        recording: Number among all recordings, those that are fitted first (`Motion.source`).
+        begin_s, end_s: Time in the recording, with a margin.
+    """
+
+    kind: str
+    recording: int
+    begin_s: float
+    end_s: float
+
+    @property
+    def words(self) -> str:
+        """Its time, and what it is."""
+        return f"{self.begin_s:.1f} s to {self.end_s:.1f} s ({self.kind})"
+
+
+@dataclass(frozen=True)
 class Explanation:
     """The whole answer.
 
@@ -173,6 +194,7 @@ class Explanation:
         detectable_Nm: (n,) RMS residual above which a joint is called a mismatch even if nothing explains it.
         before_Nm, after_Nm: (n,) RMS residual before and after.
         findings: Largest first.
+        happened: Events of the recordings judged on, during which nothing is judged.
         unexplained: What is left.
         next_experiment: What would separate what these data cannot.
         next_effect, next_joints: Which effect, or purpose of an experiment, and at which joints, that is about.
@@ -192,6 +214,7 @@ class Explanation:
     before_Nm: FloatArray
     after_Nm: FloatArray
     findings: tuple[Finding, ...] = ()
+    happened: tuple[Happened, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
     next_experiment: str | None = None
     next_effect: str = ""

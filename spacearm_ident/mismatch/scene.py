@@ -82,9 +82,12 @@ def since_reversal(motion: Motion, row: int) -> FloatArray:
 
 
 def one_way(motion: Motion) -> np.ndarray:
-    """(M, n) rows that are free of standstill and reversal."""
+    """(M, n) rows that are free of standstill and reversal, and count."""
     signs = np.stack([direction(motion, row) for row in range(len(motion.joints))], axis=1)
-    return motion.moving & (np.abs(motion.reduce(signs)) > ONE_WAY)
+    void = np.zeros(len(motion.time), dtype=bool)
+    for begin_s, end_s in motion.void:
+        void |= (motion.time >= begin_s) & (motion.time < end_s)
+    return motion.moving & (np.abs(motion.reduce(signs)) > ONE_WAY) & ~void[:, None]
 
 
 def quiet(motion: Motion) -> Motion:

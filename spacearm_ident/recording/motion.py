@@ -52,6 +52,7 @@ class Motion:
         temperature: (N, n) °C, NaN for a joint of which none was recorded; None where of no joint.
         base: How the base moves; None: it is fixed, or nothing of it was recorded.
         source: Which recording it came from (index in the caller's list).
+        void: Times in the recording, s, from and to, whose rows do not count where it is judged.
     """
 
     joints: tuple[str, ...]
@@ -71,6 +72,7 @@ class Motion:
     temperature: FloatArray | None = None
     base: BaseMotion | None = None
     source: int = 0
+    void: tuple[tuple[float, float], ...] = ()
 
     @property
     def cyclic(self) -> bool:

@@ -261,8 +261,8 @@ OUTER_LINKS = 4
 """Those that reach where something may be in the way."""
 LARGEST_FORCE = 300.0
 """N: of a person, a cable, a fixture touched in passing (the field's examples: 3 to 40)."""
-RISE_S, RISE_REACH = 0.1, (0.01, 0.5)
-"""How long a touch takes to come, and to go."""
+RISE_S, RISE_REACH = 0.1, (0.01, 2.5)
+"""How long a touch takes to come, and to go; at most half of how long it lasts."""
 POINT_REACH = (-0.3, 0.3)
 """m from the link's joint, along each axis of its frame."""
 
@@ -322,7 +322,7 @@ class ExternalContact(Effect):
         start, length, rise, *point = constants
         jacobian = np.tensordot([1.0, *point], background.keep(("push", number), compute), 1)
         time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
-        come = np.clip(np.minimum(time - start, start + length - time) / rise, 0.0, 1.0)
+        come = np.clip(np.minimum(time - start, start + length - time) / min(rise, 0.5 * length), 0.0, 1.0)
         pushed = 0.5 - 0.5 * np.cos(np.pi * come)
         return each({row: -jacobian[:, :, row].T * pushed[:, None] for row in rows})
 

@@ -1,0 +1,96 @@
+"""Events of recordings that no fit sees: what was found to happen in the field may happen there too, at another time.
+
+It says nothing of how well the rest predicts. So it is looked for in what the rest leaves, and its rows do not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..dynamics.arm import FloatArray
+from ..dynamics.effects import EFFECTS
+from ..dynamics.effects.effect import Effect
+from .constants import grid_points
+from .evidence import Candidate, Unseen
+from .finding import Happened
+from .rivals import UNKNOWN
+from .scene import Scene
+from .scored import penalty
+from .stacked import Stacked, stacked_effect
+
+EXPLAINS = 0.5
+"""Share of what is above the noise while it lasts that an event must explain: less, and it is where the model errs."""
+MARGIN_S = 0.5
+"""Taken along on both sides: the step of the grid on which an event is looked for."""
+MOST = 4
+"""Events in one recording; more is a model that is wrong throughout."""
+
+
+def happened(unseen: Unseen, accepted: Sequence[Candidate], values: FloatArray, gate: float) -> list[Happened]:
+    """Events of the kinds that were found in the field.
+
+    Args:
+        unseen: The recordings that no fit sees.
+        accepted: What was found.
+        values: (k,) parameters of all of it.
+        gate: Score from which an event is one.
+    """
+    kinds = {c.effect.kind for c in accepted if c.effect.event and c.effect.kind != UNKNOWN}
+    if not kinds:
+        return []
+    residual, found = unseen.residual(accepted, values), list[Happened]()
+    for recording in sorted({motion.source for motion in unseen.scene.motions}):
+        tried = [*_tried(unseen, kinds, recording)]
+        for _ in range(MOST):
+            gains = [_gain(stacked, residual) - penalty(effect, len(residual)) for effect, _, stacked in tried]
+            if not gains or max(gains) < gate:
+                break
+            effect, (begin, length, *_), stacked = tried[int(np.argmax(gains))]
+            own = residual[stacked.rows]
+            if max(gains) < EXPLAINS * float(np.sum(own**2 - 1.0)):
+                break
+            found.append(Happened(effect.kind, recording, begin - MARGIN_S, begin + length + MARGIN_S))
+            residual[during(unseen.scene, found[-1])] = 0.0
+    return found
+
+
+def _tried(unseen: Unseen, kinds: set[str], recording: int) -> Iterator[tuple[Effect, tuple[float, ...], Stacked]]:
+    """Events of some kinds everywhere and at any time in one recording."""
+    arm = unseen.evidence.base.model.arm
+    for kind in sorted(kinds):
+        for place in EFFECTS[kind].variants(arm):
+            effect = EFFECTS[kind].at(arm, {**place, "recording": recording})
+            for point in grid_points(effect, unseen.scene.motions):
+                yield effect, point, stacked_effect(unseen.scene, effect, point)
+
+
+def _gain(stacked: Stacked, residual: FloatArray) -> float:
+    """Drop in chi-square with an effect's best parameters, everything else as it is."""
+    slope = stacked.columns.T @ residual[stacked.rows]
+    gram = stacked.columns.T @ stacked.columns
+    return float(slope @ np.linalg.pinv(gram, rcond=1e-9, hermitian=True) @ slope)
+
+
+def during(scene: Scene, event: Happened) -> np.ndarray:
+    """(R,) rows of a scene while an event lasts."""
+    here = np.zeros(len(scene), dtype=bool)
+    for number, motion in enumerate(scene.motions):
+        if motion.source == event.recording:
+            for joint in range(len(motion.joints)):
+                slot = scene.slot(joint, number)
+                time = motion.time[scene.place[slot]]
+                here[slot] = (time >= event.begin_s) & (time < event.end_s)
+    return here
+
+
+def without(unseen: Unseen, events: Sequence[Happened]) -> Unseen:
+    """The recordings, of which no row counts while an event lasts."""
+    scene = unseen.scene
+    motions = [
+        replace(motion, void=tuple((e.begin_s, e.end_s) for e in events if e.recording == motion.source))
+        for motion in scene.motions
+    ]
+    return Unseen(unseen.evidence, Scene(unseen.evidence.base, motions, scene.whiteners, scene.backgrounds))
