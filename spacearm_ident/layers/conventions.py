@@ -33,6 +33,7 @@ GAIN_SD, ZERO_SD, DELAY_SD, TILT_SD = 0.5, 0.05, 0.02, 0.05
 """Standard deviations of what is off where something is: of a gain's logarithm (a torque constant of a neighbouring
 size of motor), of a zero, rad (three degrees), of a delay, s (a few cycles of a slow bus), of a tilt, rad (three
 degrees)."""
+SPREAD = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD, TILT: TILT_SD}
 STAMP_PERIODS = 1 / 6
 """Standard deviation of a right stamp, sampling periods: effort is what held before the sample or what will hold after
 it, half a period early or late, at three standard deviations."""
@@ -284,7 +285,6 @@ class _State:
         precision[:, :count] = 0.0
         precision[:count, :count] = np.diag(1.0 / ((scale * self.spread) ** 2 + self.payload**2))
         now = self.wiring.by_column(self.arm.joint_names)
-        spread = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD, TILT: TILT_SD}
         for number, name in enumerate(self.linear.names):
             if name in self.springs and name not in names:
                 mean[number], free[number] = 0.0, False
@@ -294,7 +294,7 @@ class _State:
             mean[number] = -now[name]
             if name in names or name == DELAY:
                 free[number] = True
-                sd = spread[kind_and_joint(name)[0]] if name in names else self.stamp_s
+                sd = SPREAD[kind_and_joint(name)[0]] if name in names else self.stamp_s
                 precision[number, number] = 1.0 / sd**2
         return Prior(mean, precision, free)
 

@@ -23,11 +23,12 @@ from ..recording.motion import Motion
 from ..simulations import Simulation
 from .ceiling import black_box, inputs_of
 from .comparison import Trace
-from .conventions import Wired
+from .conventions import SPREAD, Wired
 from .estimate import Estimate, estimate
 from .linear import Linear, Prior, weak_prior
-from .parameters import LEVEL
+from .parameters import DETERMINED, LEVEL
 from .physics import Added
+from .wiring import kind_and_joint
 
 AGREE = 2.58
 """Standard errors of the difference (99 %) within which two estimates of the same thing agree."""
@@ -74,7 +75,7 @@ class JointFit:
         """
         wiring = wired.wiring
         self.simulation, self.wiring, self.names = simulation, wiring, wired.found
-        self._errors, self._judged = wired.errors, judged
+        self._errors, self._judged = dict(wired.errors), judged
         noise = weighted(model, wiring.undone(motions, model))
         self.linear = Linear(model, motions, noise.whiteners, wiring)
         self.judge = Linear(model, judged, in_newton_metres(simulation.arm), wiring)
@@ -86,7 +87,21 @@ class JointFit:
         self.prior = self._prior(None)
         first = self.linear.solve(self.prior, np.ones(len(simulation.arm.joints)))
         self.variance = self.linear.variance(first.values, noise, LEAST_FACTOR)
+        self._believe_the_data()
         self._settle()
+
+    def _believe_the_data(self) -> None:
+        """Take the wiring that these motions determine from them alone.
+
+        Where a simulation's inertials leave a gain no choice, as its search has it, one link that is much heavier
+        moves it by several of its errors. Where the data leave it open, at an outer joint, that is all that is known.
+        """
+        narrow = self._errors
+        wide = {name: SPREAD[kind_and_joint(name)[0]] for name in self.names}
+        self._errors = {**narrow, **wide}
+        spread = np.sqrt(np.diag(self.linear.solve(self._prior(None), self.variance).covariance))
+        known = {name for name in wide if spread[self.linear.names.index(name)] < DETERMINED * wide[name]}
+        self._errors = {**narrow, **{name: wide[name] for name in known}}
 
     def _settle(self) -> None:
         """Solve for everything, here and in the held-out recordings by themselves."""
@@ -119,7 +134,7 @@ class JointFit:
         for number, name in enumerate(linear.names):
             if name in self._errors:
                 free[number], mean[number] = True, 0.0
-                # The weak prior of an identification would let a gain be a heavier link.
+                # Where the data leave it open, the weak prior of an identification would let a gain be a heavier link.
                 precision[number, number] = 1.0 / self._errors[name] ** 2
         return Prior(mean, precision, free)
 
