@@ -310,6 +310,27 @@ class IdentifiedModel:
             total = total + self.plain.share * (plain - possible)
         return total
 
+    @cached_property
+    def by_term(self) -> Mapping[tuple[str, str], float]:
+        """Every parameter and constant by the kind of its term and its name.
+
+        By its name alone it would not do: friction and an effect of friction may each have a distance `d_s[joint_1]`.
+        """
+        values: dict[tuple[str, str], float] = {}
+        for term, first, first_constant in self.model.numbered():
+            names = [item.name for item in term.parameters] + [item.name for item in term.constants]
+            own = self.parameters[first : first + len(term.parameters)]
+            searched = self.constants[first_constant : first_constant + len(term.constants)]
+            values |= {(term.kind, name): float(v) for name, v in zip(names, (*own, *searched))}
+        return values
+
+    def carried_to(self, model: TorqueModel) -> IdentifiedModel:
+        """Another model with the values of what both have; the rest of it is zero."""
+        known = self.by_term
+        parameters = [known.get((term.kind, item.name), 0.0) for term in model.terms for item in term.parameters]
+        constants = [known.get((term.kind, item.name), 0.0) for term in model.terms for item in term.constants]
+        return replace(self, model=model, parameters=np.array(parameters), constants=np.array(constants))
+
     def value(self, symbol: str, joint: str) -> float:
         """A parameter or constant by name.
 

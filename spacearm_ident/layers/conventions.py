@@ -140,19 +140,7 @@ def _with_springs(model: IdentifiedModel) -> IdentifiedModel:
     taken = {place["joint"] for place in known}
     places = [{"joint": joint} for joint in model.model.arm.joint_names if joint not in taken]
     structure[HarnessSpring.kind] = {"at": [*known, *places]}
-    return _with_terms_of(model, TorqueModel(model.model.arm, structure))
-
-
-def _with_terms_of(values: IdentifiedModel, model: TorqueModel) -> IdentifiedModel:
-    """A model's terms with the values of another; what that lacks is zero."""
-    parameters = {p.name: float(v) for p, v in zip(values.model.parameters, values.parameters)}
-    constants = {c.name: float(v) for c, v in zip(values.model.constants, values.constants)}
-    return replace(
-        values,
-        model=model,
-        parameters=np.array([parameters.get(parameter.name, 0.0) for parameter in model.parameters]),
-        constants=np.array([constants.get(constant.name, 0.0) for constant in model.constants]),
-    )
+    return model.carried_to(TorqueModel(model.model.arm, structure))
 
 
 def _too_large(name: str, value: float) -> bool:
@@ -197,7 +185,7 @@ class _State:
             tuple(name for name in self.found if name not in self.springs),
             self.errors(),
             self.suspected(),
-            _with_terms_of(self.fitted, model),
+            self.fitted.carried_to(model),
         )
 
     def best_addition(self) -> tuple[str, ...] | None:

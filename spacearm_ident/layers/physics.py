@@ -166,17 +166,19 @@ def with_friction_terms(
             "joints": [*dict.fromkeys([*offsets, *base.get("torque_offset", {}).get("joints", ())])]
         }
     model = TorqueModel(extended.model.arm, structure)
-    constants = {c.name: float(v) for one in (extended, identified) for c, v in zip(one.model.constants, one.constants)}
-    for constant in extended.model.constants:
-        if constant.symbol == "d_s":
-            constants[constant.name] = 0.0
-    values = {p.name: float(v) for one in (identified, extended) for p, v in zip(one.model.parameters, one.parameters)}
+    # What the extended model has, and the shape of friction that was identified.
+    here, there = extended.by_term, identified.by_term
+    values = {**there, **here}
+    friction = "stribeck_friction"
+    values |= {key: value for key, value in there.items() if key[0] == friction and key[1].startswith("v_b")}
     for joint in joints:
-        values[f"f_b[{joint}]"] = values[f"f_c[{joint}]"]
+        values[friction, f"d_s[{joint}]"] = 0.0
+        values[friction, f"f_b[{joint}]"] = values[friction, f"f_c[{joint}]"]
+    terms = model.terms
     return IdentifiedModel(
         model,
-        np.array([values.get(parameter.name, 0.0) for parameter in model.parameters]),
-        np.array([constants.get(constant.name, 0.0) for constant in model.constants]),
+        np.array([values.get((term.kind, item.name), 0.0) for term in terms for item in term.parameters]),
+        np.array([values.get((term.kind, item.name), 0.0) for term in terms for item in term.constants]),
         extended.cutoff_hz,
     )
 
