@@ -311,6 +311,8 @@ def _cause_items(simple: Explained, found: JointFit, shares: _Shares) -> list[It
         inertial, body = cause.inertial, cause.body
         without = found.estimate.values.copy()
         without[places] -= cause.directions @ values
+        if not shares.rise(without) > SHOWS:
+            continue
         share = shares.of(without)
         for axis, change, error in zip(cause.axes or (0,), values, errors):
             if cause.name == "mass":

@@ -20,6 +20,7 @@ from scipy.stats import chi2
 
 from ..conventions.evidence import CAD_SCALES, inertial_belief
 from ..dynamics.arm import FloatArray
+from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..mismatch.noise import weighted
@@ -37,10 +38,12 @@ SPREAD = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD, TILT: TILT_SD}
 STAMP_PERIODS = 1 / 6
 """Standard deviation of a right stamp, sampling periods: effort is what held before the sample or what will hold after
 it, half a period early or late, at three standard deviations."""
-SPRING = "stiffness"
-"""Of a spring at a joint: its column is the parameter of `harness_spring`. It is no wiring, and not reported here."""
-ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5, SPRING: 0.05}
-"""Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes), and of a spring. Of the
+SPRING, LOADED = "stiffness", "mu"
+RIVALS = {SPRING: HarnessSpring.kind, LOADED: LoadFriction.kind}
+"""Physics that is easily taken for a gain, a zero or a tilt: parameter -> effect. A cable at a vertical first joint is
+no tilted base, and friction that grows with the load no torque constant. It is no wiring, and not reported here."""
+ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5, SPRING: 0.05, LOADED: 0.05}
+"""Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes), and of a rival. Of the
 five real arms in hand torque from current is 8 to 43 % off at single joints of two; a zero that is off shows as soon as
 an arm is used; late torque is common."""
 LARGEST = {GAIN: 1.6, ZERO: 0.35, DELAY: 0.1, TILT: 0.35}
@@ -102,7 +105,7 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
         motions: As recorded, in the bandwidth to look at.
         known: What was found before that physics was known; tested again beside it.
     """
-    state = _State(_with_springs(model), motions, model.model)
+    state = _State(_with_rivals(model), motions, model.model)
     if known is not None:
         state.found, state.wiring = list(known.found), known.wiring
         state.relinearise()
@@ -122,7 +125,7 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
 
 def without_columns(model: IdentifiedModel, motions: Sequence[Motion], known: Wired, names: Sequence[str]) -> Wired:
     """What was found less some of its columns, the rest fitted again (arguments as `find_wiring`)."""
-    state = _State(_with_springs(model), motions, model.model)
+    state = _State(_with_rivals(model), motions, model.model)
     state.found, state.wiring = [name for name in known.found if name not in names], known.wiring
     state.relinearise()
     for _ in range(1 + SETTLING):
@@ -130,16 +133,13 @@ def without_columns(model: IdentifiedModel, motions: Sequence[Motion], known: Wi
     return state.answer(model.model)
 
 
-def _with_springs(model: IdentifiedModel) -> IdentifiedModel:
-    """With a constant torque at every joint, and a spring that is a hypothesis beside gains, zeros and tilt.
-
-    A current offset, asymmetric friction or a cable is no gain; a cable at a vertical first joint is no tilted base.
-    """
-    structure = dict(model.model.structure)
-    known = structure.get(HarnessSpring.kind, {"at": []})["at"]
-    taken = {place["joint"] for place in known}
-    places = [{"joint": joint} for joint in model.model.arm.joint_names if joint not in taken]
-    structure[HarnessSpring.kind] = {"at": [*known, *places]}
+def _with_rivals(model: IdentifiedModel) -> IdentifiedModel:
+    """With `RIVALS` at every joint, hypotheses beside gains, zeros and tilt; a spring comes with a constant torque."""
+    structure, own = dict(model.model.structure), {parameter.name for parameter in model.model.parameters}
+    for symbol, kind in RIVALS.items():
+        known = structure.get(kind, {"at": []})["at"]
+        places = [{"joint": joint} for joint in model.model.arm.joint_names if f"{symbol}[{joint}]" not in own]
+        structure[kind] = {"at": [*known, *places]}
     return model.carried_to(TorqueModel(model.model.arm, structure))
 
 
@@ -153,8 +153,8 @@ class _State:
     def __init__(self, model: IdentifiedModel, motions: Sequence[Motion], known: TorqueModel) -> None:
         self.motions = motions
         own = {parameter.name for parameter in known.parameters}
-        springs = [f"{SPRING}[{joint}]" for joint in known.arm.joint_names]
-        self.springs = [name for name in springs if name not in own]
+        rivals = [f"{symbol}[{joint}]" for symbol in RIVALS for joint in known.arm.joint_names]
+        self.rivals = [name for name in rivals if name not in own]
         self.arm = model.model.arm
         self.found: list[str] = []
         self.wiring = Wiring.right(len(self.arm.joints))
@@ -182,7 +182,7 @@ class _State:
         """What was found, with the values of a model's terms."""
         return Wired(
             self.wiring,
-            tuple(name for name in self.found if name not in self.springs),
+            tuple(name for name in self.found if name not in self.rivals),
             self.errors(),
             self.suspected(),
             self.fitted.carried_to(model),
@@ -192,13 +192,13 @@ class _State:
         """The hypotheses that gain most beside those found, if they gain enough."""
         sure = [(odds, names) for odds, names in self._additions() if odds > SURE * len(names)]
         best = sorted(sure, reverse=True)[:SHORT_LIST]
-        # A spring is there to be ruled out: beside what is still missing it need not be the same in all parts.
-        agreed = (names for _, names in best if names[0] in self.springs or self._agreed(names))
+        # A rival is there to be ruled out: beside what is still missing it need not be the same in all parts.
+        agreed = (names for _, names in best if names[0] in self.rivals or self._agreed(names))
         return next(agreed, None)
 
     def suspected(self) -> tuple[Suspicion, ...]:
         """The best addition that is more probable than none, and that all parts of the data support."""
-        wired = (one for one in self._additions() if one[1][0] not in self.springs)
+        wired = (one for one in self._additions() if one[1][0] not in self.rivals)
         probable = sorted((one for one in wired if one[0] > 0.0), reverse=True)[:SHORT_LIST]
         best = next((one for one in probable if self._agreed(one[1])), None)
         if best is None:
@@ -251,7 +251,7 @@ class _State:
     def _candidates(self) -> list[str]:
         revolute = [joint.name for joint in self.arm.joints if joint.revolute]
         gains = [f"{GAIN}[{joint}]" for joint in self.arm.joint_names]
-        return [*gains, *(f"{ZERO}[{joint}]" for joint in revolute), DELAY, *self.tilts, *self.springs]
+        return [*gains, *(f"{ZERO}[{joint}]" for joint in revolute), DELAY, *self.tilts, *self.rivals]
 
     def relinearise(self) -> None:
         """Build the linear problem around the model and the wiring."""
@@ -274,7 +274,7 @@ class _State:
         precision[:count, :count] = np.diag(1.0 / ((scale * self.spread) ** 2 + self.payload**2))
         now = self.wiring.by_column(self.arm.joint_names)
         for number, name in enumerate(self.linear.names):
-            if name in self.springs and name not in names:
+            if name in self.rivals and name not in names:
                 mean[number], free[number] = 0.0, False
             if name not in now:
                 continue

@@ -317,7 +317,8 @@ def few_causes(known: Sequence[Change], linear: Linear, found: Estimate, simulat
         return None
     matrix = np.concatenate([columns for _, columns in chosen], axis=1)
     inverse = np.linalg.pinv(matrix.T @ matrix, hermitian=True)
-    values, spread = inverse @ matrix.T @ target, np.sqrt(np.diag(inverse))
+    values = inverse @ matrix.T @ target
+    spread = np.sqrt(np.diag(inverse) + _doubt(target, chosen, offered, values))
     ends = np.cumsum([columns.shape[1] for _, columns in chosen])[:-1]
     if not _possible(simulation.arm, [one for one, _ in chosen], np.split(values, ends)):
         return None
@@ -348,12 +349,13 @@ def _fewest(target: FloatArray, offered: Sequence[tuple[Cause, FloatArray]]) -> 
 
     Sets grow by one cause at a time, the best `KEPT` of them. None where `MOST_CAUSES` do not.
     """
+    claims = [_claim(cause) for cause, _ in offered]
     sets: list[tuple[int, ...]] = [()]
     enough: list[tuple[int, float, tuple[int, ...]]] = []
     for _ in range(MOST_CAUSES):
-        grown = sorted({tuple(sorted((*one, k))) for one in sets for k in range(len(offered)) if k not in one})
+        grown = {tuple(sorted((*one, k))) for one in sets for k in range(len(offered)) if _apart(claims, one, k)}
         scored = []
-        for one in grown:
+        for one in sorted(grown):
             width = sum(offered[k][1].shape[1] for k in one)
             if width < len(target):
                 left = _left(target, [offered[k][1] for k in one])
@@ -367,9 +369,41 @@ def _fewest(target: FloatArray, offered: Sequence[tuple[Cause, FloatArray]]) -> 
     if not enough:
         return ()
     width, squares, best = min(enough)
-    same = {_claim(offered[k][0]) for k in best}
-    rivals = (sq for w, sq, one in enough if w <= width and {_claim(offered[k][0]) for k in one} != same)
+    same = {claims[k] for k in best}
+    rivals = (sq for w, sq, one in enough if w <= width and {claims[k] for k in one} != same)
     return [offered[k] for k in best] if min(rivals, default=np.inf) > squares + APART else ()
+
+
+def _doubt(
+    target: FloatArray,
+    chosen: Sequence[tuple[Cause, FloatArray]],
+    offered: Sequence[tuple[Cause, FloatArray]],
+    values: FloatArray,
+) -> FloatArray:
+    """(d,) variance of the causes' values from what may be missing beside them: one more cause, too small to show.
+
+    Values with each of the others beside, weighted by its likelihood less its freedom (Akaike weights; Burnham and
+    Anderson 2002, chapter 4), all others together as probable beforehand as none.
+    """
+    claims = [_claim(cause) for cause, _ in chosen]
+    others = [columns for cause, columns in offered if _claim(cause) not in claims]
+    columns = [own for _, own in chosen]
+    left = _left(target, columns)
+    weights, apart = [1.0], [np.zeros(len(values))]
+    for more in others:
+        matrix = np.concatenate([*columns, more], axis=1)
+        if matrix.shape[1] < len(target):
+            fitted = np.linalg.lstsq(matrix, target, rcond=1e-9)[0]
+            beside = target - matrix @ fitted
+            drop = float(left @ left - beside @ beside)
+            weights.append(float(np.exp(0.5 * drop - more.shape[1])) / len(others))
+            apart.append(fitted[: len(values)] - values)
+    return np.asarray(np.average(np.square(apart), axis=0, weights=weights))
+
+
+def _apart(claims: Sequence[tuple[str, str]], chosen: Sequence[int], other: int) -> bool:
+    """Whether another cause claims what none of those chosen does."""
+    return all(claims[k] != claims[other] for k in chosen)
 
 
 def _claim(cause: Cause) -> tuple[str, str]:
