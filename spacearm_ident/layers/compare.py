@@ -34,7 +34,7 @@ from .conventions import Suspicion, find_wiring, without_columns
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
 from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
-from .parameters import Change, Explained, changes, combination_of, determined, few_causes, places_of
+from .parameters import LEVEL, Change, Explained, changes, combination_of, determined, few_causes, places_of, told
 from .physics import Added, added_terms, missing_physics, optional_terms, with_friction_terms
 from .wiring import DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
@@ -304,41 +304,31 @@ class _Pass:
 
 def _cause_items(simple: Explained, found: JointFit, shares: _Shares) -> list[Item]:
     """Causes as items; a centre of mass has one for each axis."""
-    simulation, items = found.simulation, []
-    places, was_of = places_of(found.linear), found.simulation.values
-    half = float(norm.ppf(0.975))
+    places, items = places_of(found.linear), []
+    half = float(norm.ppf(1 - LEVEL / 2))
     for cause, values, errors in zip(simple.causes, simple.values, simple.errors):
-        inertial, body = cause.inertial, cause.body
         without = found.estimate.values.copy()
         without[places] -= cause.directions @ values
         if not shares.rise(without) > SHOWS:
             continue
         share = shares.of(without)
-        for axis, change, error in zip(cause.axes or (0,), values, errors):
-            if cause.name == "mass":
-                was, name, where, key = float(inertial[0]), "mass", f"mass of {body}", f"{body}.mass"
-            elif cause.name == "armature":
-                was = was_of.get(f"J_m[{cause.joint}]", 0.0)
-                name, where, key = simulation.word("J_m"), cause.joint, f"{cause.joint}.armature"
-            else:
-                was = float(inertial[1 + axis] / inertial[0])
-                name, where, key = f"centre_of_mass_{'xyz'[axis]}", f"centre of mass of {body} along {'xyz'[axis]}", ""
-            low, high = was + change - half * error, was + change + half * error
-            items.append(
-                Item(
-                    name,
-                    (cause.joint,),
-                    where,
-                    was,
-                    was + float(change),
-                    float(low),
-                    float(high),
-                    cause.unit,
-                    share,
-                    None,
-                    {key: 1.0} if key else {},
-                )
+        items += [
+            Item(
+                one.name,
+                (cause.joint,),
+                one.where,
+                one.was,
+                one.now,
+                one.now - half * one.error,
+                one.now + half * one.error,
+                one.unit,
+                share,
+                None,
+                {one.key: 1.0} if one.key else {},
             )
+            for one in told(cause, values, errors, found.simulation)
+            if abs(one.now - one.was) > half * one.error
+        ]
     return items
 
 

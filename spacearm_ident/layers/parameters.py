@@ -36,6 +36,8 @@ MOST_CAUSES = 6
 """Causes that are a simple word: two links' mass and centre, and two rotors."""
 KEPT = 60
 """Sets of causes that are gone on with: all of one, and enough of two that no part of the best of three is missed."""
+MISSING = 0.1
+"""Prior probability that any one thing beside those named is off too, by less than shows (as `conventions.ODDS`)."""
 APART = 6.0
 """Chi-square by which another set of as few directions, of other causes, must fit worse: a likelihood ratio of
 twenty. Nearer, torque does not tell which of them it is."""
@@ -75,7 +77,7 @@ class Cause:
     """A simple change of one thing.
 
     Attributes:
-        name: `mass`, `centre_of_mass` or `armature`.
+        name: `mass`, `centre_of_mass` or `armature`; `body` where all of the last link may be another, as with a tool.
         body: Name of the body; of the joint where it is a rotor's.
         joint: That carries it.
         unit: SI.
@@ -83,6 +85,11 @@ class Cause:
         directions: (11 n, d) change of all inertials and rotor inertias a unit of each of its d directions.
         axes: (d,) of the joint's frame, along which a centre of mass moves.
     """
+
+    @property
+    def claim(self) -> tuple[str, str]:
+        """What it says is off; how a body's shape goes with its mass is no claim."""
+        return self.name, self.body
 
     name: str
     body: str
@@ -249,6 +256,10 @@ def causes(simulation: Simulation) -> list[Cause]:
             Cause("centre_of_mass", part.name, part.joint, "m", part.inertial, centre[:, list(axes)], axes)
             for axes in ((0,), (1,), (2,), (0, 1, 2))
         ]
+    last = [part for part in simulation.all_parts if part.joint == names[-1]]
+    whole = np.zeros((11 * n, 10))
+    whole[10 * n - 10 : 10 * n] = np.eye(10)
+    found += [Cause("body", part.name, part.joint, "kg", part.inertial, whole, (0, 1, 2)) for part in last[:1]]
     for k, joint in enumerate(names):
         rotor = np.zeros((11 * n, 1))
         rotor[10 * n + k, 0] = 1.0
@@ -284,6 +295,63 @@ class Explained:
     causes: tuple[Cause, ...]
     values: tuple[FloatArray, ...]
     errors: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True)
+class Told:
+    """One number of a cause, for a person.
+
+    Attributes:
+        name: Of the quantity.
+        where: In words.
+        key: Of the parameter in a combination; empty where it is none.
+        unit: SI.
+        was: In the simulation.
+        now: In the arm.
+        error: Standard error.
+    """
+
+    name: str
+    where: str
+    key: str
+    unit: str
+    was: float
+    now: float
+    error: float
+
+
+def told(cause: Cause, values: FloatArray, errors: FloatArray, simulation: Simulation) -> list[Told]:
+    """What a cause says: a mass, a rotor inertia, a centre of mass axis by axis; of a whole body mass and centre.
+
+    Args:
+        cause: The cause.
+        values: (d,) its change along its directions.
+        errors: (d,) standard errors of the same.
+        simulation: What it is a change of.
+    """
+    if cause.name == "armature":
+        was = simulation.values.get(f"J_m[{cause.joint}]", 0.0)
+        now, error = was + float(values[0]), float(errors[0])
+        return [Told(simulation.word("J_m"), cause.joint, f"{cause.joint}.armature", "kg m^2", was, now, error)]
+    mass, found = float(cause.inertial[0]), list[Told]()
+    centre = cause.inertial[1:4] / mass
+    if cause.name in ("mass", "body"):
+        now, error = mass + float(values[0]), float(errors[0])
+        found.append(Told("mass", f"mass of {cause.body}", f"{cause.body}.mass", "kg", mass, now, error))
+    if cause.name == "centre_of_mass":
+        moved, spread = centre[list(cause.axes)] + values, errors
+    elif cause.name == "body":
+        # The mass's error moves the centre as well: as if the two were independent.
+        moved = (cause.inertial[1:4] + values[1:4]) / (mass + values[0])
+        spread = np.hypot(errors[1:4], moved * errors[0]) / (mass + values[0])
+    else:
+        return found
+    for axis, place, error in zip(cause.axes, moved, spread):
+        where = f"centre of mass of {cause.body} along {'xyz'[axis]}"
+        found.append(
+            Told(f"centre_of_mass_{'xyz'[axis]}", where, "", "m", float(centre[axis]), float(place), float(error))
+        )
+    return found
 
 
 def few_causes(known: Sequence[Change], linear: Linear, found: Estimate, simulation: Simulation) -> Explained | None:
@@ -330,9 +398,13 @@ def _possible(arm: Arm, chosen: Sequence[Cause], values: Sequence[FloatArray]) -
     reach = max(float(np.linalg.norm(joint.translation)) for joint in arm.joints)
     for cause, change in zip(chosen, values):
         mass = float(cause.inertial[0])
-        if (cause.name == "mass" and mass + change[0] <= 0.0) or (
-            cause.name == "centre_of_mass" and float(np.linalg.norm(change)) > reach
-        ):
+        if cause.name in ("mass", "body") and mass + change[0] <= 0.0:
+            return False
+        if cause.name == "body":
+            moved = (cause.inertial[1:4] + change[1:4]) / (mass + change[0])
+        else:
+            moved = change if cause.name == "centre_of_mass" else np.zeros(3)
+        if float(np.linalg.norm(moved)) > reach:
             return False
     return True
 
@@ -349,7 +421,7 @@ def _fewest(target: FloatArray, offered: Sequence[tuple[Cause, FloatArray]]) -> 
 
     Sets grow by one cause at a time, the best `KEPT` of them. None where `MOST_CAUSES` do not.
     """
-    claims = [_claim(cause) for cause, _ in offered]
+    claims = [cause.claim for cause, _ in offered]
     sets: list[tuple[int, ...]] = [()]
     enough: list[tuple[int, float, tuple[int, ...]]] = []
     for _ in range(MOST_CAUSES):
@@ -383,10 +455,10 @@ def _doubt(
     """(d,) variance of the causes' values from what may be missing beside them: one more cause, too small to show.
 
     Values with each of the others beside, weighted by its likelihood less its freedom (Akaike weights; Burnham and
-    Anderson 2002, chapter 4), all others together as probable beforehand as none.
+    Anderson 2002, chapter 4) and by how probable it is beforehand (`MISSING`).
     """
-    claims = [_claim(cause) for cause, _ in chosen]
-    others = [columns for cause, columns in offered if _claim(cause) not in claims]
+    claims = [cause.claim for cause, _ in chosen]
+    others = [columns for cause, columns in offered if cause.claim not in claims]
     columns = [own for _, own in chosen]
     left = _left(target, columns)
     weights, apart = [1.0], [np.zeros(len(values))]
@@ -396,7 +468,7 @@ def _doubt(
             fitted = np.linalg.lstsq(matrix, target, rcond=1e-9)[0]
             beside = target - matrix @ fitted
             drop = float(left @ left - beside @ beside)
-            weights.append(float(np.exp(0.5 * drop - more.shape[1])) / len(others))
+            weights.append(MISSING * float(np.exp(0.5 * drop - more.shape[1])))
             apart.append(fitted[: len(values)] - values)
     return np.asarray(np.average(np.square(apart), axis=0, weights=weights))
 
@@ -404,8 +476,3 @@ def _doubt(
 def _apart(claims: Sequence[tuple[str, str]], chosen: Sequence[int], other: int) -> bool:
     """Whether another cause claims what none of those chosen does."""
     return all(claims[k] != claims[other] for k in chosen)
-
-
-def _claim(cause: Cause) -> tuple[str, str]:
-    """What a cause says is off; how a body's shape goes with its mass is no claim."""
-    return cause.name, cause.body
