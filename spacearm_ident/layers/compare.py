@@ -34,7 +34,7 @@ from .conventions import Suspicion, find_wiring, without_columns
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
 from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
-from .parameters import LEVEL, Change, Explained, changes, combination_of, determined, few_causes, places_of, told
+from .parameters import LEVEL, Change, Explained, changes, combination_of, determined, few_causes, places_of
 from .physics import Added, added_terms, missing_physics, optional_terms, with_friction_terms
 from .wiring import DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
@@ -171,10 +171,10 @@ class _Pass:
         above = np.maximum(simulated**2 - noise**2, 1e-12)
         ceiling = found.ceiling(stages[1]) * gain
         shares = _Shares(found, above, gain, after)
-        items, lost, seen = self._parameter_items(found, shares)
+        items, lost, seen, notes = self._parameter_items(found, shares)
         layers = (
             Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(suspected)),
-            Layer(PARAMETERS, rms[1], rms[2], items, self.simulation.notes),
+            Layer(PARAMETERS, rms[1], rms[2], items, (*self.simulation.notes, *notes)),
             Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, above), _unnamed(rest, gone)),
             Layer(REST, after, noise, _rest_items(explanation, after, noise, above)),
         )
@@ -235,14 +235,14 @@ class _Pass:
 
     def _parameter_items(
         self, found: JointFit, shares: _Shares
-    ) -> tuple[tuple[Item, ...], tuple[str, ...], tuple[Detectable, ...]]:
-        """What differs and is confirmed, names of what is not confirmed, and what agrees."""
+    ) -> tuple[tuple[Item, ...], tuple[str, ...], tuple[Detectable, ...], tuple[str, ...]]:
+        """What differs and is confirmed, names of what is not confirmed, what agrees, and what may differ, in words."""
         known = determined(found.linear, found.estimate, found.prior, self.simulation)
-        simple = few_causes(known, found.linear, found.estimate, self.simulation)
+        simple, others = few_causes(known, found.linear, found.estimate, self.simulation)
         changed, same = changes(known, found.estimate)
-        items = [] if simple is None else _cause_items(simple, found, shares)
+        items = _cause_items(simple, found, shares)
         for change in changed:
-            if simple is None or not change.of_bodies:
+            if not simple or not change.of_bodies:
                 rise = shares.rise(shares.back(change.vector, change.was))
                 if rise > SHOWS:
                     items.append(self._change_item(change, found, shares))
@@ -252,7 +252,8 @@ class _Pass:
         lost = tuple(f"{item.name} of {item.where}" for item in items if item.replicated is False)
         items = [item for item in items if item.replicated is not False]
         seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
-        return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf))), lost, seen
+        notes = (f"torque does not tell which of these differs, too: {'; '.join(others)}",) if others else ()
+        return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf))), lost, seen, notes
 
     def _change_item(self, change: Change, found: JointFit, shares: _Shares) -> Item:
         low, high = found.estimate.interval(change.vector)
@@ -302,33 +303,29 @@ class _Pass:
         return tuple(items)
 
 
-def _cause_items(simple: Explained, found: JointFit, shares: _Shares) -> list[Item]:
-    """Causes as items; a centre of mass has one for each axis."""
+def _cause_items(simple: Sequence[Explained], found: JointFit, shares: _Shares) -> list[Item]:
+    """Causes as items."""
     places, items = places_of(found.linear), []
     half = float(norm.ppf(1 - LEVEL / 2))
-    for cause, values, errors in zip(simple.causes, simple.values, simple.errors):
-        without = found.estimate.values.copy()
-        without[places] -= cause.directions @ values
-        if not shares.rise(without) > SHOWS:
-            continue
-        share = shares.of(without)
-        items += [
-            Item(
-                one.name,
-                (cause.joint,),
-                one.where,
-                one.was,
-                one.now,
-                one.now - half * one.error,
-                one.now + half * one.error,
-                one.unit,
-                share,
-                None,
-                {one.key: 1.0} if one.key else {},
+    for one in simple:
+        told, without = one.told, found.estimate.values.copy()
+        without[places] -= one.cause.directions @ one.values
+        if abs(told.now - told.was) > half * told.error and shares.rise(without) > SHOWS:
+            items.append(
+                Item(
+                    told.name,
+                    (one.cause.joint,),
+                    told.where,
+                    told.was,
+                    told.now,
+                    told.now - half * told.error,
+                    told.now + half * told.error,
+                    told.unit,
+                    shares.of(without),
+                    None,
+                    {told.key: 1.0} if told.key else {},
+                )
             )
-            for one in told(cause, values, errors, found.simulation)
-            if abs(one.now - one.was) > half * one.error
-        ]
     return items
 
 

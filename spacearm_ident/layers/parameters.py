@@ -2,8 +2,8 @@
 
 Torque determines combinations of inertials only (base parameters, Gautier 1991). What is reported is the simplest of
 
-- *causes*: a body's mass, its centre, a rotor's inertia; at most `MOST_CAUSES` of them, the fewest that together
-  account for the change of every combination within its error;
+- *causes*: a body's mass, its centre, a rotor's inertia; at most `MOST_CAUSES` of them that together account for the
+  change of every combination within its error, as far as all such sets agree;
 - the *combinations* themselves, each with was -> is, otherwise.
 
 Friction loss, damping and stiffness of a joint are determined one by one. A change is named if it exceeds its error at
@@ -13,7 +13,7 @@ Friction loss, damping and stiffness of a joint are determined one by one. A cha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -36,13 +36,12 @@ MOST_CAUSES = 6
 """Causes that are a simple word: two links' mass and centre, and two rotors."""
 KEPT = 60
 """Sets of causes that are gone on with: all of one, and enough of two that no part of the best of three is missed."""
-MISSING = 0.1
-"""Prior probability that any one thing beside those named is off too, by less than shows (as `conventions.ODDS`)."""
-APART = 6.0
-"""Chi-square by which another set of as few directions, of other causes, must fit worse: a likelihood ratio of
-twenty. Nearer, torque does not tell which of them it is."""
 ENOUGH = 0.01
 """Probability below which causes do not account for the change of the combinations."""
+IN_NEARLY_ALL = 0.95
+"""Weight of the sets of causes that say the same from which it is told."""
+NEAR = 14.0
+"""Difference of the criterion beyond which a set's weight, below a thousandth, is left out."""
 INERTIAL_WORDS = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 """What a body's ten parameters are called in a combination; about the origin of its frame."""
 OWN = frozenset({"k_v1", "f_c", "k_1"})
@@ -283,21 +282,6 @@ def _moved(inertial: FloatArray, axis: int) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Explained:
-    """A few causes that account for the change of all combinations.
-
-    Attributes:
-        causes: Which.
-        values: Of each, its change along its directions.
-        errors: Standard errors of the same.
-    """
-
-    causes: tuple[Cause, ...]
-    values: tuple[FloatArray, ...]
-    errors: tuple[FloatArray, ...]
-
-
-@dataclass(frozen=True)
 class Told:
     """One number of a cause, for a person.
 
@@ -320,7 +304,7 @@ class Told:
     error: float
 
 
-def told(cause: Cause, values: FloatArray, errors: FloatArray, simulation: Simulation) -> list[Told]:
+def told_of(cause: Cause, values: FloatArray, errors: FloatArray, simulation: Simulation) -> list[Told]:
     """What a cause says: a mass, a rotor inertia, a centre of mass axis by axis; of a whole body mass and centre.
 
     Args:
@@ -354,20 +338,42 @@ def told(cause: Cause, values: FloatArray, errors: FloatArray, simulation: Simul
     return found
 
 
-def few_causes(known: Sequence[Change], linear: Linear, found: Estimate, simulation: Simulation) -> Explained | None:
-    """The causes by which alone the simulation's inertials differ; None where they are too many for a simple word.
+@dataclass(frozen=True)
+class Explained:
+    """A number that accounts, with others, for the change of all combinations.
 
-    Of all sets that leave what chance leaves of the change (chi-square), the one with the fewest directions.
+    Attributes:
+        told: It, its value and error over all sets of causes that do.
+        cause: Whose it is, in the best of them.
+        values: (d,) change of that cause along its directions.
+    """
+
+    told: Told
+    cause: Cause
+    values: FloatArray
+
+
+def few_causes(
+    known: Sequence[Change], linear: Linear, found: Estimate, simulation: Simulation
+) -> tuple[tuple[Explained, ...], tuple[str, ...]]:
+    """The causes by which alone the simulation's inertials differ; none where they are too many for a simple word.
+
+    Sets of causes that leave what chance leaves of the change (chi-square) are weighted by how well they fit less
+    their freedom (Akaike weights; Burnham and Anderson 2002, chapter 4). What nearly all of them say is told, with the
+    spread between them in its error: torque does not tell a tool from a heavier hand.
 
     Args:
         known: What the data determine.
         linear: The problem that was solved.
         found: Its solution.
         simulation: What to compare with.
+
+    Returns:
+        What is told; and in words what else may be off, where sets differ in that.
     """
     base = [one for one in known if one.of_bodies]
     if not base:
-        return None
+        return (), ()
     rows = np.stack([one.vector for one in base])
     delta = rows @ found.values - np.array([one.was for one in base])
     errors = np.array([found.error(one.vector) for one in base])
@@ -378,19 +384,87 @@ def few_causes(known: Sequence[Change], linear: Linear, found: Estimate, simulat
     whiten = np.linalg.pinv(np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance))))
     target = whiten @ delta
     if chi2.sf(float(target @ target), len(target)) > ENOUGH:
-        return None
+        return (), ()
     offered = [(one, whiten @ rows[:, places_of(linear)] @ one.directions) for one in causes(simulation)]
-    chosen = _fewest(target, offered)
-    if not chosen:
-        return None
+    return _in_nearly_all(_sufficient(target, offered, simulation), simulation)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A set of causes with values (d,) and errors (d,) of each; squares left and twice its directions."""
+
+    causes: tuple[Cause, ...]
+    values: tuple[FloatArray, ...]
+    errors: tuple[FloatArray, ...]
+    criterion: float
+
+
+def _fitted(target: FloatArray, chosen: Sequence[tuple[Cause, FloatArray]]) -> _Fitted:
     matrix = np.concatenate([columns for _, columns in chosen], axis=1)
     inverse = np.linalg.pinv(matrix.T @ matrix, hermitian=True)
     values = inverse @ matrix.T @ target
-    spread = np.sqrt(np.diag(inverse) + _doubt(target, chosen, offered, values))
+    left = target - matrix @ values
     ends = np.cumsum([columns.shape[1] for _, columns in chosen])[:-1]
-    if not _possible(simulation.arm, [one for one, _ in chosen], np.split(values, ends)):
-        return None
-    return Explained(tuple(one for one, _ in chosen), tuple(np.split(values, ends)), tuple(np.split(spread, ends)))
+    spread = np.sqrt(np.diag(inverse))
+    criterion = float(left @ left) + 2.0 * matrix.shape[1]
+    return _Fitted(
+        tuple(one for one, _ in chosen), tuple(np.split(values, ends)), tuple(np.split(spread, ends)), criterion
+    )
+
+
+def _sufficient(
+    target: FloatArray, offered: Sequence[tuple[Cause, FloatArray]], simulation: Simulation
+) -> list[_Fitted]:
+    """Sets of at most `MOST_CAUSES` that leave what chance leaves and could be, the best first.
+
+    Sets grow by one cause at a time, the best `KEPT` of them.
+    """
+    claims = [cause.claim for cause, _ in offered]
+    sets: list[tuple[int, ...]] = [()]
+    enough: list[tuple[float, tuple[int, ...]]] = []
+    for _ in range(MOST_CAUSES):
+        grown = {tuple(sorted((*one, k))) for one in sets for k in range(len(offered)) if _apart(claims, one, k)}
+        scored = []
+        for one in sorted(grown):
+            width = sum(offered[k][1].shape[1] for k in one)
+            if width < len(target):
+                left = _left(target, [offered[k][1] for k in one])
+                squares = float(left @ left)
+                scored.append((squares + 2.0 * width, one))
+                if chi2.sf(squares, len(target) - width) > ENOUGH:
+                    enough.append(scored[-1])
+        scored.sort()
+        sets = [one for _, one in scored[:KEPT]]
+    enough.sort()
+    near = [one for criterion, one in enough if criterion < enough[0][0] + NEAR]
+    found = (_fitted(target, [offered[k] for k in one]) for one in near)
+    return [one for one in found if _possible(simulation.arm, one.causes, one.values)]
+
+
+def _in_nearly_all(sets: Sequence[_Fitted], simulation: Simulation) -> tuple[tuple[Explained, ...], tuple[str, ...]]:
+    """What nearly all of these say, averaged; and the words of what a good share of them say."""
+    if not sets:
+        return (), ()
+    weights = np.exp(-0.5 * (np.array([one.criterion for one in sets]) - sets[0].criterion))
+    weights /= weights.sum()
+    said: dict[str, list[tuple[float, Told, Cause, FloatArray]]] = {}
+    for weight, one in zip(weights, sets):
+        for cause, values, errors in zip(one.causes, one.values, one.errors):
+            for told in told_of(cause, values, errors, simulation):
+                said.setdefault(told.where, []).append((float(weight), told, cause, values))
+    explained, others = [], []
+    for where, every in said.items():
+        share = sum(weight for weight, *_ in every)
+        if share > IN_NEARLY_ALL:
+            values, errors = (np.array([getattr(told, name) for _, told, *_ in every]) for name in ("now", "error"))
+            own = np.array([weight for weight, *_ in every]) / share
+            now = float(own @ values)
+            error = float(np.sqrt(own @ (errors**2 + (values - now) ** 2)))
+            _, told, cause, change = every[0]
+            explained.append(Explained(replace(told, now=now, error=error), cause, change))
+        elif share > 1.0 - IN_NEARLY_ALL:
+            others.append(where)
+    return tuple(explained), tuple(others)
 
 
 def _possible(arm: Arm, chosen: Sequence[Cause], values: Sequence[FloatArray]) -> bool:
@@ -414,63 +488,6 @@ def _left(target: FloatArray, columns: Sequence[FloatArray]) -> FloatArray:
         return target
     matrix = np.concatenate(columns, axis=1)
     return np.asarray(target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-9)[0])
-
-
-def _fewest(target: FloatArray, offered: Sequence[tuple[Cause, FloatArray]]) -> Sequence[tuple[Cause, FloatArray]]:
-    """The causes with the fewest directions that leave what chance leaves, if no others do as well.
-
-    Sets grow by one cause at a time, the best `KEPT` of them. None where `MOST_CAUSES` do not.
-    """
-    claims = [cause.claim for cause, _ in offered]
-    sets: list[tuple[int, ...]] = [()]
-    enough: list[tuple[int, float, tuple[int, ...]]] = []
-    for _ in range(MOST_CAUSES):
-        grown = {tuple(sorted((*one, k))) for one in sets for k in range(len(offered)) if _apart(claims, one, k)}
-        scored = []
-        for one in sorted(grown):
-            width = sum(offered[k][1].shape[1] for k in one)
-            if width < len(target):
-                left = _left(target, [offered[k][1] for k in one])
-                scored.append((float(left @ left), width, one))
-        # A direction more is worth what a wrong one gains by chance.
-        scored.sort(key=lambda each: each[0] + 2.0 * each[1])
-        enough += [(w, sq, one) for sq, w, one in scored if chi2.sf(sq, len(target) - w) > ENOUGH]
-        if enough and min(enough)[0] <= min((w for _, w, _ in scored), default=0):
-            break
-        sets = [one for _, _, one in scored[:KEPT]]
-    if not enough:
-        return ()
-    width, squares, best = min(enough)
-    same = {claims[k] for k in best}
-    rivals = (sq for w, sq, one in enough if w <= width and {claims[k] for k in one} != same)
-    return [offered[k] for k in best] if min(rivals, default=np.inf) > squares + APART else ()
-
-
-def _doubt(
-    target: FloatArray,
-    chosen: Sequence[tuple[Cause, FloatArray]],
-    offered: Sequence[tuple[Cause, FloatArray]],
-    values: FloatArray,
-) -> FloatArray:
-    """(d,) variance of the causes' values from what may be missing beside them: one more cause, too small to show.
-
-    Values with each of the others beside, weighted by its likelihood less its freedom (Akaike weights; Burnham and
-    Anderson 2002, chapter 4) and by how probable it is beforehand (`MISSING`).
-    """
-    claims = [cause.claim for cause, _ in chosen]
-    others = [columns for cause, columns in offered if cause.claim not in claims]
-    columns = [own for _, own in chosen]
-    left = _left(target, columns)
-    weights, apart = [1.0], [np.zeros(len(values))]
-    for more in others:
-        matrix = np.concatenate([*columns, more], axis=1)
-        if matrix.shape[1] < len(target):
-            fitted = np.linalg.lstsq(matrix, target, rcond=1e-9)[0]
-            beside = target - matrix @ fitted
-            drop = float(left @ left - beside @ beside)
-            weights.append(MISSING * float(np.exp(0.5 * drop - more.shape[1])))
-            apart.append(fitted[: len(values)] - values)
-    return np.asarray(np.average(np.square(apart), axis=0, weights=weights))
 
 
 def _apart(claims: Sequence[tuple[str, str]], chosen: Sequence[int], other: int) -> bool:
