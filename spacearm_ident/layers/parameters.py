@@ -38,10 +38,20 @@ KEPT = 60
 """Sets of causes that are gone on with: all of one, and enough of two that no part of the best of three is missed."""
 ENOUGH = 0.01
 """Probability below which causes do not account for the change of the combinations."""
+OFF = 0.1
+"""Prior probability that any one thing is off (as `conventions.ODDS`)."""
+MASS_SHARE, CENTRE_M, ROTOR_SHARE = 0.3, 0.03, 0.5
+"""Standard deviations of what is off where something is: of a mass and of a rotor inertia, as a share; of a centre."""
+LEAST_ROTOR = 0.1
+"""kg m^2: a file without rotor inertias says nothing of them; of the real arms in hand most have 0.1 to 1."""
+TOOL = (1.0, *3 * (0.1,), *6 * (0.02,))
+"""The same of all parameters of the last link, about its joint: a tool of a kilogram at a hand's length."""
 IN_NEARLY_ALL = 0.95
-"""Weight of the sets of causes that say the same from which it is told."""
-NEAR = 14.0
-"""Difference of the criterion beyond which a set's weight, below a thousandth, is left out."""
+"""Probability of the sets of causes that say the same from which it is told."""
+IN_MANY = 0.3
+"""The same from which it is said to be possible: three times what is so before any data."""
+NEAR = 7.0
+"""Difference of the log probability beyond which a set, below a thousandth, is left out."""
 INERTIAL_WORDS = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 """What a body's ten parameters are called in a combination; about the origin of its frame."""
 OWN = frozenset({"k_v1", "f_c", "k_1"})
@@ -82,6 +92,7 @@ class Cause:
         unit: SI.
         inertial: (10,) of the body in the simulation, in the frame of the joint.
         directions: (11 n, d) change of all inertials and rotor inertias a unit of each of its d directions.
+        spread: (d,) standard deviation of the change along each direction, before the data.
         axes: (d,) of the joint's frame, along which a centre of mass moves.
     """
 
@@ -96,6 +107,7 @@ class Cause:
     unit: str
     inertial: FloatArray
     directions: FloatArray
+    spread: tuple[float, ...]
     axes: tuple[int, ...] = ()
 
 
@@ -248,21 +260,31 @@ def causes(simulation: Simulation) -> list[Cause]:
         point[own, 0] = _point(part.inertial[1:4] / part.inertial[0])
         centre[own] = np.column_stack([_moved(part.inertial, axis) for axis in range(3)])
         found += [
-            Cause("mass", part.name, part.joint, "kg", part.inertial, dense),
-            Cause("mass", part.name, part.joint, "kg", part.inertial, point),
+            Cause("mass", part.name, part.joint, "kg", part.inertial, shape, (MASS_SHARE * float(part.inertial[0]),))
+            for shape in (dense, point)
         ]
         found += [
-            Cause("centre_of_mass", part.name, part.joint, "m", part.inertial, centre[:, list(axes)], axes)
+            Cause(
+                "centre_of_mass",
+                part.name,
+                part.joint,
+                "m",
+                part.inertial,
+                centre[:, list(axes)],
+                len(axes) * (CENTRE_M,),
+                axes,
+            )
             for axes in ((0,), (1,), (2,), (0, 1, 2))
         ]
     last = [part for part in simulation.all_parts if part.joint == names[-1]]
     whole = np.zeros((11 * n, 10))
     whole[10 * n - 10 : 10 * n] = np.eye(10)
-    found += [Cause("body", part.name, part.joint, "kg", part.inertial, whole, (0, 1, 2)) for part in last[:1]]
+    found += [Cause("body", part.name, part.joint, "kg", part.inertial, whole, TOOL, (0, 1, 2)) for part in last[:1]]
     for k, joint in enumerate(names):
         rotor = np.zeros((11 * n, 1))
         rotor[10 * n + k, 0] = 1.0
-        found.append(Cause("armature", joint, joint, "kg m^2", np.zeros(10), rotor))
+        spread = (max(ROTOR_SHARE * simulation.values.get(f"J_m[{joint}]", 0.0), LEAST_ROTOR),)
+        found.append(Cause("armature", joint, joint, "kg m^2", np.zeros(10), rotor, spread))
     return found
 
 
@@ -358,9 +380,9 @@ def few_causes(
 ) -> tuple[tuple[Explained, ...], tuple[str, ...]]:
     """The causes by which alone the simulation's inertials differ; none where they are too many for a simple word.
 
-    Sets of causes that leave what chance leaves of the change (chi-square) are weighted by how well they fit less
-    their freedom (Akaike weights; Burnham and Anderson 2002, chapter 4). What nearly all of them say is told, with the
-    spread between them in its error: torque does not tell a tool from a heavier hand.
+    Of sets of causes that leave what chance leaves of the change (chi-square) each has a probability (Hoeting et al.
+    1999, Bayesian model averaging). What nearly all of them say is told, with the spread between them in its error:
+    torque does not tell a tool from a heavier hand.
 
     Args:
         known: What the data determine.
@@ -391,61 +413,67 @@ def few_causes(
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A set of causes with values (d,) and errors (d,) of each; squares left and twice its directions."""
+    """A set of causes with values (d,) and errors (d,) of each, its log probability, and the squares that it leaves."""
 
     causes: tuple[Cause, ...]
     values: tuple[FloatArray, ...]
     errors: tuple[FloatArray, ...]
-    criterion: float
+    log_probability: float
+    squares: float
 
 
 def _fitted(target: FloatArray, chosen: Sequence[tuple[Cause, FloatArray]]) -> _Fitted:
+    """Bayesian linear regression with the causes' own priors (Bishop 2006, eqs 3.50 to 3.54 and 3.86)."""
     matrix = np.concatenate([columns for _, columns in chosen], axis=1)
-    inverse = np.linalg.pinv(matrix.T @ matrix, hermitian=True)
-    values = inverse @ matrix.T @ target
+    spread = np.array([sd for cause, _ in chosen for sd in cause.spread])
+    scaled = matrix * spread
+    precision = np.eye(len(spread)) + scaled.T @ scaled
+    inverse = np.linalg.inv(precision)
+    slope = scaled.T @ target
+    values, errors = spread * (inverse @ slope), spread * np.sqrt(np.diag(inverse))
     left = target - matrix @ values
+    # Relative to no cause at all.
+    log_probability = 0.5 * float(slope @ inverse @ slope) - 0.5 * float(np.linalg.slogdet(precision)[1])
     ends = np.cumsum([columns.shape[1] for _, columns in chosen])[:-1]
-    spread = np.sqrt(np.diag(inverse))
-    criterion = float(left @ left) + 2.0 * matrix.shape[1]
     return _Fitted(
-        tuple(one for one, _ in chosen), tuple(np.split(values, ends)), tuple(np.split(spread, ends)), criterion
+        tuple(one for one, _ in chosen),
+        tuple(np.split(values, ends)),
+        tuple(np.split(errors, ends)),
+        log_probability + len(chosen) * float(np.log(OFF / (1.0 - OFF))),
+        float(left @ left),
     )
 
 
 def _sufficient(
     target: FloatArray, offered: Sequence[tuple[Cause, FloatArray]], simulation: Simulation
 ) -> list[_Fitted]:
-    """Sets of at most `MOST_CAUSES` that leave what chance leaves and could be, the best first.
+    """Sets of at most `MOST_CAUSES` that leave what chance leaves and could be, the most probable first.
 
     Sets grow by one cause at a time, the best `KEPT` of them.
     """
     claims = [cause.claim for cause, _ in offered]
     sets: list[tuple[int, ...]] = [()]
-    enough: list[tuple[float, tuple[int, ...]]] = []
+    enough: list[_Fitted] = []
     for _ in range(MOST_CAUSES):
         grown = {tuple(sorted((*one, k))) for one in sets for k in range(len(offered)) if _apart(claims, one, k)}
-        scored = []
-        for one in sorted(grown):
-            width = sum(offered[k][1].shape[1] for k in one)
-            if width < len(target):
-                left = _left(target, [offered[k][1] for k in one])
-                squares = float(left @ left)
-                scored.append((squares + 2.0 * width, one))
-                if chi2.sf(squares, len(target) - width) > ENOUGH:
-                    enough.append(scored[-1])
-        scored.sort()
+        scored = [(_fitted(target, [offered[k] for k in one]), one) for one in sorted(grown)]
+        scored.sort(key=lambda each: -each[0].log_probability)
+        enough += [fit for fit, _ in scored if chi2.sf(fit.squares, max(len(target) - _width(fit), 1)) > ENOUGH]
         sets = [one for _, one in scored[:KEPT]]
-    enough.sort()
-    near = [one for criterion, one in enough if criterion < enough[0][0] + NEAR]
-    found = (_fitted(target, [offered[k] for k in one]) for one in near)
-    return [one for one in found if _possible(simulation.arm, one.causes, one.values)]
+    enough.sort(key=lambda fit: -fit.log_probability)
+    near = [fit for fit in enough if fit.log_probability > enough[0].log_probability - NEAR]
+    return [fit for fit in near if _possible(simulation.arm, fit.causes, fit.values)]
+
+
+def _width(fit: _Fitted) -> int:
+    return sum(len(values) for values in fit.values)
 
 
 def _in_nearly_all(sets: Sequence[_Fitted], simulation: Simulation) -> tuple[tuple[Explained, ...], tuple[str, ...]]:
     """What nearly all of these say, averaged; and the words of what a good share of them say."""
     if not sets:
         return (), ()
-    weights = np.exp(-0.5 * (np.array([one.criterion for one in sets]) - sets[0].criterion))
+    weights = np.exp(np.array([one.log_probability for one in sets]) - sets[0].log_probability)
     weights /= weights.sum()
     said: dict[str, list[tuple[float, Told, Cause, FloatArray]]] = {}
     for weight, one in zip(weights, sets):
@@ -462,7 +490,7 @@ def _in_nearly_all(sets: Sequence[_Fitted], simulation: Simulation) -> tuple[tup
             error = float(np.sqrt(own @ (errors**2 + (values - now) ** 2)))
             _, told, cause, change = every[0]
             explained.append(Explained(replace(told, now=now, error=error), cause, change))
-        elif share > 1.0 - IN_NEARLY_ALL:
+        elif share > IN_MANY:
             others.append(where)
     return tuple(explained), tuple(others)
 
@@ -481,13 +509,6 @@ def _possible(arm: Arm, chosen: Sequence[Cause], values: Sequence[FloatArray]) -
         if float(np.linalg.norm(moved)) > reach:
             return False
     return True
-
-
-def _left(target: FloatArray, columns: Sequence[FloatArray]) -> FloatArray:
-    if not columns:
-        return target
-    matrix = np.concatenate(columns, axis=1)
-    return np.asarray(target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-9)[0])
 
 
 def _apart(claims: Sequence[tuple[str, str]], chosen: Sequence[int], other: int) -> bool:

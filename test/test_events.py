@@ -1,0 +1,67 @@
+"""Something touches the arm in every recording at another time: it is named, and nothing is judged while it lasts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from changed_arm import ARM, HEALTHY, NOISE, run
+from hypothesis import given
+from hypothesis import strategies as st
+
+from spacearm_ident.mismatch.explain import explain
+from spacearm_ident.mismatch.stacked import Stacked
+
+FORCE_N = (12.0, -16.0)
+"""In the plane of the arm, x and z; 0.4 m along the second link."""
+
+
+def pushed(begin_s, length_s=3.0):
+    """What a force that comes and goes as a raised cosine adds to the torque: -J^T F of the planar arm, on paper."""
+
+    def extra(planted):
+        first, both = planted.q[:, 0], planted.q.sum(axis=1)
+        across, along = (np.array([0.5 * f(first) + 0.4 * f(both), 0.4 * f(both)]).T for f in (np.cos, np.sin))
+        phase = np.clip((np.arange(len(first)) / planted.rate_hz - begin_s) / length_s, 0.0, 1.0)
+        rises = 0.5 - 0.5 * np.cos(2.0 * np.pi * phase)
+        return -(across * FORCE_N[0] - along * FORCE_N[1]) * rises[:, None]
+
+    return extra
+
+
+def test_a_push_at_another_time_in_every_recording_is_one_contact_with_its_force():
+    field = [run(2, pushed(4.0)), run(4, pushed(9.0))]
+    answer = explain(ARM, [], field, [run(3, pushed(6.0))])
+    assert [finding.effect for finding in answer.findings] == ["external_contact"]
+    (contact,) = answer.findings
+    force = next(quantity for name, quantity in contact.parameters.items() if name.startswith("force"))
+    assert force.value == pytest.approx(np.hypot(*FORCE_N), rel=0.15)
+    assert np.all(answer.after_Nm < 1.15 * np.array(NOISE))
+    # The push of the held-out recording, 6 to 9 s: most of it, and little more.
+    during = np.linspace(0.0, 16.0, 1601)
+    void = np.any([(during >= one.begin_s) & (during < one.end_s) for one in answer.happened], axis=0)
+    assert void[(during > 6.5) & (during < 8.5)].all()
+    assert not void[(during < 5.0) | (during > 10.0)].any()
+    assert {one.recording for one in answer.happened} == {2}
+    assert any("held-out recording 1" in reason for reason in answer.reasons)
+
+
+def test_a_push_in_the_field_alone_leaves_all_of_the_other_recording_judged():
+    answer = explain(ARM, [HEALTHY], [run(2, pushed(5.0))], [run(3)])
+    assert [finding.effect for finding in answer.findings] == ["external_contact"]
+    assert not answer.happened
+    assert answer.findings[0].explained > 0.8
+
+
+@given(
+    st.lists(st.integers(0, 29), min_size=1, unique=True),
+    st.lists(st.integers(0, 29), min_size=1, unique=True),
+    st.tuples(st.integers(0, 29), st.integers(1, 30)),
+    st.tuples(st.integers(0, 29), st.integers(1, 30)),
+)
+def test_inner_products_are_those_of_whole_columns(some, others, first, second):
+    rng = np.random.default_rng(0)
+    rows = [np.sort(some), np.sort(others), *(slice(a, min(a + n, 30)) for a, n in (first, second))]
+    stacks = [Stacked(own, rng.normal(size=(len(np.arange(30)[own]), 2))) for own in rows]
+    for one in stacks:
+        for other in stacks:
+            np.testing.assert_allclose(one.inner(other), one.whole(30).T @ other.whole(30), atol=1e-12)
