@@ -98,15 +98,7 @@ def with_effects(model: IdentifiedModel, places: Sequence[tuple[str, Mapping[str
     for kind, place in places:
         options = structure.setdefault(kind, {})
         options["at"] = [*options.get("at", ()), dict(place)]
-    wider = TorqueModel(model.model.arm, structure)
-    parameters = {item.name: value for item, value in zip(model.model.parameters, model.parameters)}
-    constants = {item.name: value for item, value in zip(model.model.constants, model.constants)}
-    return replace(
-        model,
-        model=wider,
-        parameters=np.array([parameters.get(item.name, 0.0) for item in wider.parameters]),
-        constants=np.array([constants.get(item.name, 0.0) for item in wider.constants]),
-    )
+    return model.carried_to(TorqueModel(model.model.arm, structure))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.friction import StribeckFriction
-from ..dynamics.model import Structure, TorqueModel
+from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from .fit import Fit
 from .held_out import folds_of, time_blocks
 from .joint_terms import JointTerms
@@ -167,8 +167,7 @@ def _with_everything(fit: Fit) -> tuple[Regression, FloatArray]:
     }
     model = TorqueModel(fitted.arm, structure)
     regression = Regression(model, fit.regression.motions, fit.regression)
-    by_name = {parameter.name: value for parameter, value in zip(fitted.parameters, solution.parameters)}
-    start = np.array([by_name.get(parameter.name, 0.0) for parameter in model.parameters])
+    start = IdentifiedModel(fitted, solution.parameters, solution.constants).carried_to(model).parameters
     regression.update_background(start, solution.constants)
     return regression, solution.constants
 

@@ -17,7 +17,7 @@ from scipy.linalg import lstsq
 
 from ..dynamics.arm import FloatArray
 from ..dynamics.friction import ViscousFriction
-from ..dynamics.model import Structure, TorqueModel
+from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..identification.fit import Fit
 from ..identification.identified import Choice
 from ..identification.prior import make_prior
@@ -137,8 +137,7 @@ def _everything(regression: Regression, solution: Solution) -> tuple[TorqueModel
     full = Regression(model, regression.motions, regression)
     for rows, known in zip(full.rows, regression.rows):
         rows.set_weight(known.weight)
-    by_name = {parameter.name: value for parameter, value in zip(fitted.parameters, solution.parameters)}
-    start = np.array([by_name.get(parameter.name, 0.0) for parameter in model.parameters])
+    start = IdentifiedModel(fitted, solution.parameters, solution.constants).carried_to(model).parameters
     full.update_background(start, solution.constants)
     matrix, vector = system(full, make_prior(model, regression.motions), solution.constants)
     return model, matrix, vector
