@@ -35,7 +35,7 @@ then moves the estimate by less than one per cent of the distance."""
 MOST_CAUSES = 6
 """Causes that are a simple word: two links' mass and centre, and two rotors."""
 KEPT = 60
-"""Sets of causes that are gone on with: all of one, and enough of two that no part of the best of three is missed."""
+"""Sets of causes of one size that are gone on with: all of one, and the best of more."""
 ENOUGH = 0.01
 """Probability below which causes do not account for the change of the combinations."""
 OFF = 0.1
@@ -512,5 +512,7 @@ def _possible(arm: Arm, chosen: Sequence[Cause], values: Sequence[FloatArray]) -
 
 
 def _apart(claims: Sequence[tuple[str, str]], chosen: Sequence[int], other: int) -> bool:
-    """Whether another cause claims what none of those chosen does."""
-    return all(claims[k] != claims[other] for k in chosen)
+    """Whether another cause claims what none of those chosen does; all of a body is its mass and its centre."""
+    name, body = claims[other]
+    same = [claims[k][0] for k in chosen if claims[k][1] == body]
+    return name not in same and "body" not in same and not (same and name == "body")
