@@ -160,8 +160,10 @@ def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, c
     assert set(document["ceiling_Nm"]) == set(JOINTS)
     assert document["mended_simulation"] == "mended.xml"
     assert read_simulation(out / "mended.xml").arm.joint_names == JOINTS
+    was, now = (document["closed_loop"][name]["feedback_rms_Nm"] for name in ("simulation", "mended"))
+    assert now["elbow"] < 0.5 * was["elbow"] and now["shoulder"] < 0.5 * was["shoulder"]
     page = (out / "report.html").read_text()
-    assert "mass of fore" in page and "mended.xml" in page
+    assert "mass of fore" in page and "mended.xml" in page and "In closed loop" in page
 
 
 def test_simulation_that_the_result_would_replace_is_refused_and_kept(

@@ -98,6 +98,12 @@ def test_mended_mjcf_predicts_in_mujoco_what_the_model_predicts(file: Path, tmp_
     assert mended is not None
     states = _states()
     np.testing.assert_allclose(inverse(mended.text, *states), inverse(other.read_text(), *states), atol=1e-5)
+    # The torque is this file's own, not the other's: in closed loop it is this one that follows it.
+    assert mended.closed_loop is not None
+    right, wrong = mended.closed_loop
+    for joint in JOINTS:
+        assert right.feedback_Nm[joint] < 0.2 * wrong.feedback_Nm[joint]
+        assert right.position[joint] < 0.2 * wrong.position[joint]
 
 
 def test_mended_mjcf_counts_a_body_behind_a_fixed_joint_once(file: Path) -> None:

@@ -132,8 +132,7 @@ def _simulation(options: argparse.Namespace) -> int:
         )
     comparison, mended = session.comparison, session.mended
     if options.json:
-        name = None if mended is None else mended.name
-        document = comparison_document(comparison, session.simulation.source, name)
+        document = comparison_document(comparison, session.simulation.source, mended)
         print(json.dumps(document, indent=2, allow_nan=False))
     else:
         print(comparison_summary(comparison, session.page, mended, session.simulation.arm.effort_unit))
@@ -187,6 +186,17 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
         f"{joint:24}" + "".join(f"{value:13.3f}" for value in values)
         for joint, *values in zip(comparison.joints, *columns)
     ]
+    if mended is not None and mended.closed_loop is not None:
+        was, now = mended.closed_loop
+        lines.append(f"closed loop in MuJoCo along the held-out motion: feedback RMS, {unit}; distance RMS, rad (m)")
+        lines.append(
+            f"{'joint':24}" + "".join(f"{head:>13}" for head in ("feedback", "corrected", "distance", "corrected"))
+        )
+        lines += [
+            f"{joint:24}{was.feedback_Nm[joint]:13.3f}{now.feedback_Nm[joint]:13.3f}"
+            f"{was.position[joint]:13.4f}{now.position[joint]:13.4f}"
+            for joint in comparison.joints
+        ]
     return "\n".join(lines)
 
 

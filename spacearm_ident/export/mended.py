@@ -6,6 +6,7 @@ What a format has no place for is fitted by what it has (`export.law.nearest`), 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,6 +20,7 @@ from ..report.formats import ARMATURE, DAMPING, FRICTION, MJCF, SDF, STIFFNESS, 
 from ..report.urdf import identified_urdf
 from ..simulations import Simulation
 from ..simulations.mjcf import mujoco_or_error
+from .closed_loop import follow
 from .frames import bodies_of, quaternion
 from .law import Nearest, nearest
 from .sdf import sdf
@@ -31,7 +33,7 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
         simulation: As it was read.
         path: Its file.
         model: The values; bodies such as can be.
-        motions: Where the format's parameters are to be near the model's.
+        motions: Where the format's parameters are to be near the model's; with the arm's torque there.
 
     Raises:
         UserError: A body that cannot be.
@@ -41,7 +43,10 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
         return None
     fit = nearest(model, form, motions)
     if simulation.format == "mjcf":
-        return _mended("mended.xml", _mjcf(mujoco_or_error(), path, model, fit), fit)
+        mujoco = mujoco_or_error()
+        spec, original = _mjcf(mujoco, path, model, fit), mujoco.MjModel.from_xml_path(str(path))
+        runs = [follow(mujoco, one, original, motions) for one in (original, spec.compile())]
+        return replace(_mended("mended.xml", str(spec.to_xml()), fit), closed_loop=(runs[0], runs[1]))
     if simulation.format == "sdf":
         return _mended("mended.sdf", sdf(model, fit, [f"{simulation.source}, mended by spacearm_ident"]), fit)
     dynamics = {joint: (own[DAMPING], own[FRICTION]) for joint, own in fit.values.items()}
@@ -52,7 +57,7 @@ def _mended(name: str, text: str, fit: Nearest) -> Mended:
     return Mended(name, text, fit.lost, fit.cost_Nm, fit.torque_Nm)
 
 
-def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) -> str:
+def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) -> Any:
     """The MJCF with new inertials, armature, damping and friction loss; everything else as it was."""
     spec = mujoco.MjSpec.from_file(str(path))
     joints = frozenset(model.model.arm.joint_names)
@@ -78,7 +83,7 @@ def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) 
         if values.get(STIFFNESS):
             joint.stiffness = _first(joint.stiffness, values[STIFFNESS])
     spec.compile()
-    return str(spec.to_xml())
+    return spec
 
 
 LEAST = 1e-9

@@ -34,7 +34,17 @@ from .conventions import Suspicion, find_wiring, without_columns
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
 from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
-from .parameters import LEVEL, Change, Explained, changes, combination_of, determined, few_causes, places_of
+from .parameters import (
+    LEVEL,
+    Change,
+    Explained,
+    changes,
+    combination_of,
+    combinations,
+    determined,
+    few_causes,
+    places_of,
+)
 from .physics import Added, added_terms, missing_physics, optional_terms, with_friction_terms
 from .wiring import DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
@@ -171,7 +181,7 @@ class _Pass:
         above = np.maximum(simulated**2 - noise**2, 1e-12)
         ceiling = found.ceiling(stages[1]) * gain
         shares = _Shares(found, above, gain, after)
-        items, lost, seen, notes = self._parameter_items(found, shares)
+        items, lost, seen, notes, kept = self._parameter_items(found, shares)
         layers = (
             Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(suspected)),
             Layer(PARAMETERS, rms[1], rms[2], items, (*self.simulation.notes, *notes)),
@@ -188,7 +198,7 @@ class _Pass:
             torque_Nm=torque,
             noise_Nm=noise,
             ceiling_Nm=ceiling,
-            model=found.mended(self.cutoff),
+            model=found.mended(self.cutoff, kept),
             wiring=found.wiring,
             suspected=suspected,
             explanation=_standing(explanation, gone),
@@ -235,17 +245,27 @@ class _Pass:
 
     def _parameter_items(
         self, found: JointFit, shares: _Shares
-    ) -> tuple[tuple[Item, ...], tuple[str, ...], tuple[Detectable, ...], tuple[str, ...]]:
-        """What differs and is confirmed, names of what is not confirmed, what agrees, and what may differ, in words."""
+    ) -> tuple[
+        tuple[Item, ...], tuple[str, ...], tuple[Detectable, ...], tuple[str, ...], list[tuple[FloatArray, float]]
+    ]:
+        """Of the parameters.
+
+        Returns:
+            What differs and is confirmed; names of what is not confirmed; what agrees; what may differ, in words; and
+            combinations (P,) that keep a value.
+        """
         known = determined(found.linear, found.estimate, found.prior, self.simulation)
         simple, others = few_causes(known, found.linear, found.estimate, self.simulation)
         changed, same = changes(known, found.estimate)
         items = _cause_items(simple, found, shares)
+        named = set[tuple[str, str]]()
         for change in changed:
             if not simple or not change.of_bodies:
                 rise = shares.rise(shares.back(change.vector, change.was))
                 if rise > SHOWS:
                     items.append(self._change_item(change, found, shares))
+                    if items[-1].replicated is not False:
+                        named.add((change.name, change.where))
                 else:
                     size = abs(found.estimate.of(change.vector) - change.was)
                     same = (*same, (change, size * float(np.sqrt(SHOWS / max(rise, 1e-6)))))
@@ -253,7 +273,17 @@ class _Pass:
         items = [item for item in items if item.replicated is not False]
         seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
         notes = (f"torque does not tell which of these differs, too: {'; '.join(others)}",) if others else ()
-        return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf))), lost, seen, notes
+        if simple and others:
+            # It is fitted whatever differs, for there is more than can be said in few words.
+            named |= {(one.name, one.where) for one in changed if one.of_bodies}
+        bodies = _with_causes(() if others else simple, found)
+        kept = [
+            (one.vector, float(one.vector @ bodies))
+            for one in combinations(found.linear, self.simulation)
+            if (one.name, one.where) not in named
+        ]
+        ordered = sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf))
+        return tuple(ordered), lost, seen, notes, kept
 
     def _change_item(self, change: Change, found: JointFit, shares: _Shares) -> Item:
         low, high = found.estimate.interval(change.vector)
@@ -327,6 +357,16 @@ def _cause_items(simple: Sequence[Explained], found: JointFit, shares: _Shares) 
                 )
             )
     return items
+
+
+def _with_causes(simple: Sequence[Explained], found: JointFit) -> FloatArray:
+    """(P,) bodies and rotors as in the simulation, but for these causes; the rest is zero."""
+    values, was = np.zeros(found.linear.count), found.simulation.values
+    places = places_of(found.linear)
+    values[places] = [was.get(found.linear.names[place], 0.0) for place in places]
+    for cause, change in {one.cause.claim: (one.cause, one.values) for one in simple}.values():
+        values[places] += cause.directions @ change
+    return values
 
 
 class _Shares:

@@ -11,16 +11,16 @@ from ..dynamics.arm import FloatArray
 from ..mismatch.document import EXTENDED_MODEL, smallest_size, to_document
 from ..mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH, unfit
 from .comparison import Comparison
-from .item import Item, Layer
+from .item import Item, Layer, Mended
 
 
-def comparison_document(comparison: Comparison, simulation: str, mended: str | None) -> dict[str, Any]:
+def comparison_document(comparison: Comparison, simulation: str, mended: Mended | None) -> dict[str, Any]:
     """Plain data; figures that are not known are null.
 
     Args:
         comparison: The answer.
         simulation: Name of the simulation's file.
-        mended: Name of the mended file beside the document, if there is one.
+        mended: The mended file beside the document, if there is one.
     """
     joints = comparison.joints
     explanation = comparison.explanation or unfit(joints, comparison.reasons)
@@ -44,7 +44,8 @@ def comparison_document(comparison: Comparison, simulation: str, mended: str | N
         "replicated_share": _finite(replicated_share(comparison)),
         "unconfirmed": list(comparison.unconfirmed),
         "model": EXTENDED_MODEL if comparison.model is not None else None,
-        "mended_simulation": mended,
+        "mended_simulation": None if mended is None else mended.name,
+        "closed_loop": None if mended is None else _closed_loop(mended),
     }
     return document
 
@@ -87,6 +88,18 @@ def _item(item: Item) -> dict[str, Any]:
         "share": _finite(item.share),
         "replicated": item.replicated,
         "combination": dict(item.combination),
+    }
+
+
+def _closed_loop(mended: Mended) -> dict[str, Any] | None:
+    if mended.closed_loop is None:
+        return None
+    return {
+        name: {
+            "position_rms": {joint: _finite(value) for joint, value in run.position.items()},
+            "feedback_rms_Nm": {joint: _finite(value) for joint, value in run.feedback_Nm.items()},
+        }
+        for name, run in zip(("simulation", "mended"), mended.closed_loop)
     }
 
 

@@ -69,6 +69,7 @@ class Mended:
         lost: What of the model the format does not hold, in words.
         cost_Nm: Joint -> RMS that its nearest parameters leave of the model's torque, where the joint moves.
         torque_Nm: Joint -> RMS of the model's torque there.
+        closed_loop: The file as it was, and mended, run along what the arm did; None where the format has no engine.
     """
 
     name: str
@@ -76,3 +77,17 @@ class Mended:
     lost: tuple[str, ...]
     cost_Nm: Mapping[str, float]
     torque_Nm: Mapping[str, float]
+    closed_loop: tuple[Strayed, Strayed] | None = None
+
+
+@dataclass(frozen=True)
+class Strayed:
+    """A simulation in closed loop along what the arm did (`export/closed_loop.py`).
+
+    Attributes:
+        position: Joint -> RMS distance from the recorded position, rad or m; infinite where the run is unstable.
+        feedback_Nm: Joint -> RMS of the torque that the feedback adds, N m; likewise.
+    """
+
+    position: Mapping[str, float]
+    feedback_Nm: Mapping[str, float]

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import norm
 
+from ..conventions.evidence import inertial_belief
 from ..dynamics.arm import Arm, FloatArray
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..identification.consistency import make_consistent
@@ -32,6 +33,10 @@ from .wiring import kind_and_joint
 
 AGREE = 2.58
 """Standard errors of the difference (99 %) within which two estimates of the same thing agree."""
+NEAR = 0.15
+"""Relative standard deviation of what stays near the simulation's (one of `CAD_SCALES`)."""
+STIFF = 30.0
+"""A combination that is kept moves by a thirtieth of its error at most."""
 LEAST_FACTOR = 1e-3
 """Smallest factor on a joint's variance: a thirtieth of its residual's standard deviation."""
 
@@ -274,18 +279,57 @@ class JointFit:
             )
         return tuple(made)
 
-    def mended(self, cutoff_hz: float) -> IdentifiedModel:
-        """The model with all layers, its bodies such as can be, as of a bandwidth."""
-        model = self.linear.model
-        prior = make_prior(model.model, self.linear.motions)
+    def mended(self, cutoff_hz: float, kept: Sequence[tuple[FloatArray, float]]) -> IdentifiedModel:
+        """The simulation with what is named of all layers, its bodies such as can be.
+
+        Args:
+            cutoff_hz: Bandwidth that it is of.
+            kept: Combinations (P,) of bodies and rotors, and their values, that are not fitted: what does not differ
+                stays as it is in the simulation. Fitted as well, it would take up what no term explains: a spring would
+                make inertias smaller, and a joint without inertia cannot be simulated.
+        """
+        model, was = self.linear.model, self.simulation.values
+        own = make_prior(model.model, self.linear.motions)
         count = len(model.parameters)
-        free = np.flatnonzero(self.prior.free[:count])
-        precision = np.linalg.pinv(self.estimate.covariance[np.ix_(free, free)], hermitian=True)
+        prior = self._prior(None)
+        mean, precision = prior.mean.copy(), prior.precision.copy()
+        for number, parameter in enumerate(model.model.parameters):
+            if parameter.name in self._known and prior.free[number]:
+                mean[number] = was[parameter.name]
+        free = np.flatnonzero(prior.free)
+        slope = precision @ mean
+        for number, near in self._near_the_simulation().items():
+            precision[number, number] += near**-2
+            slope[number] += mean[number] * near**-2
+        for vector, value in kept:
+            weight = (STIFF / self.estimate.error(vector)) ** 2
+            precision += weight * np.outer(vector, vector)
+            slope += weight * value * vector
+        within = np.ix_(free, free)
+        mean[free] = np.linalg.lstsq(precision[within], (slope - precision[:, ~prior.free] @ mean[~prior.free])[free])[
+            0
+        ]
+        found = self.linear.solve(Prior(mean, precision, prior.free), self.variance)
+        free = np.flatnonzero(prior.free[:count])
+        information = np.linalg.pinv(found.covariance[np.ix_(free, free)], hermitian=True)
         triangle = np.zeros((len(free), count))
-        triangle[:, free] = np.linalg.cholesky(precision + 1e-9 * np.diag(np.diag(precision))).T
-        scale = np.where(self.prior.free[:count], prior.scale, 0.0)
-        values = make_consistent(model.model, triangle, self.estimate.values[:count], scale)
+        triangle[:, free] = np.linalg.cholesky(information + 1e-9 * np.diag(np.diag(information))).T
+        scale = np.where(prior.free[:count], own.scale, 0.0)
+        values = make_consistent(model.model, triangle, found.values[:count], scale)
         return replace(model, parameters=values, cutoff_hz=cutoff_hz)
+
+    def _near_the_simulation(self) -> dict[int, float]:
+        """Inertials and rotor inertias by number -> by how much they stay near the simulation's where torque is silent.
+
+        Which body has a combination torque does not tell: none is to end up with next to nothing of it.
+        """
+        was = self.simulation.values
+        size = np.sqrt(np.mean(np.concatenate([motion.torque_rows for motion in self.linear.motions]) ** 2, axis=0))
+        near = dict(enumerate((NEAR * inertial_belief(self.simulation.arm, size)[1]).tolist()))
+        for number, name in enumerate(self.linear.names):
+            if name.startswith("J_m[") and was.get(name, 0.0) > 0.0:
+                near[number] = NEAR * was[name]
+        return near
 
 
 def _tie(precision: FloatArray, one: int, other: int) -> None:

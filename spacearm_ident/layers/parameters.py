@@ -128,7 +128,7 @@ def determined(linear: Linear, found: Estimate, prior: Prior, simulation: Simula
         before = float(np.sqrt(max(float(free @ spread @ free), 0.0)))
         return bool(free.any()) and found.error(one.vector) < DETERMINED * before
 
-    return [one for one in (*_own(linear, simulation), *_combinations(linear, simulation)) if known(one)]
+    return [one for one in (*_own(linear, simulation), *combinations(linear, simulation)) if known(one)]
 
 
 def changes(known: Sequence[Change], found: Estimate) -> tuple[tuple[Change, ...], tuple[tuple[Change, float], ...]]:
@@ -173,7 +173,7 @@ def places_of(linear: Linear) -> list[int]:
     return [names.index(parameter.name) for parameter in bodies_and_rotors(linear.model.model.arm).parameters]
 
 
-def _combinations(linear: Linear, simulation: Simulation) -> list[Change]:
+def combinations(linear: Linear, simulation: Simulation) -> list[Change]:
     """The combinations of inertials and rotor inertias that torque determines."""
     model, places, values = bodies_and_rotors(linear.model.model.arm), places_of(linear), simulation.values
     was = np.array([values.get(parameter.name, 0.0) for parameter in model.parameters])

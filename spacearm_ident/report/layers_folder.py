@@ -36,7 +36,7 @@ def write_comparison(
         UserError: The folder cannot be written.
     """
     sources = provenance(fitted, held, command)
-    document = comparison_document(comparison, simulation.source, None if mended is None else mended.name)
+    document = comparison_document(comparison, simulation.source, mended)
     page = comparison_html(comparison, simulation, mended, sources)
     try:
         with replacing(directory, DOCUMENT) as part:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..layers.comparison import Comparison
 from ..layers.document import replicated_share
-from ..layers.item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer, Mended
+from ..layers.item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer, Mended, Strayed
 from ..simulations import Simulation
 from . import layers_figures as figures
 from . import mismatch_figures
@@ -279,6 +279,38 @@ def _mended(mended: Mended | None) -> Markup | None:
             element("code", mended.name),
             f" is the simulation's own file with identified values. Its format cannot represent: {lost}; its "
             "parameters are fitted to minimise the error below. The complete model is extended_model.yaml.",
+        ),
+        element(
+            "div", element("table", element("thead", header), element("tbody", *rows), class_="narrow"), class_="wide"
+        ),
+        None if mended.closed_loop is None else _closed_loop(*mended.closed_loop),
+    )
+
+
+def _closed_loop(was: Strayed, now: Strayed) -> Markup:
+    def added(joint: str) -> tuple[float, ...]:
+        return was.feedback_Nm[joint], now.feedback_Nm[joint], was.position[joint], now.position[joint]
+
+    rows = [
+        element(
+            "tr",
+            element("th", breakable(joint), class_="text", scope="row"),
+            *(element("td", number(value) if math.isfinite(value) else "unstable") for value in added(joint)),
+        )
+        for joint in was.position
+    ]
+    heads = ("feedback, N·m RMS", "corrected", "distance, rad (m) RMS", "corrected")
+    header = element(
+        "tr",
+        element("th", "joint", class_="text", scope="col"),
+        *(element("th", head, scope="col") for head in heads),
+    )
+    return join(
+        element("h3", "In closed loop"),
+        element(
+            "p",
+            "Both files, run in MuJoCo under the recorded torque along a held-out motion, with the same slow feedback "
+            "on the recorded position: the torque that the feedback adds, and the distance from that position.",
         ),
         element(
             "div", element("table", element("thead", header), element("tbody", *rows), class_="narrow"), class_="wide"
