@@ -175,12 +175,15 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
         lines.append(ITEM_WORDS)
     lines.append(f"residual RMS, {unit}, on {comparison.judged_on}")
     names = [layer.name for layer in comparison.layers[:3]]
-    lines.append(f"{'joint':24}" + "".join(f"{head:>13}" for head in ("torque", "simulation", *names, "ceiling")))
+    lines.append(
+        f"{'joint':24}" + "".join(f"{head:>13}" for head in ("torque", "simulation", *names, "ceiling", "corrected"))
+    )
     columns = (
         comparison.torque_Nm,
         comparison.before_Nm,
         *(layer.after_Nm for layer in comparison.layers[:3]),
         comparison.ceiling_Nm,
+        comparison.mended_Nm,
     )
     lines += [
         f"{joint:24}" + "".join(f"{value:13.3f}" for value in values)

@@ -97,7 +97,19 @@ def _unfit(arm: Arm, reasons: tuple[str, ...]) -> Comparison:
     nothing = np.full(len(arm.joints), np.nan)
     right = Wiring.right(len(arm.joints))
     return Comparison(
-        arm.joint_names, (), nothing, nothing, nothing, nothing, nothing, None, right, (), None, reasons=reasons
+        arm.joint_names,
+        (),
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        None,
+        right,
+        (),
+        None,
+        reasons=reasons,
     )
 
 
@@ -188,6 +200,7 @@ class _Pass:
             Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, above), _unnamed(rest, gone)),
             Layer(REST, after, noise, _rest_items(explanation, after, noise, above)),
         )
+        mended = found.mended(self.cutoff, kept)
         traces = found.traces(stages[-1])
         torque = gain * found.judge.rms(np.zeros(found.judge.count))
         return Comparison(
@@ -198,7 +211,8 @@ class _Pass:
             torque_Nm=torque,
             noise_Nm=noise,
             ceiling_Nm=ceiling,
-            model=found.mended(self.cutoff, kept),
+            mended_Nm=gain * found.judge.rms(found.with_model(mended)),
+            model=mended,
             wiring=found.wiring,
             suspected=suspected,
             explanation=_standing(explanation, gone),

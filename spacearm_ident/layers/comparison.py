@@ -44,6 +44,7 @@ class Comparison:
         torque_Nm: (n,) RMS of the measured torque there.
         noise_Nm: (n,) noise floor: what is left that nothing tried explains, at most.
         ceiling_Nm: (n,) what a flexible function of the same inputs leaves beside the simulation's own terms, refitted.
+        mended_Nm: (n,) the same of `model`.
         model: The mended simulation with the physics it lacked.
         wiring: What recordings are off by.
         suspected: What else may be off.
@@ -63,6 +64,7 @@ class Comparison:
     torque_Nm: FloatArray
     noise_Nm: FloatArray
     ceiling_Nm: FloatArray
+    mended_Nm: FloatArray
     model: IdentifiedModel | None
     wiring: Wiring
     suspected: tuple[Suspicion, ...]

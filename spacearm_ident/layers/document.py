@@ -36,6 +36,7 @@ def comparison_document(comparison: Comparison, simulation: str, mended: Mended 
         "simulation": simulation,
         "layers": [_layer(layer, joints) for layer in comparison.layers],
         "ceiling_Nm": _by_joint(joints, comparison.ceiling_Nm),
+        "mended_Nm": _by_joint(joints, comparison.mended_Nm),
         "would_have_seen": [smallest_size(one) for one in comparison.would_have_seen],
         "suspected": [
             {"names": list(one.names), "values": list(one.values), "probability": round(one.probability, 4)}

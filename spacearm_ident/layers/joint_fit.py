@@ -318,6 +318,12 @@ class JointFit:
         values = make_consistent(model.model, triangle, found.values[:count], scale)
         return replace(model, parameters=values, cutoff_hz=cutoff_hz)
 
+    def with_model(self, model: IdentifiedModel) -> FloatArray:
+        """(P,) the estimate's wiring with the parameters of a model of the same terms."""
+        values = self.estimate.values.copy()
+        values[: len(model.parameters)] = model.parameters
+        return values
+
     def _near_the_simulation(self) -> dict[int, float]:
         """Inertials and rotor inertias by number -> by how much they stay near the simulation's where torque is silent.
 

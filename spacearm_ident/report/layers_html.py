@@ -146,6 +146,7 @@ def _table(comparison: Comparison) -> Markup:
         *(layer.name for layer in comparison.layers[:3]),
         "noise",
         "ceiling",
+        "corrected simulation",
     )
     rows = []
     for row, joint in enumerate(comparison.joints):
@@ -155,6 +156,7 @@ def _table(comparison: Comparison) -> Markup:
             *(layer.after_Nm[row] for layer in comparison.layers[:3]),
             comparison.noise_Nm[row],
             comparison.ceiling_Nm[row],
+            comparison.mended_Nm[row],
         ]
         cells = (element("td", number(float(value))) for value in values)
         rows.append(element("tr", element("th", breakable(joint), class_="text", scope="row"), *cells))
