@@ -37,6 +37,8 @@ NEAR = 0.15
 """Relative standard deviation of what stays near the simulation's (one of `CAD_SCALES`)."""
 STIFF = 30.0
 """A combination that is kept moves by a thirtieth of its error at most."""
+ROUNDING = 1e-12
+"""Smallest variance of a combination beside the largest, in units of the prior's."""
 LEAST_FACTOR = 1e-3
 """Smallest factor on a joint's variance: a thirtieth of its residual's standard deviation."""
 
@@ -311,11 +313,15 @@ class JointFit:
         ]
         found = self.linear.solve(Prior(mean, precision, prior.free), self.variance)
         free = np.flatnonzero(prior.free[:count])
-        information = np.linalg.pinv(found.covariance[np.ix_(free, free)], hermitian=True)
-        triangle = np.zeros((len(free), count))
-        triangle[:, free] = np.linalg.cholesky(information + 1e-9 * np.diag(np.diag(information))).T
         scale = np.where(prior.free[:count], own.scale, 0.0)
-        values = make_consistent(model.model, triangle, found.values[:count], scale)
+        free = free[scale[free] > 0.0]
+        unit = scale[free]
+        size, axes = np.linalg.eigh(found.covariance[np.ix_(free, free)] / np.outer(unit, unit))
+        # Nothing is known less well than before the data, nor better than rounding leaves it.
+        size = np.clip(size, ROUNDING * float(size.max()), 1.0)
+        matrix = np.zeros((len(free), count))
+        matrix[:, free] = (axes / np.sqrt(size)).T / unit
+        values = make_consistent(model.model, matrix, found.values[:count], scale)
         return replace(model, parameters=values, cutoff_hz=cutoff_hz)
 
     def with_model(self, model: IdentifiedModel) -> FloatArray:
