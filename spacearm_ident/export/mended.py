@@ -82,7 +82,6 @@ def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) 
         joint.frictionloss = values[FRICTION]
         if values.get(STIFFNESS):
             joint.stiffness = _first(joint.stiffness, values[STIFFNESS])
-    spec.compile()
     return spec
 
 

@@ -24,6 +24,7 @@ from ..errors import UnfitDataError
 from ..identification.identify import Settings, identify
 from ..mismatch.explain import held_out_ends
 from ..mismatch.finding import DATA_UNFIT, Detectable, Explanation
+from ..mismatch.happened import voided
 from ..mismatch.integrity import faults
 from ..mismatch.preparation import banded, cut_offs
 from ..mismatch.rivals import UNKNOWN
@@ -137,7 +138,10 @@ class _Pass:
         self.motions = self.wired_in = banded(fitted, self.joints, self.cutoff, wide)
         while self.cutoff > LOWEST_HZ:
             slower = banded(fitted, self.joints, 0.5 * self.cutoff, 0.5 * wide)
-            if np.median(_acceleration(slower) / _acceleration(self.motions)) > SIGNAL:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = _acceleration(slower) / _acceleration(self.motions)
+            # A joint that stands still says nothing.
+            if not np.nanmedian(share) <= SIGNAL:
                 break
             self.cutoff, wide, self.motions = 0.5 * self.cutoff, 0.5 * wide, slower
         self.judged = banded(held, self.joints, self.cutoff, wide, first=len(fitted))
@@ -163,10 +167,7 @@ class _Pass:
         if explanation.verdict == DATA_UNFIT:
             return _unfit(self.arm, explanation.reasons)
         report(0.8, "fitting all layers together")
-        self.judged = [
-            replace(m, void=tuple((e.begin_s, e.end_s) for e in explanation.happened if e.recording == m.source))
-            for m in self.judged
-        ]
+        self.judged = voided(self.judged, explanation.happened)
         chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
         extended = explanation.model or wired.model
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
@@ -371,22 +372,22 @@ def _cause_items(simple: Sequence[Explained], found: JointFit, shares: _Shares) 
     places, items = places_of(found.linear), []
     half = float(norm.ppf(1 - LEVEL / 2))
     for one in simple:
-        told, without = one.told, found.estimate.values.copy()
+        reported, without = one.reported, found.estimate.values.copy()
         without[places] -= one.cause.directions @ one.values
-        if abs(told.now - told.was) > half * told.error and shares.rise(without) > SHOWS:
+        if abs(reported.now - reported.was) > half * reported.error and shares.rise(without) > SHOWS:
             items.append(
                 Item(
-                    told.name,
+                    reported.name,
                     (one.cause.joint,),
-                    told.where,
-                    told.was,
-                    told.now,
-                    told.now - half * told.error,
-                    told.now + half * told.error,
-                    told.unit,
+                    reported.where,
+                    reported.was,
+                    reported.now,
+                    reported.now - half * reported.error,
+                    reported.now + half * reported.error,
+                    reported.unit,
                     shares.of(without),
                     None,
-                    {told.key: 1.0} if told.key else {},
+                    {reported.key: 1.0} if reported.key else {},
                 )
             )
     return items

@@ -290,31 +290,11 @@ class JointFit:
                 stays as it is in the simulation. Fitted as well, it would take up what no term explains: a spring would
                 make inertias smaller, and a joint without inertia cannot be simulated.
         """
-        model, was = self.linear.model, self.simulation.values
-        own = make_prior(model.model, self.linear.motions)
+        model, prior = self.linear.model, self._prior_that_keeps(kept)
+        found = self.linear.solve(prior, self.variance)
         count = len(model.parameters)
-        prior = self._prior(None)
-        mean, precision = prior.mean.copy(), prior.precision.copy()
-        for number, parameter in enumerate(model.model.parameters):
-            if parameter.name in self._known and prior.free[number]:
-                mean[number] = was[parameter.name]
-        free = np.flatnonzero(prior.free)
-        slope = precision @ mean
-        for number, near in self._near_the_simulation().items():
-            precision[number, number] += near**-2
-            slope[number] += mean[number] * near**-2
-        for vector, value in kept:
-            weight = (STIFF / self.estimate.error(vector)) ** 2
-            precision += weight * np.outer(vector, vector)
-            slope += weight * value * vector
-        within = np.ix_(free, free)
-        mean[free] = np.linalg.lstsq(precision[within], (slope - precision[:, ~prior.free] @ mean[~prior.free])[free])[
-            0
-        ]
-        found = self.linear.solve(Prior(mean, precision, prior.free), self.variance)
-        free = np.flatnonzero(prior.free[:count])
-        scale = np.where(prior.free[:count], own.scale, 0.0)
-        free = free[scale[free] > 0.0]
+        scale = np.where(prior.free[:count], make_prior(model.model, self.linear.motions).scale, 0.0)
+        free = np.flatnonzero(scale > 0.0)
         unit = scale[free]
         size, axes = np.linalg.eigh(found.covariance[np.ix_(free, free)] / np.outer(unit, unit))
         # Nothing is known less well than before the data, nor better than rounding leaves it.
@@ -323,6 +303,25 @@ class JointFit:
         matrix[:, free] = (axes / np.sqrt(size)).T / unit
         values = make_consistent(model.model, matrix, found.values[:count], scale)
         return replace(model, parameters=values, cutoff_hz=cutoff_hz)
+
+    def _prior_that_keeps(self, kept: Sequence[tuple[FloatArray, float]]) -> Prior:
+        """Of everything: what the simulation has near its own values, combinations (P,) at given values."""
+        prior, was = self._prior(None), self.simulation.values
+        mean, precision, free = prior.mean.copy(), prior.precision.copy(), prior.free
+        for number, parameter in enumerate(self.linear.model.model.parameters):
+            if parameter.name in self._known and free[number]:
+                mean[number] = was[parameter.name]
+        slope = precision @ mean
+        for number, near in self._near_the_simulation().items():
+            precision[number, number] += near**-2
+            slope[number] += mean[number] * near**-2
+        for vector, value in kept:
+            weight = (STIFF / self.estimate.error(vector)) ** 2
+            precision += weight * np.outer(vector, vector)
+            slope += weight * value * vector
+        slope -= precision[:, ~free] @ mean[~free]
+        mean[free] = np.linalg.lstsq(precision[np.ix_(free, free)], slope[free])[0]
+        return Prior(mean, precision, free)
 
     def with_model(self, model: IdentifiedModel) -> FloatArray:
         """(P,) the estimate's wiring with the parameters of a model of the same terms."""

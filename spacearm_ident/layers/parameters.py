@@ -47,7 +47,7 @@ LEAST_ROTOR = 0.1
 TOOL = (1.0, *3 * (0.1,), *6 * (0.02,))
 """The same of all parameters of the last link, about its joint: a tool of a kilogram at a hand's length."""
 IN_NEARLY_ALL = 0.95
-"""Probability of the sets of causes that say the same from which it is told."""
+"""Probability of the sets of causes that say the same from which it is reported."""
 IN_MANY = 0.3
 """The same from which it is said to be possible: three times what is so before any data."""
 NEAR = 7.0
@@ -174,7 +174,12 @@ def places_of(linear: Linear) -> list[int]:
 
 
 def combinations(linear: Linear, simulation: Simulation) -> list[Change]:
-    """The combinations of inertials and rotor inertias that torque determines."""
+    """The combinations of inertials and rotor inertias that torque determines.
+
+    Args:
+        linear: Whose unknowns they are of.
+        simulation: Whose values and words they have.
+    """
     model, places, values = bodies_and_rotors(linear.model.model.arm), places_of(linear), simulation.values
     was = np.array([values.get(parameter.name, 0.0) for parameter in model.parameters])
     base, found = base_parameters(model), []
@@ -304,7 +309,7 @@ def _moved(inertial: FloatArray, axis: int) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Told:
+class Reported:
     """One number of a cause, for a person.
 
     Attributes:
@@ -326,7 +331,7 @@ class Told:
     error: float
 
 
-def told_of(cause: Cause, values: FloatArray, errors: FloatArray, simulation: Simulation) -> list[Told]:
+def reported_of(cause: Cause, values: FloatArray, errors: FloatArray, simulation: Simulation) -> list[Reported]:
     """What a cause says: a mass, a rotor inertia, a centre of mass axis by axis; of a whole body mass and centre.
 
     Args:
@@ -338,12 +343,12 @@ def told_of(cause: Cause, values: FloatArray, errors: FloatArray, simulation: Si
     if cause.name == "armature":
         was = simulation.values.get(f"J_m[{cause.joint}]", 0.0)
         now, error = was + float(values[0]), float(errors[0])
-        return [Told(simulation.word("J_m"), cause.joint, f"{cause.joint}.armature", "kg m^2", was, now, error)]
-    mass, found = float(cause.inertial[0]), list[Told]()
+        return [Reported(simulation.word("J_m"), cause.joint, f"{cause.joint}.armature", "kg m^2", was, now, error)]
+    mass, found = float(cause.inertial[0]), list[Reported]()
     centre = cause.inertial[1:4] / mass
     if cause.name in ("mass", "body"):
         now, error = mass + float(values[0]), float(errors[0])
-        found.append(Told("mass", f"mass of {cause.body}", f"{cause.body}.mass", "kg", mass, now, error))
+        found.append(Reported("mass", f"mass of {cause.body}", f"{cause.body}.mass", "kg", mass, now, error))
     if cause.name == "centre_of_mass":
         moved, spread = centre[list(cause.axes)] + values, errors
     elif cause.name == "body":
@@ -355,7 +360,7 @@ def told_of(cause: Cause, values: FloatArray, errors: FloatArray, simulation: Si
     for axis, place, error in zip(cause.axes, moved, spread):
         where = f"centre of mass of {cause.body} along {'xyz'[axis]}"
         found.append(
-            Told(f"centre_of_mass_{'xyz'[axis]}", where, "", "m", float(centre[axis]), float(place), float(error))
+            Reported(f"centre_of_mass_{'xyz'[axis]}", where, "", "m", float(centre[axis]), float(place), float(error))
         )
     return found
 
@@ -365,12 +370,12 @@ class Explained:
     """A number that accounts, with others, for the change of all combinations.
 
     Attributes:
-        told: It, its value and error over all sets of causes that do.
+        reported: It, its value and error over all sets of causes that do.
         cause: Whose it is, in the best of them.
         values: (d,) change of that cause along its directions.
     """
 
-    told: Told
+    reported: Reported
     cause: Cause
     values: FloatArray
 
@@ -381,7 +386,7 @@ def few_causes(
     """The causes by which alone the simulation's inertials differ; none where they are too many for a simple word.
 
     Of sets of causes that leave what chance leaves of the change (chi-square) each has a probability (Hoeting et al.
-    1999, Bayesian model averaging). What nearly all of them say is told, with the spread between them in its error:
+    1999, Bayesian model averaging). What nearly all of them say is reported, with the spread between them in its error:
     torque does not tell a tool from a heavier hand.
 
     Args:
@@ -391,7 +396,7 @@ def few_causes(
         simulation: What to compare with.
 
     Returns:
-        What is told; and in words what else may be off, where sets differ in that.
+        What is reported; and in words what else may be off, where sets differ in that.
     """
     base = [one for one in known if one.of_bodies]
     if not base:
@@ -475,21 +480,23 @@ def _in_nearly_all(sets: Sequence[_Fitted], simulation: Simulation) -> tuple[tup
         return (), ()
     weights = np.exp(np.array([one.log_probability for one in sets]) - sets[0].log_probability)
     weights /= weights.sum()
-    said: dict[str, list[tuple[float, Told, Cause, FloatArray]]] = {}
+    said: dict[str, list[tuple[float, Reported, Cause, FloatArray]]] = {}
     for weight, one in zip(weights, sets):
         for cause, values, errors in zip(one.causes, one.values, one.errors):
-            for told in told_of(cause, values, errors, simulation):
-                said.setdefault(told.where, []).append((float(weight), told, cause, values))
+            for reported in reported_of(cause, values, errors, simulation):
+                said.setdefault(reported.where, []).append((float(weight), reported, cause, values))
     explained, others = [], []
     for where, every in said.items():
         share = sum(weight for weight, *_ in every)
         if share > IN_NEARLY_ALL:
-            values, errors = (np.array([getattr(told, name) for _, told, *_ in every]) for name in ("now", "error"))
+            values, errors = (
+                np.array([getattr(reported, name) for _, reported, *_ in every]) for name in ("now", "error")
+            )
             own = np.array([weight for weight, *_ in every]) / share
             now = float(own @ values)
             error = float(np.sqrt(own @ (errors**2 + (values - now) ** 2)))
-            _, told, cause, change = every[0]
-            explained.append(Explained(replace(told, now=now, error=error), cause, change))
+            _, reported, cause, change = every[0]
+            explained.append(Explained(replace(reported, now=now, error=error), cause, change))
         elif share > IN_MANY:
             others.append(where)
     return tuple(explained), tuple(others)

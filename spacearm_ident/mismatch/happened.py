@@ -13,6 +13,7 @@ import numpy as np
 from ..dynamics.arm import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
+from ..recording.motion import Motion
 from .constants import grid_points
 from .evidence import Candidate, Unseen
 from .finding import Happened
@@ -75,7 +76,12 @@ def _gain(stacked: Stacked, residual: FloatArray) -> float:
 
 
 def during(scene: Scene, event: Happened) -> np.ndarray:
-    """(R,) rows of a scene while an event lasts."""
+    """(R,) rows of a scene while an event lasts.
+
+    Args:
+        scene: Recordings, stacked in R rows.
+        event: In one of them.
+    """
     here = np.zeros(len(scene), dtype=bool)
     for number, motion in enumerate(scene.motions):
         if motion.source == event.recording:
@@ -86,11 +92,26 @@ def during(scene: Scene, event: Happened) -> np.ndarray:
     return here
 
 
-def without(unseen: Unseen, events: Sequence[Happened]) -> Unseen:
-    """The recordings, of which no row counts while an event lasts."""
-    scene = unseen.scene
-    motions = [
+def voided(motions: Sequence[Motion], events: Sequence[Happened]) -> list[Motion]:
+    """Motions of which no row counts while an event of their recording lasts.
+
+    Args:
+        motions: Numbered as the events' recordings are (`Motion.source`).
+        events: In any of them.
+    """
+    return [
         replace(motion, void=tuple((e.begin_s, e.end_s) for e in events if e.recording == motion.source))
-        for motion in scene.motions
+        for motion in motions
     ]
+
+
+def without(unseen: Unseen, events: Sequence[Happened]) -> Unseen:
+    """The recordings, of which no row counts while an event lasts.
+
+    Args:
+        unseen: The recordings that no fit sees.
+        events: In them.
+    """
+    scene = unseen.scene
+    motions = voided(scene.motions, events)
     return Unseen(unseen.evidence, Scene(unseen.evidence.base, motions, scene.whiteners, scene.backgrounds))
