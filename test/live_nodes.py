@@ -24,7 +24,7 @@ os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 PATIENCE_S = 30.0
 """Longest wait for anything that is bound to happen, on a busy machine."""
-LIVE = [pytest.mark.live, pytest.mark.flaky(reruns=2)]
+LIVE = [pytest.mark.live, pytest.mark.flaky(reruns=2, reruns_delay=5)]
 """Marks of tests whose processes must keep time: a machine that stops them for longer than the arm forgives says
 nothing about them. A test that was run again is counted as such in the summary."""
 ROOT = Path(__file__).parent.parent

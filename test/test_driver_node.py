@@ -341,12 +341,13 @@ def test_pause_before_the_first_enable_is_a_warning_that_clears_by_itself(live, 
     time.sleep(2.0)  # longer than either side's limits in `generous_config`
     process.send_signal(signal.SIGCONT)
     live.wait_for(lambda: "connecting to the drives again, for node" in output(live.driver), "the pause noticed")
+    # Asked for meanwhile, it waits for the drives.
+    done, message = live.call("/driver/enable", True)
+    assert done, message
     live.probe.statuses.clear()
     live.wait_for(lambda: live.values.get("connection") == "connected", "a connection again")
     assert live.values["reconnections"] != "0"
     assert not live.fault and live.probe.level("canopen_driver") < 2
-    done, message = live.call("/driver/enable", True)
-    assert done, message
 
 
 def test_no_arm_no_driver(tmp_path, live):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from driven_arm import generous_config
 from live_nodes import LIVE
 from mcap.reader import make_reader
 from ros2_tools import NEEDED
@@ -45,8 +46,13 @@ class Launches:
         if self.running is None or not self.running.running:
             self.close()
             self.folder = self.workspace.folder / f"launch-{len(list(self.workspace.folder.iterdir()))}"
-            places = (f"recordings:={self.folder / 'bags'}", f"results:={self.folder / 'result'}")
-            self._open = self.workspace.started(*LAUNCH, *places, cwd=self.folder)
+            self.folder.mkdir()
+            words = (
+                f"can:={generous_config(self.folder)}",
+                f"recordings:={self.folder / 'bags'}",
+                f"results:={self.folder / 'result'}",
+            )
+            self._open = self.workspace.started(*LAUNCH, *words, cwd=self.folder)
             self.running = self._open.__enter__()
             self.running.wait_until_said(READY)
             self.running.wait_for(self._known, "the nodes are known to the daemon of `ros2`")

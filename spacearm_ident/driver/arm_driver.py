@@ -42,6 +42,7 @@ RETRY_S: Final = 0.5
 ENABLE_S: Final = 3.0
 REST_S: Final = 3.0
 BOOT_S: Final = 2.0
+RECONNECT_S: Final = BOOT_S + 2.0
 _POLL_S: Final = 0.005
 #: After these the drives' configuration is not to be trusted.
 _ASTRAY: Final = frozenset(
@@ -142,6 +143,9 @@ class ArmDriver:
         Raises:
             UserError: A fault is latched, the arm is not connected, or a drive does not come.
         """
+        if self._again:
+            # After a pause the drives are connected again within a second or two: no reason to ask the caller twice.
+            self._until(lambda: self._cycle is not None or self.refused is not None, RECONNECT_S)
         cycle = self._connected()
         if self.fault is not None:
             raise UserError(f"not enabled, the arm was stopped ({self.fault}): call /driver/recover first")
@@ -202,7 +206,7 @@ class ArmDriver:
             raise UserError("not recovered: the arm still moves")
         if self._cycle is None or self._astray or self._silent():
             self._reconnecting = True
-            if not self._until(lambda: not self._reconnecting, BOOT_S + 2.0):
+            if not self._until(lambda: not self._reconnecting, RECONNECT_S):
                 raise UserError(f"not recovered: {self.connection}")
         cycle = self._connected()
         self._resetting = True
