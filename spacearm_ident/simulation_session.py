@@ -84,7 +84,7 @@ def compare_session(
     read = _simulation(simulation, arm, gravity, [*fitted, *held], reading, how)
     read = _of_recordings(read, [*fitted, *held])
     fitted, held = (corrected(in_newton_metres(runs, read.arm), read.arm) for runs in (fitted, held))
-    undoing = find_mistakes(fitted, read.arm)
+    undoing = find_mistakes(fitted, read)
     if not np.allclose(undoing.arm.gravity, read.arm.gravity):
         read = _under(read, undoing.arm)
     right = [[undoing.corrections.applied(recording) for recording in runs] for runs in (fitted, held)]

@@ -15,6 +15,7 @@ from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.layers.compare import compare
 from spacearm_ident.layers.comparison import Comparison
 from spacearm_ident.layers.conventions import find_wiring
+from spacearm_ident.layers.discrete import find_mistakes
 from spacearm_ident.layers.item import Item
 from spacearm_ident.layers.wiring import Wiring
 from spacearm_ident.mismatch.preparation import banded
@@ -104,6 +105,31 @@ def test_wiring_that_is_off_is_found_with_its_size(
     np.testing.assert_allclose(wired.wiring.gain, wiring.gain, rtol=0.02)
     np.testing.assert_allclose(wired.wiring.zero_rad, wiring.zero_rad, atol=0.004)
     assert abs(wired.wiring.delay_s - wiring.delay_s) < 0.001
+
+
+def _exchanged(recording: Recording, one: int, other: int) -> Recording:
+    """The recording with two joints under each other's names."""
+    order = list(range(len(recording.joints)))
+    order[one], order[other] = other, one
+    return replace(recording, position=recording.position[:, order], effort=recording.effort[:, order])
+
+
+def test_conventions_that_all_recordings_break_are_found_and_those_of_one_alone_are_not(simulation: Simulation) -> None:
+    runs = [recorded(mjcf(), seed) for seed in (1, 2)]
+    undoing = find_mistakes([_exchanged(run, 1, 2) for run in runs], simulation)
+    assert [(one.name, one.joints) for one in undoing.mistakes] == [("joints_exchanged", ("shoulder", "elbow"))]
+    np.testing.assert_allclose(
+        undoing.corrections.applied(_exchanged(runs[0], 1, 2)).position, runs[0].position, atol=1e-12
+    )
+    assert find_mistakes([_exchanged(runs[0], 1, 2), runs[1]], simulation).mistakes == ()
+    assert find_mistakes(runs, simulation).mistakes == ()
+
+
+def test_friction_that_a_simulation_has_wrong_is_no_exchange(simulation: Simulation) -> None:
+    known = {p.name: float(v) for p, v in zip(simulation.model.model.parameters, simulation.model.parameters)}
+    wrong = known | {"f_c[elbow]": 2.5 * known["f_c[elbow]"], "f_c[shoulder]": 0.4 * known["f_c[shoulder]"]}
+    told = replace(simulation, model=replace(simulation.model, parameters=np.array(list(wrong.values()))))
+    assert find_mistakes([recorded(mjcf(), seed) for seed in (1, 2)], told).mistakes == ()
 
 
 def test_tilted_base_is_found_about_the_axis_it_is_tilted_about(simulation: Simulation) -> None:

@@ -39,6 +39,9 @@ MASS_SD, MASS_LEAST = 0.3, -20.0
 """Standard deviation of the logarithm of a joint's gravity torque over CAD's (payload, CAD), and what it may cost."""
 OWN = 4
 """Columns of a joint's own: Coulomb, viscous, rotor inertia, offset."""
+OWN_SPREAD = 0.5
+"""Relative standard deviation of a joint's own parameters where they are known beforehand: friction of a simulation is
+guessed, or of another unit of the same type."""
 
 
 def inertial_belief(arm: Arm, torque: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -125,10 +128,21 @@ class Frame:
     The joint-torque regressor has fewer independent columns than inertials whatever the motion (Gautier 1991): only
     their combinations `basis.T @ (phi / unit)` act. The basis is orthonormal, found on random motions under random
     gravity, so that it holds for any mounting of the base.
+
+    Attributes:
+        own: (n, OWN) what is known of the joints' own parameters, SI; zero where nothing is.
     """
 
-    def __init__(self, arm: Arm, torque: FloatArray) -> None:
+    def __init__(self, arm: Arm, torque: FloatArray, own: FloatArray | None = None) -> None:
+        """Find the basis.
+
+        Args:
+            arm: With CAD inertials.
+            torque: (n,) RMS of each joint.
+            own: As the attribute; None: nothing is known.
+        """
         self.arm = arm
+        self.own = np.zeros((len(arm.joints), OWN)) if own is None else own
         self.mean, self.spread, self.fixed = inertial_belief(arm, torque)
         self.unit = self.spread
         rng = np.random.default_rng(0)
@@ -200,9 +214,11 @@ class Design:
         return np.where(loaded, ratios, np.nan)
 
     def own_precision(self, torque: FloatArray) -> FloatArray:
-        """(n, OWN) inverse variances of the joints' own parameters; `torque` (n,) RMS."""
+        """(n, OWN) inverse variances of the joints' own parameters about what is known; `torque` (n,) RMS."""
         speed, push = rms(self.motion.velocity) + 1e-9, rms(self.motion.acceleration) + 1e-9
         deviation = np.column_stack([0.5 * torque, 0.5 * torque / speed, 0.3 * torque / push, 0.1 * torque])
+        known = self.frame.own != 0.0
+        deviation[known] = OWN_SPREAD * np.abs(self.frame.own[known])
         return np.asarray(1.0 / (deviation + 1e-12) ** 2)
 
 
@@ -276,7 +292,7 @@ class _Problem:
         prior = np.diag(np.append(np.zeros(r), self.own_precision.ravel()))
         prior[:r, :r] = rigid_precision
         half_log += 0.5 * float(np.log(self.own_precision).sum())
-        prior_mean = np.append(self.design.frame.centre, np.zeros(self.own_precision.size))
+        prior_mean = np.append(self.design.frame.centre, self.design.frame.own)
         better, next_weight = self.first_gains, counts / self.rows / self.floor**2
         for _ in range(iterations):
             gains, weight = better, next_weight

@@ -74,6 +74,7 @@ class Court:
         rows: Rows,
         bonus: Callable[[Setup], float] = lambda setup: 0.0,
         dead: frozenset[int] = frozenset(),
+        own: FloatArray | None = None,
     ) -> None:
         """Take a recording.
 
@@ -82,10 +83,11 @@ class Court:
             rows: Its motion and torque.
             bonus: What else a setup explains, as a log-likelihood.
             dead: Joints whose torque says nothing.
+            own: (n, OWN) what is known of Coulomb, viscous, rotor inertia and offset; None: nothing.
         """
         self.arm, self.rows, self.bonus = arm, rows, bonus
         self.ranges = Ranges(arm, rows)
-        self.frame = Frame(arm, rms(rows.torque(np.zeros(len(arm.joints)))))
+        self.frame = Frame(arm, rms(rows.torque(np.zeros(len(arm.joints)))), own)
         self._designs: list[tuple[Setup, Design]] = []
         self.counts = self._independent()
         self.idle = frozenset(np.flatnonzero(rows.moving.sum(axis=0) <= OWN).tolist()) - dead

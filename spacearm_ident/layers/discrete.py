@@ -1,25 +1,29 @@
 """Layer 0, what is either right or wrong: signs, order, units, gravity, found before anything is fitted.
 
-`conventions.search` compares what recordings would mean under every ordinary mistake. One that it is sure of, in every
-recording, is undone here; gains, zeros and delays are left to `conventions.py`, which estimates them.
+`conventions.search` compares what all recordings together would mean under every ordinary mistake, the simulation's own
+friction and rotor inertias being known as roughly as they are. One that it is sure of, and that no recording by itself
+contradicts, is undone here; gains, zeros and delays are left to `conventions.py`, which estimates them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from typing import Final
 
 import numpy as np
 
 from ..conventions.change import Change, Kind
-from ..conventions.rows import rows_of
+from ..conventions.rows import MOST_ROWS, rows_of
 from ..conventions.search import Court, search
 from ..conventions.setup import Setup
 from ..conventions.words import joint_names, statement
-from ..dynamics.arm import Arm
+from ..dynamics.arm import Arm, FloatArray
 from ..recording.corrections import Corrections, JointCorrection
 from ..recording.recording import Recording
 from ..recording.signals import prepare
+from ..simulations.simulation import ARMATURE, DAMPING, FRICTION, Simulation
 
 DISCRETE = frozenset(
     {
@@ -34,6 +38,10 @@ DISCRETE = frozenset(
         Kind.GRAVITY,
     }
 )
+
+
+MOST_PARTS: Final = 3
+"""As many recordings' rows are looked at together; of more of them, fewer each."""
 
 
 @dataclass(frozen=True)
@@ -66,39 +74,52 @@ class Undoing:
     arm: Arm
 
 
-def find_mistakes(recordings: Sequence[Recording], arm: Arm) -> Undoing:
+def find_mistakes(recordings: Sequence[Recording], simulation: Simulation) -> Undoing:
     """Find signs, order, units and gravity that all recordings have wrong.
+
+    Args:
+        recordings: Made under the same conventions.
+        simulation: Of the arm.
 
     Raises:
         UnfitDataError: A recording is too short to say.
     """
-    found: list[tuple[Change, ...]] = []
-    words: dict[tuple[Kind, tuple[int, ...]], Mistake] = {}
-    for recording in recordings:
-        motions, _ = prepare([recording.in_order(arm.joint_names)], arm.joint_names)
-        court = Court(arm, rows_of(motions))
-        last = search(court)[-1].before
-        changes = tuple(change for change in last.changes if change.kind in DISCRETE)
-        found.append(changes)
-        for change in changes:
-            said = statement(arm, change, last.evidence)
-            words[change.kind, change.joints] = Mistake(str(change.kind), joint_names(arm, change), said)
-    shared = [c for c in found[0] if all(any(_same(c, d) for d in other) for other in found[1:])]
-    setup = Setup.as_recorded(arm)
-    for change in shared:
-        setup = change.on(setup)
-    return Undoing(
-        tuple(words[change.kind, change.joints] for change in shared),
-        _corrections(setup, arm),
-        arm.with_gravity(setup.gravity),
+    arm = simulation.arm
+    each = [prepare([recording.in_order(arm.joint_names)], arm.joint_names)[0] for recording in recordings]
+    known = _known(simulation)
+    parts = [Court(arm, rows_of(motions), own=known) for motions in each]
+    together = [motion for motions in each for motion in motions]
+    whole = Court(arm, rows_of(together, MOST_ROWS * min(len(each), MOST_PARTS)), own=known) if each[1:] else parts[0]
+    last = search(whole)[-1].before
+    shared = [
+        change
+        for change in last.changes
+        if change.kind in DISCRETE and all(_gain(part, last.changes, change) > 0.0 for part in parts)
+    ]
+    setup = _setup(arm, shared)
+    mistakes = (
+        Mistake(str(change.kind), joint_names(arm, change), statement(arm, change, last.evidence)) for change in shared
     )
+    return Undoing(tuple(mistakes), _corrections(setup, arm), arm.with_gravity(setup.gravity))
 
 
-def _same(one: Change, other: Change) -> bool:
-    """Whether two recordings show the same mistake; gravity is a vector that each estimates."""
-    if one.kind is Kind.GRAVITY:
-        return other.kind is Kind.GRAVITY and bool(np.dot(one.value, other.value) > 0.9 * np.dot(one.value, one.value))
-    return (one.kind, one.joints) == (other.kind, other.joints)
+def _known(simulation: Simulation) -> FloatArray:
+    """(n, OWN) what a simulation says of its joints' friction and rotor inertias."""
+    symbols, values = (FRICTION, DAMPING, ARMATURE, ""), simulation.values
+    names = simulation.arm.joint_names
+    return np.array([[values.get(f"{symbol}[{name}]", 0.0) for symbol in symbols] for name in names])
+
+
+def _gain(court: Court, changes: Sequence[Change], one: Change) -> float:
+    """What one of some changes gains of a recording's log-likelihood, beside the others."""
+    others = [change for change in changes if change is not one]
+    scores = [court.score(some, _setup(court.arm, some)).score for some in (changes, others)]
+    return scores[0] - scores[1] - one.log_prior
+
+
+def _setup(arm: Arm, changes: Sequence[Change]) -> Setup:
+    """Conventions after some changes."""
+    return reduce(lambda setup, change: change.on(setup), changes, Setup.as_recorded(arm))
 
 
 def _corrections(setup: Setup, arm: Arm) -> Corrections:
