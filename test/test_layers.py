@@ -100,7 +100,7 @@ def test_wiring_that_is_off_is_found_with_its_size(
     simulation: Simulation, wiring: Wiring, found: tuple[str, ...]
 ) -> None:
     run = _recorded_as(recorded(mjcf(), 3), wiring)
-    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0))
+    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.values)
     assert wired.found == found
     np.testing.assert_allclose(wired.wiring.gain, wiring.gain, rtol=0.02)
     np.testing.assert_allclose(wired.wiring.zero_rad, wiring.zero_rad, atol=0.004)
@@ -137,17 +137,64 @@ def test_tilted_base_is_found_about_the_axis_it_is_tilted_about(simulation: Simu
     text = mjcf().replace(
         'timestep="0.001"', f'timestep="0.001" gravity="0 {-9.81 * np.sin(0.03)} {-9.81 * np.cos(0.03)}"'
     )
-    wired = find_wiring(simulation.model, banded([recorded(text, 3)], JOINTS, 20.0, 70.0))
+    wired = find_wiring(simulation.model, banded([recorded(text, 3)], JOINTS, 20.0, 70.0), simulation.values)
     assert "tilt[x]" in wired.found and set(wired.found) <= {"tilt[x]", "tilt[y]"}
     np.testing.assert_allclose(wired.wiring.tilt_rad, [0.03, 0.0, 0.0], atol=0.002)
+
+
+@pytest.mark.parametrize(
+    ("own", "found"),
+    [
+        ({"armature": 1.0, "damping": 3.0, "friction": 4.0}, ("gain[base_turn]",)),
+        ({"armature": 0.8, "damping": 1.8, "friction": 2.2}, ()),
+    ],
+    ids=["as written but for the gain", "less by shares of their own"],
+)
+def test_gain_at_a_joint_without_load_is_told_by_what_it_leaves_as_written(
+    tmp_path: Path, own: dict[str, float], found: tuple[str, ...]
+) -> None:
+    mujoco_or_skip()
+    path = tmp_path / "heavy.xml"
+    path.write_text(mjcf(armature=1.0, damping=3.0, friction=4.0))
+    written = read_simulation(path)
+    run = _recorded_as(recorded(mjcf(**own), 3, noise_Nm=1.0), Wiring(np.array([0.8, 1.0, 1.0]), np.zeros(3)))
+    wired = find_wiring(written.model, banded([run], JOINTS, 20.0, 70.0), written.values)
+    assert wired.found == found
+    np.testing.assert_allclose(wired.wiring.gain[0], 0.8 if found else 1.0, atol=0.02)
+
+
+def test_intervals_hold_where_friction_has_physics_that_is_not_in_the_model(simulation: Simulation) -> None:
+    """What is left out is the same function of the position in every block of time."""
+    text = mjcf(friction=1.1)
+    runs = []
+    for seed in (1, 2):
+        run = recorded(text, seed)
+        speed = np.gradient(run.position[:, 2], run.time)
+        tight = 0.3 * np.sin(2.0 * run.position[:, 2]) * np.sign(speed)
+        runs.append(replace(run, effort=run.effort + np.outer(tight, [0.0, 0.0, 1.0])))
+    found = _items(compare(simulation, runs[:1], runs[1:], excluded=tuple(EFFECTS)), "parameters")
+    friction = {item.joints[0]: item for item in found if item.name == "frictionloss"}
+    assert set(friction) == set(JOINTS)
+    for item in friction.values():
+        assert item.low < 1.1 < item.high, item
+    assert friction["elbow"].high - friction["elbow"].low > 10 * (friction["shoulder"].high - friction["shoulder"].low)
 
 
 def test_current_offset_does_not_hide_a_torque_constant(simulation: Simulation) -> None:
     run = _recorded_as(recorded(mjcf(), 3), Wiring(np.array([1.0, 1.0, 0.8]), np.zeros(3)))
     run = replace(run, effort=run.effort + np.array([0.0, 0.0, 0.5]))
-    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0))
+    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.values)
     assert wired.found == ("gain[elbow]",)
     assert abs(wired.wiring.gain[2] - 0.8) < 0.02
+
+
+def test_constant_torque_is_named_with_what_no_motion_tells_from_it(simulation: Simulation) -> None:
+    runs = [recorded(mjcf(), seed) for seed in (1, 2)]
+    runs = [replace(run, effort=run.effort + np.array([0.0, 0.0, 0.5])) for run in runs]
+    others = [kind for kind in EFFECTS if kind != "current_offset"]
+    (item,) = _items(compare(simulation, runs[:1], runs[1:], excluded=others), "physics")
+    assert (item.name, item.joints, item.equivalents) == ("current_offset", ("elbow",), ("asymmetric_friction",))
+    assert item.title == "current offset or asymmetric friction"
 
 
 def test_effects_that_a_simulation_lacks_are_named_where_nothing_but_the_field_says_what_noise_is(

@@ -117,6 +117,8 @@ def test_the_folder_has_what_the_contract_names(answered, bags):
     document = json.loads((answered / "mismatch.json").read_text())
     assert document["verdict"] == "mismatch" and document["model"] == "extended_model.yaml"
     assert [(f["effect"], f["joints"]) for f in document["findings"]] == [("current_offset", ["elbow"])]
+    same = document["findings"][0]["alternatives"][0]
+    assert (same["effect"], same["score"]) == ("asymmetric_friction", 1.0) and "brakes on" in same["why_not"]
     found = document["findings"][0]["parameters"]["offset"]
     assert found["value"] == pytest.approx(1.5, abs=0.1)
     sources = document["provenance"]

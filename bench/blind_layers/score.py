@@ -11,6 +11,8 @@ Rules, fixed before any result was seen except the keys of the result file:
   Friction of a joint with `temperature_friction` has no single truth and is left out.
 * Layer 2: an effect counts when its size is above `COUNTED`; it is named when an item with one of its `ACCEPTED` names
   stands at its joint (a contact: at any joint that it loads above `COUNTED`). An item that matches no effect is false.
+  Since 2026-11-26 an item's `equivalents` count as its names: asymmetric Coulomb friction and an offset of the effort
+  are the same torque while a joint moves, and an item that says so is right of both.
   For an effect without a name in the catalogue the right answer is none, or `unknown` at its joint.
 """
 
@@ -131,6 +133,11 @@ def score_trial(record: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any
     return out
 
 
+def _names(item: dict[str, Any]) -> tuple[str, ...]:
+    """Its name, and what it says that no motion tells from it."""
+    return (str(item["name"]), *item.get("equivalents", ()))
+
+
 def _joints(item: dict[str, Any]) -> list[str]:
     return list(item.get("joints") or [])
 
@@ -206,7 +213,7 @@ def _physics(answer: dict[str, Any], items: dict[str, list[dict[str, Any]]]) -> 
         places = {names[joint]}
         if effect == "external_contact":
             places = {names[j] for j, s in enumerate(sizes) if s > 1.0}
-        hits = [i for i, x in enumerate(named) if x["name"] in accepted and places & set(_joints(x))]
+        hits = [i for i, x in enumerate(named) if set(_names(x)) & set(accepted) and places & set(_joints(x))]
         right |= set(hits)
         found = bool(hits)
         if effect == "current_offset":

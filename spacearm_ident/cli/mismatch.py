@@ -213,7 +213,7 @@ def _item_line(layer: str, item: Item) -> str:
     value = f"{was}{item.value:.4g} [{item.low:.4g}, {item.high:.4g}] {item.unit}"
     share = f"{item.share:.1%}" if item.share >= LEAST_SHARE else f"< {LEAST_SHARE:.1%}"
     place = "" if any(joint in item.where for joint in item.joints) else f" at {', '.join(item.joints)}"
-    return f"{item.name.replace('_', ' ')}, {item.where}{place}: {value} ({share}{replicated})"
+    return f"{item.title}, {item.where}{place}: {value} ({share}{replicated})"
 
 
 def sort_bags(

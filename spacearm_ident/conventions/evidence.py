@@ -213,6 +213,17 @@ class Design:
         loaded = (size > LOADED_SHARE * size.max()) & (size > 1e-6)
         return np.where(loaded, ratios, np.nan)
 
+    def times_cad(self, joint: int, torque: FloatArray) -> tuple[float, FloatArray]:
+        """The factor on the CAD inertials' torque that fits a joint's torque (M,) best beside its own; what both leave.
+
+        The torque must be zero where the joint stands still, as the columns are.
+        """
+        columns = self.columns[joint]
+        whole = np.column_stack([columns[:, : self.rigid] @ self.frame.centre, columns[:, self.rigid :]])
+        size = np.linalg.norm(whole, axis=0) + 1e-12
+        values = np.linalg.lstsq(whole / size, torque, rcond=1e-8)[0] / size
+        return float(values[0]), torque - whole @ values
+
     def own_precision(self, torque: FloatArray) -> FloatArray:
         """(n, OWN) inverse variances of the joints' own parameters about what is known; `torque` (n,) RMS."""
         speed, push = rms(self.motion.velocity) + 1e-9, rms(self.motion.acceleration) + 1e-9
@@ -273,15 +284,12 @@ class _Problem:
 
     def _first_gains(self, torque: FloatArray) -> FloatArray:
         """(n,) gains that CAD and free friction fit best where gains are wide open; 1 elsewhere."""
-        design, measured, r = self.design, self.measured, self.design.rigid
+        design, measured = self.design, self.measured
         gains = np.ones(len(torque))
-        mean = design.frame.centre
-        for j, columns in enumerate(design.columns):
+        for j in range(len(torque)):
             if (measured.gain_sd[j] <= GAIN_SD and not measured.common_gain_sd) or not design.rows[j]:
                 continue
-            whole = np.column_stack([columns[:, :r] @ mean, columns[:, r:]])
-            size = np.linalg.norm(whole, axis=0) + 1e-12
-            share = (np.linalg.lstsq(whole / size, torque[j], rcond=1e-8)[0] / size)[0]
+            share = design.times_cad(j, torque[j])[0]
             gains[j] = share if share > 1e-6 else 1.0
         return np.full(len(gains), np.exp(np.median(np.log(gains)))) if measured.common_gain_sd else gains
 
@@ -297,7 +305,10 @@ class _Problem:
         for _ in range(iterations):
             gains, weight = better, next_weight
             matrix, vector = self._system(prior, prior @ prior_mean, gains, weight)
-            factor = dpotrf(matrix, lower=1)[0]
+            factor, broken = dpotrf(matrix, lower=1)
+            if broken:
+                # Gains that run away: no explanation.
+                return Evidence(-np.inf, scale, gains, np.ones_like(gains), prior_mean, prior, weight)
             mean = dpotrs(factor, vector, lower=1)[0]
             covariance = dpotri(factor, lower=1)[0]
             covariance = np.tril(covariance) + np.tril(covariance, -1).T

@@ -134,15 +134,21 @@ class Court:
         )
 
     def _independent(self) -> FloatArray:
-        """(n,) independent samples that each joint's torque counts for, from the residual as recorded."""
+        """(n,) independent samples that each joint's torque counts for.
+
+        The more of two: by what the arm as recorded leaves of the torque, and by what the CAD inertials' torque times
+        any factor, and friction, leave of it. The second is the same whatever the sign, unit or gain of a joint, where
+        the first is nearly all of the torque, as slow as the motion, and counts for a handful of samples.
+        """
         setup = Setup.as_recorded(self.arm)
         counts = np.empty(len(self.arm.joints))
         self.counts = np.full(len(counts), len(self.rows.time) / 5.0)
         design, measured = self.design(setup), self.measured(setup)
-        evidence = weigh(design, measured)
-        residual = measured.torque - predicted(design, evidence)
+        residual = measured.torque - predicted(design, weigh(design, measured))
         for j, rows in enumerate(design.motion.moving.T):
-            counts[j] = rows.sum() / rows_a_sample(residual[rows, j], measured.torque[rows, j])
+            alone = design.times_cad(j, np.where(rows, measured.torque[:, j], 0.0))[1]
+            left = residual[rows, j], alone[rows]
+            counts[j] = rows.sum() / min(rows_a_sample(one, measured.torque[rows, j]) for one in left)
         return np.maximum(counts, 2.0)
 
     def score(
@@ -407,11 +413,16 @@ def tilts(court: Court, start: Scored) -> list[Scored]:
     size = float(np.linalg.norm(start.setup.gravity))
     if size == 0.0:
         return []
-    vector = gravity_step(court, start, size)
-    if not tilted(start.setup.gravity, vector):
-        return []
-    change = Change(Kind.GRAVITY, (), tuple(float(v) for v in vector))
-    return [court.score((*start.changes, change), change.on(start.setup), (ZERO_SCALE,), SCREEN_ITERATIONS)]
+    # Near CAD: inertials that fit the gravity believed would hold on to it.
+    here, found = court.score(start.changes, start.setup, (ZERO_SCALE,), SCREEN_ITERATIONS), []
+    for _ in range(TILT_STEPS):
+        change = Change(Kind.GRAVITY, (), tuple(float(v) for v in gravity_step(court, here, size)))
+        here = court.score((*start.changes, change), change.on(start.setup), (ZERO_SCALE,), SCREEN_ITERATIONS)
+        found.append(here)
+        if len(found) > 1 and here.score - found[-2].score < 1.0:
+            break
+    best = max(found, key=lambda one: one.score)
+    return [best] if tilted(start.setup.gravity, best.setup.gravity) else []
 
 
 def refined_gravity(court: Court, one: Scored) -> Scored:
@@ -472,6 +483,8 @@ def friction_shares(court: Court, start: Scored) -> FloatArray:
     return np.asarray(np.minimum(np.mean(friction**2, axis=0) / (whole + 1e-12), 1.0))
 
 
+TILT_STEPS = 12
+"""Gauss-Newton steps from the gravity believed to another at most."""
 LEAST_TILT_RAD = 0.17
 """Tilt of the base from which it is looked for (10 degrees); less is for `spacearm mismatch`."""
 LATE_S = 0.04

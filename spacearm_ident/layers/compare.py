@@ -20,6 +20,7 @@ import numpy as np
 from scipy.stats import norm
 
 from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.effects import EFFECTS
 from ..errors import UnfitDataError
 from ..identification.identify import Settings, identify
 from ..mismatch.explain import held_out_ends
@@ -149,7 +150,7 @@ class _Pass:
     def run(self, excluded: Sequence[str], report: Progress) -> Comparison:
         """All layers."""
         report(0.05, "conventions and wiring")
-        wired = find_wiring(self.simulation.model, self.wired_in)
+        wired = find_wiring(self.simulation.model, self.wired_in, self.simulation.values)
         report(0.2, "searching for missing physics")
         base, corrections = self.simulation.model.model, wired.wiring.corrections(self.joints)
         corrected, judged = (
@@ -171,11 +172,11 @@ class _Pass:
         chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
         extended = explanation.model or wired.model
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
-        wired = find_wiring(whole, self.wired_in, wired)
+        wired = find_wiring(whole, self.wired_in, self.simulation.values, wired)
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         idle = found.idle_wiring(SHOWS)
         if idle:
-            wired = without_columns(whole, self.wired_in, wired, idle)
+            wired = without_columns(whole, self.wired_in, self.simulation.values, wired, idle)
             found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         added = added_terms(whole, base, explanation.findings)
         optional = optional_terms(whole, base)
@@ -362,6 +363,7 @@ class _Pass:
                     unit,
                     drop,
                     found.replicates(vector, 0.0),
+                    equivalents=EFFECTS[one.effect].same_torque if one.effect in EFFECTS else (),
                 )
             )
         return tuple(items)

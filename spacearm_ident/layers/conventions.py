@@ -4,7 +4,9 @@ Each is a hypothesis: its column is free, with a prior of its own, or absent. Hy
 likelihood, summed over how far the simulation's inertials may be off (`CAD_SCALES`), so that a gain is not found where
 a heavier link says the same. The best joins if every recording (each half of a single one) supports it by itself, for
 model error is not the same in all; everything is linearised again, until nothing gains; what gains nothing beside the
-others is removed. A stamp is good to half a sampling period: so much delay is always estimated, and is no finding.
+others is removed. At a joint with little load a gain is the same as all of its friction and rotor inertia by that
+factor: there it counts how many of them a gain leaves exactly as the file has them (`UNCHANGED`). A stamp is good to
+half a sampling period: so much delay is always estimated, and is no finding.
 Signs, units, order and gravity are for `conventions.search`, before this.
 """
 
@@ -12,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 from scipy.special import expit, logsumexp
@@ -25,6 +27,7 @@ from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..mismatch.noise import weighted
 from ..recording.motion import Motion
+from ..simulations.simulation import ARMATURE, DAMPING, FRICTION
 from .linear import Linear, Prior, Solution, weak_prior
 from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
@@ -42,6 +45,13 @@ SPRING, LOADED = "stiffness", "mu"
 RIVALS = {SPRING: HarnessSpring.kind, LOADED: LoadFriction.kind}
 """Physics that is easily taken for a gain, a zero or a tilt: parameter -> effect. A cable at a vertical first joint is
 no tilted base, and friction that grows with the load no torque constant. It is no wiring, and not reported here."""
+WRITTEN = (FRICTION, DAMPING, ARMATURE)
+"""Parameters of a joint's own that a simulation's file has."""
+UNCHANGED = 0.9
+"""Prior probability that one of them is what the file has (`parameters.OFF`)."""
+KEPT_SD, OFF_SD = 0.01, 0.5
+"""Relative standard deviation of one that is, for a file has two digits, and of one that is not
+(`parameters.ROTOR_SHARE`)."""
 ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5, SPRING: 0.05, LOADED: 0.05}
 """Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes), and of a rival. Of the
 five real arms in hand torque from current is 8 to 43 % off at single joints of two; a zero that is off shows as soon as
@@ -97,18 +107,23 @@ class Wired:
     model: IdentifiedModel
 
 
-def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired | None = None) -> Wired:
+def find_wiring(
+    model: IdentifiedModel,
+    motions: Sequence[Motion],
+    written: Mapping[str, float],
+    known: Wired | None = None,
+) -> Wired:
     """Find what gains, zeros, delay and tilt the data demand.
 
     Args:
-        model: The simulation's torque model, with its values; physics that it lacks may have been added.
+        model: The simulation's torque model with values; physics that it lacks may have been added.
         motions: As recorded, in the bandwidth to look at.
+        written: Parameter by name -> value in the simulation's file.
         known: What was found before that physics was known; tested again beside it.
     """
-    state = _State(_with_rivals(model), motions, model.model)
+    state = _State(_with_rivals(model), motions, model.model, written)
     if known is not None:
-        state.found, state.wiring = list(known.found), known.wiring
-        state.relinearise()
+        state.begin(known, known.found)
     state.settle()
     while len(state.found) < MOST and (best := state.best_addition()) is not None:
         state.found = [*state.found, *best]
@@ -123,11 +138,12 @@ def find_wiring(model: IdentifiedModel, motions: Sequence[Motion], known: Wired 
     return state.answer(model.model)
 
 
-def without_columns(model: IdentifiedModel, motions: Sequence[Motion], known: Wired, names: Sequence[str]) -> Wired:
+def without_columns(
+    model: IdentifiedModel, motions: Sequence[Motion], written: Mapping[str, float], known: Wired, names: Sequence[str]
+) -> Wired:
     """What was found less some of its columns, the rest fitted again (arguments as `find_wiring`)."""
-    state = _State(_with_rivals(model), motions, model.model)
-    state.found, state.wiring = [name for name in known.found if name not in names], known.wiring
-    state.relinearise()
+    state = _State(_with_rivals(model), motions, model.model, written)
+    state.begin(known, [name for name in known.found if name not in names])
     for _ in range(1 + SETTLING):
         state.settle()
     return state.answer(model.model)
@@ -150,8 +166,13 @@ def _too_large(name: str, value: float) -> bool:
 class _State:
     """A set of hypotheses, and the linear problem around their most probable values."""
 
-    def __init__(self, model: IdentifiedModel, motions: Sequence[Motion], known: TorqueModel) -> None:
+    def __init__(
+        self, model: IdentifiedModel, motions: Sequence[Motion], known: TorqueModel, written: Mapping[str, float]
+    ) -> None:
         self.motions = motions
+        symbols = {p.name: p.symbol for p in known.parameters}
+        self.written = {name: v for name, v in written.items() if symbols.get(name) in WRITTEN and v > 0.0}
+        self.kept: dict[str, tuple[str, ...]] = {}
         own = {parameter.name for parameter in known.parameters}
         rivals = [f"{symbol}[{joint}]" for symbol in RIVALS for joint in known.arm.joint_names]
         self.rivals = [name for name in rivals if name not in own]
@@ -165,6 +186,13 @@ class _State:
         self.tilts = tuple(f"{TILT}[{AXES[k]}]" for k in axes)
         self.stamp_s = STAMP_PERIODS / min(motion.rate_hz for motion in motions)
         self.relinearise()
+
+    def begin(self, known: Wired, found: Sequence[str]) -> None:
+        """Go on from what was found before, or some of it."""
+        self.found, self.wiring = list(found), known.wiring
+        self.relinearise()
+        for name in found:
+            self._keep(name)
 
     def settle(self) -> None:
         """Move to the most probable values of what was found; what becomes larger than `LARGEST` leaves."""
@@ -216,8 +244,8 @@ class _State:
         pairs: list[tuple[str, ...]] = [*combinations([name for name in others if name.startswith(GAIN)], 2)]
         if self.tilts and not set(self.tilts) & set(self.found):
             pairs.append(self.tilts)
-        sets = [*((name,) for name in others), *pairs]
-        return [(self._evidence([*self.found, *names]) - here, names) for names in sets]
+        singles = [(self._gained(name, self.found), (name,)) for name in others]
+        return [*singles, *((self._evidence([*self.found, *names]) - here, names) for names in pairs)]
 
     def errors(self) -> dict[str, float]:
         """Standard error of each that was found, and of the delay."""
@@ -226,15 +254,60 @@ class _State:
 
     def log_odds(self, name: str) -> float:
         """Of a hypothesis among those found."""
-        return self._evidence(self.found) - self._evidence([one for one in self.found if one != name])
+        return self._gained(name, [one for one in self.found if one != name])
+
+    def _gained(self, name: str, beside: Sequence[str], blocks: np.ndarray | None = None) -> float:
+        """Log odds of one hypothesis beside others."""
+        with_it = [*beside, name]
+        if kind_and_joint(name)[0] != GAIN:
+            return self._evidence(with_it, blocks) - self._evidence(beside, blocks)
+        evidence = [self._unchanged(name, names, blocks)[0] for names in (with_it, beside)]
+        return evidence[0] - evidence[1]
+
+    def _unchanged(
+        self, gain: str, names: Sequence[str], blocks: np.ndarray | None = None
+    ) -> tuple[float, tuple[str, ...]]:
+        """The evidence, each of a joint's own parameters being as written or not, and which most probably are.
+
+        Args:
+            gain: Of the joint.
+            names: Hypotheses.
+            blocks: Of time; None: all.
+        """
+        joint = kind_and_joint(gain)[1]
+        own = [name for name in self.written if kind_and_joint(name)[1] == joint]
+        others = self._kept(names, but=joint)
+        scales = [(self._log_evidence(names, scale, others, blocks), scale) for scale in CAD_SCALES]
+        # Of the scales the best is enough for what is kept: that is a matter of this joint alone.
+        here, scale = max(scales)
+        logs = {}
+        for kept in chain.from_iterable(combinations(own, k) for k in range(len(own) + 1)):
+            spreads = {name: KEPT_SD if name in kept else OFF_SD for name in own}
+            odds = len(kept) * np.log(UNCHANGED) + (len(own) - len(kept)) * np.log(1.0 - UNCHANGED)
+            logs[kept] = self._log_evidence(names, scale, {**others, **spreads}, blocks) - here + odds
+        whole = float(logsumexp([one for one, _ in scales])) + self._log_prior(names)
+        return whole + float(logsumexp(list(logs.values()))), max(logs, key=lambda kept: logs[kept])
+
+    def _keep(self, name: str) -> None:
+        """Take what a gain at a joint most probably leaves as written for exactly that, wherever the gain is free."""
+        kind, joint = kind_and_joint(name)
+        if kind == GAIN:
+            self.kept[joint] = self._unchanged(name, [*dict.fromkeys([*self.found, name])])[1]
+
+    def _kept(self, names: Sequence[str], but: str = "") -> dict[str, float]:
+        """Relative standard deviation of what is kept, where gains among some hypotheses are free, but at one joint."""
+        joints = {kind_and_joint(name)[1] for name in names if name.startswith(GAIN)} - {but}
+        return {name: KEPT_SD for joint in joints for name in self.kept.get(joint, ())}
 
     def _agreed(self, names: Sequence[str]) -> bool:
         """Whether every part of the data supports hypotheses beside those found, and with values that agree."""
         together = [*self.found, *names]
+        for name in names:
+            self._keep(name)
         places = [self.linear.names.index(name) for name in names]
         solutions = []
         for part in self.linear.parts():
-            if self._evidence(together, part) < self._evidence(self.found, part) + self._log_prior(names):
+            if self._gain_of_part(names, part) < self._log_prior(names):
                 return False
             solution = self._solved(together, blocks=part)
             if any(_too_large(name, float(solution.values[k])) for k, name in zip(places, names)):
@@ -244,6 +317,12 @@ class _State:
         mean = np.sum(values / variances, axis=0) / np.sum(1.0 / variances, axis=0)
         squares = np.sum((values - mean) ** 2 / variances, axis=0)
         return bool(np.all(chi2.sf(squares, max(len(values) - 1, 1)) > AGREE))
+
+    def _gain_of_part(self, names: Sequence[str], part: np.ndarray) -> float:
+        """Log odds of hypotheses beside those found, by a part of the data."""
+        if len(names) == 1:
+            return self._gained(names[0], self.found, part)
+        return self._evidence([*self.found, *names], part) - self._evidence(self.found, part)
 
     def _log_prior(self, names: Sequence[str]) -> float:
         return sum(float(np.log(ODDS[kind_and_joint(name)[0]])) for name in names)
@@ -264,8 +343,15 @@ class _State:
         everything = self._solved(self._candidates(), np.ones(len(size)))
         self.variance = self.linear.variance(everything.values, noise, LEAST_FACTOR)
 
-    def _prior(self, names: Sequence[str], scale: float) -> Prior:
-        """With inertials off the simulation's by `scale` of themselves, and these hypotheses free."""
+    def _prior(self, names: Sequence[str], scale: float, own: Mapping[str, float] | None = None) -> Prior:
+        """With inertials off the simulation's by `scale` of themselves, and these hypotheses free.
+
+        Args:
+            names: Hypotheses.
+            scale: Of the inertials.
+            own: Parameter of a joint's own -> relative standard deviation about what is written; None: of what is kept.
+        """
+        own = self._kept(names) if own is None else own
         mean, precision, free = self.weak.mean.copy(), self.weak.precision.copy(), self.weak.free.copy()
         count = 10 * len(self.arm.joints)
         mean[:count] = self.centre
@@ -274,6 +360,9 @@ class _State:
         precision[:count, :count] = np.diag(1.0 / ((scale * self.spread) ** 2 + self.payload**2))
         now = self.wiring.by_column(self.arm.joint_names)
         for number, name in enumerate(self.linear.names):
+            if name in own:
+                precision[number, :] = precision[:, number] = 0.0
+                mean[number], precision[number, number] = self.written[name], (own[name] * self.written[name]) ** -2
             if name in self.rivals and name not in names:
                 mean[number], free[number] = 0.0, False
             if name not in now:
@@ -287,8 +376,14 @@ class _State:
         return Prior(mean, precision, free)
 
     def _evidence(self, names: Sequence[str], blocks: np.ndarray | None = None) -> float:
-        logs = [self.linear.log_evidence(self._prior(names, scale), self.variance, blocks) for scale in CAD_SCALES]
+        logs = [self._log_evidence(names, scale, None, blocks) for scale in CAD_SCALES]
         return float(logsumexp(logs)) + self._log_prior(names)
+
+    def _log_evidence(
+        self, names: Sequence[str], scale: float, own: Mapping[str, float] | None, blocks: np.ndarray | None = None
+    ) -> float:
+        """Of hypotheses at one scale of the inertials (arguments as `_prior`)."""
+        return self.linear.log_evidence(self._prior(names, scale, own), self.variance, blocks)
 
     def _solved(
         self, names: Sequence[str], variance: FloatArray | None = None, blocks: np.ndarray | None = None

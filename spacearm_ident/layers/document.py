@@ -89,6 +89,7 @@ def _item(item: Item) -> dict[str, Any]:
         "share": _finite(item.share),
         "replicated": item.replicated,
         "combination": dict(item.combination),
+        "equivalents": list(item.equivalents),
     }
 
 

@@ -26,6 +26,7 @@ class Item:
         share: Of the simulation's residual variance above the noise, on held-out data, that is back without it.
         replicated: Whether another recording, or another part, says the same; None: there is none to ask.
         combination: Parameter of the simulation -> coefficient, where it is a combination of several.
+        equivalents: Other effects with the same torque wherever the joints move: no recording of a motion tells.
     """
 
     name: str
@@ -39,6 +40,12 @@ class Item:
     share: float = float("nan")
     replicated: bool | None = None
     combination: Mapping[str, float] = field(default_factory=dict)
+    equivalents: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """Its name and its equivalents', for a person."""
+        return " or ".join(name.replace("_", " ") for name in (self.name, *self.equivalents))
 
 
 @dataclass(frozen=True)

@@ -84,9 +84,9 @@ class JointFit:
         self.simulation, self.wiring, self.names = simulation, wiring, wired.found
         self._errors, self._judged = dict(wired.errors), judged
         noise = weighted(model, wiring.undone(motions, model))
-        self.linear = Linear(model, motions, noise.whiteners, wiring)
+        self.linear = Linear(model, motions, noise.whiteners, wiring, by_state=True)
         self.judge = Linear(model, judged, in_newton_metres(simulation.arm), wiring)
-        self.again = Linear(model, judged, noise.whiteners, wiring)
+        self.again = Linear(model, judged, noise.whiteners, wiring, by_state=True)
         self._weak, self._weak_again = weak_prior(self.linear), weak_prior(self.again)
         self.base = simulation.model.model
         self._known = {p.name for p, own in zip(self.base.parameters, _has_values(self.base)) if own}

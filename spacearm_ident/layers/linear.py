@@ -29,6 +29,8 @@ from ..mismatch.scene import Scene, Whitener
 from ..recording.motion import Motion
 from .wiring import Wiring, column_names, gravity_torque
 
+STATE_GROUPS = 6
+"""Groups of a joint's rows by its velocity, and as many by its position."""
 ZERO_STEP = 1e-4
 """rad: step of the difference quotient of the torque by a zero."""
 LARGEST_FACTOR = 10.0
@@ -75,11 +77,18 @@ class Linear:
         blocks: Number of blocks of time.
         recording: (B,) which recording a block is of.
         gram: (n, B, P + 1, P + 1) of weighted columns and, last, torque.
+        by_state: (2, n, G, P + 1, P + 1) the same of equally many rows of a joint each, by its velocity and by its
+            position; none unless asked for.
         rows: (n, B) number of rows.
     """
 
     def __init__(
-        self, model: IdentifiedModel, motions: Sequence[Motion], whiteners: Sequence[Whitener], wiring: Wiring
+        self,
+        model: IdentifiedModel,
+        motions: Sequence[Motion],
+        whiteners: Sequence[Whitener],
+        wiring: Wiring,
+        by_state: bool = False,
     ) -> None:
         """Build the columns.
 
@@ -88,6 +97,7 @@ class Linear:
             motions: As recorded.
             whiteners: What a row of each joint counts for.
             wiring: What is undone first; columns of gains, zeros and delay are of what is left.
+            by_state: Whether `by_state` is wanted.
         """
         self.model, self.wiring = model, wiring
         undone = wiring.undone(motions, model)
@@ -117,6 +127,7 @@ class Linear:
                 rows = stacked[(scene.joint == joint) & (block == number)]
                 self.gram[joint, number] = rows.T @ rows
                 self.rows[joint, number] = len(rows)
+        self.by_state = _by_state(scene, stacked) if by_state else None
 
     @property
     def count(self) -> int:
@@ -206,6 +217,22 @@ class Linear:
     def _weighted(self, noise: FloatArray, blocks: np.ndarray | None) -> FloatArray:
         chosen = self.gram if blocks is None else self.gram[:, blocks]
         return np.asarray(np.tensordot(1.0 / noise, chosen.sum(axis=1), axes=1))
+
+
+def _by_state(scene: Scene, stacked: FloatArray) -> FloatArray:
+    """(2, n, G, c, c) Gram matrices of stacked rows (R, c), of each joint's by its velocity and by its position."""
+    n, width = len(scene.motions[0].joints), stacked.shape[1]
+    gram = np.zeros((2, n, STATE_GROUPS, width, width))
+    for joint in range(n):
+        owners = range(len(scene.motions))
+        places = [scene.place[scene.slot(joint, m)] for m in owners]
+        rows = stacked[scene.joint == joint]
+        speed = np.concatenate([m.velocity_rows[place, joint] for m, place in zip(scene.motions, places)])
+        where = np.concatenate([m.reduce(m.position)[place, joint] for m, place in zip(scene.motions, places)])
+        for kind, state in enumerate((speed, where)):
+            for number, group in enumerate(np.array_split(np.argsort(state), STATE_GROUPS)):
+                gram[kind, joint, number] = rows[group].T @ rows[group]
+    return gram
 
 
 def weak_prior(linear: Linear) -> Prior:

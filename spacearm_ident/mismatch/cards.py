@@ -55,7 +55,7 @@ class Cards:
             source=effect.source,
             parameters=self._quantities(number, values),
             confidence=_confidence(winner, rivals),
-            alternatives=tuple(_alternative(winner, other) for other in rivals[:MOST]),
+            alternatives=(*_same_torque(winner), *(_alternative(winner, other) for other in rivals[:MOST])),
             gain=winner.gain,
             unseen_gain=winner.unseen,
             asleep=winner.asleep,
@@ -188,6 +188,13 @@ def _confidence(winner: Scored, others: Sequence[Scored]) -> float:
     unit = TEMPER + TEMPER_SHARE * winner.score
     weights = [1.0, *(np.exp(min(0.0, (other.score - winner.score) / unit)) for other in named)]
     return float(np.clip(weights[0] / sum(weights), 0.01, 0.99))
+
+
+def _same_torque(winner: Scored) -> list[Alternative]:
+    """What no motion tells from the winner."""
+    effect = winner.candidate.effect
+    why = f"the same torque wherever the joint moves: {effect.experiment}"
+    return [Alternative(kind, effect.joints, 1.0, why) for kind in effect.same_torque]
 
 
 def _alternative(winner: Scored, other: Scored) -> Alternative:

@@ -98,12 +98,8 @@ def _layers_sentence(comparison: Comparison) -> str:
         if layer.items:
             largest = layer.items[0]
             more = f" and {len(layer.items) - 1} more" if len(layer.items) > 1 else ""
-            parts.append(f"{TITLES[layer.name].lower()}: {_name(largest)} at {listed(largest.joints)}{more}")
+            parts.append(f"{TITLES[layer.name].lower()}: {largest.title} at {listed(largest.joints)}{more}")
     return "; ".join(parts).capitalize() + "." if parts else "No significant difference."
-
-
-def _name(item: Item) -> str:
-    return item.name.replace("_", " ")
 
 
 def _glance(comparison: Comparison) -> list[Markup | None]:
@@ -223,9 +219,9 @@ def _items(layer: str, items: Iterable[Item], cards: frozenset[str]) -> Markup:
 def _row(item: Item, cards: frozenset[str]) -> Markup:
     unit = unit_text(item.unit)
     interval = f"{number(item.low)} to {number(item.high)}" if math.isfinite(item.low) else NOTHING
-    name: object = _name(item)
+    name: object = item.title
     if (anchor := card_id(item.name, item.joints)) in cards:
-        name = element("a", _name(item), href=f"#{anchor}")
+        name = element("a", item.title, href=f"#{anchor}")
     replicated = {True: "yes", False: "no", None: "not testable"}[item.replicated]
     return element(
         "tr",

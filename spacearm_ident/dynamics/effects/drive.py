@@ -102,6 +102,7 @@ class CurrentOffset(Effect):
     equation: ClassVar[str] = "offset"
     source: ClassVar[str] = "current sensor data sheets"
     confused_with: ClassVar[tuple[str, ...]] = ("asymmetric_friction", "harness_spring", "base_tilt")
+    same_torque: ClassVar[tuple[str, ...]] = ("asymmetric_friction",)
     experiment: ClassVar[str] = "read the currents with the brakes on: an offset of the sensor stays, friction goes"
 
     @classmethod
