@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -263,16 +264,37 @@ def test_what_no_data_can_tell_is_listed(run, arm):
     assert "encoder zero of waist" in text
 
 
-@pytest.mark.parametrize(
-    "name", ["ur10e/commissioning", "ur10e/field", "tx40/excitation", "airbot/run_1", "panda/run_2"]
-)
-def test_a_real_recording_is_sound_and_a_torque_sign_in_it_is_found(name):
+def real(name: str) -> Recording:
+    """A recording of a real arm, joints in its order."""
     path = REAL / f"{name}.mcap"
     if not path.exists():
         pytest.skip(f"no {path.name} in ../shared/recordings/real")
     recording = read_recording(path)
-    arm = arm_from_urdf(recording.urdf)
-    ordered = recording.in_order(arm.joint_names)
+    return recording.in_order(arm_from_urdf(recording.urdf).joint_names)
+
+
+@pytest.mark.parametrize(
+    "name", ["ur10e/commissioning", "ur10e/field", "tx40/excitation", "airbot/run_1", "panda/run_2"]
+)
+def test_a_real_recording_is_sound_and_a_torque_sign_in_it_is_found(name):
+    ordered = real(name)
+    arm = arm_from_urdf(ordered.urdf)
     assert check_conventions([ordered], arm).fit
     found = unfit(check_conventions([scaled(ordered, "effort", 2, -1.0)], arm))
     assert ("effort_sign", (arm.joint_names[2],)) in found
+
+
+def test_torque_sign_is_found_where_the_joint_is_all_residual_and_slow():
+    """A wrong sign leaves all of a joint's torque, as slow as the motion: it must not count for less for that."""
+    recording = real("panda/run_1").between(0.0, 36.0)
+    found = unfit(check_conventions([scaled(recording, "effort", 2, -1.0)], arm_from_urdf(recording.urdf)))
+    assert found == [("effort_sign", ("panda_joint3",))]
+
+
+def test_gravity_along_another_axis_of_a_real_arm_has_figures_that_are_numbers():
+    """Under it the gain of all joints runs away in one of the rival explanations."""
+    recording = real("tx40/excitation").between(0.47, 8.88)
+    report = check_conventions([recording], arm_from_urdf(recording.urdf).with_gravity(np.array([0.0, -9.81, 0.0])))
+    assert unfit(report) == [("gravity", ())]
+    assert 0.9 < report.findings[0].probability <= 1.0
+    json.dumps(report.as_dict(), allow_nan=False)

@@ -100,7 +100,7 @@ def test_wiring_that_is_off_is_found_with_its_size(
     simulation: Simulation, wiring: Wiring, found: tuple[str, ...]
 ) -> None:
     run = _recorded_as(recorded(mjcf(), 3), wiring)
-    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.values)
+    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.own)
     assert wired.found == found
     np.testing.assert_allclose(wired.wiring.gain, wiring.gain, rtol=0.02)
     np.testing.assert_allclose(wired.wiring.zero_rad, wiring.zero_rad, atol=0.004)
@@ -137,7 +137,7 @@ def test_tilted_base_is_found_about_the_axis_it_is_tilted_about(simulation: Simu
     text = mjcf().replace(
         'timestep="0.001"', f'timestep="0.001" gravity="0 {-9.81 * np.sin(0.03)} {-9.81 * np.cos(0.03)}"'
     )
-    wired = find_wiring(simulation.model, banded([recorded(text, 3)], JOINTS, 20.0, 70.0), simulation.values)
+    wired = find_wiring(simulation.model, banded([recorded(text, 3)], JOINTS, 20.0, 70.0), simulation.own)
     assert "tilt[x]" in wired.found and set(wired.found) <= {"tilt[x]", "tilt[y]"}
     np.testing.assert_allclose(wired.wiring.tilt_rad, [0.03, 0.0, 0.0], atol=0.002)
 
@@ -158,7 +158,7 @@ def test_gain_at_a_joint_without_load_is_told_by_what_it_leaves_as_written(
     path.write_text(mjcf(armature=1.0, damping=3.0, friction=4.0))
     written = read_simulation(path)
     run = _recorded_as(recorded(mjcf(**own), 3, noise_Nm=1.0), Wiring(np.array([0.8, 1.0, 1.0]), np.zeros(3)))
-    wired = find_wiring(written.model, banded([run], JOINTS, 20.0, 70.0), written.values)
+    wired = find_wiring(written.model, banded([run], JOINTS, 20.0, 70.0), written.own)
     assert wired.found == found
     np.testing.assert_allclose(wired.wiring.gain[0], 0.8 if found else 1.0, atol=0.02)
 
@@ -183,7 +183,7 @@ def test_intervals_hold_where_friction_has_physics_that_is_not_in_the_model(simu
 def test_current_offset_does_not_hide_a_torque_constant(simulation: Simulation) -> None:
     run = _recorded_as(recorded(mjcf(), 3), Wiring(np.array([1.0, 1.0, 0.8]), np.zeros(3)))
     run = replace(run, effort=run.effort + np.array([0.0, 0.0, 0.5]))
-    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.values)
+    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.own)
     assert wired.found == ("gain[elbow]",)
     assert abs(wired.wiring.gain[2] - 0.8) < 0.02
 

@@ -40,8 +40,8 @@ MASS_SD, MASS_LEAST = 0.3, -20.0
 OWN = 4
 """Columns of a joint's own: Coulomb, viscous, rotor inertia, offset."""
 OWN_SPREAD = 0.5
-"""Relative standard deviation of a joint's own parameters where they are known beforehand: friction of a simulation is
-guessed, or of another unit of the same type."""
+"""Relative standard deviation of a joint's own parameters where they are known beforehand. As often they are as good as
+not known, for friction of a simulation may be guessed: the likelihood is summed over both."""
 
 
 def inertial_belief(arm: Arm, torque: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -224,13 +224,17 @@ class Design:
         values = np.linalg.lstsq(whole / size, torque, rcond=1e-8)[0] / size
         return float(values[0]), torque - whole @ values
 
-    def own_precision(self, torque: FloatArray) -> FloatArray:
-        """(n, OWN) inverse variances of the joints' own parameters about what is known; `torque` (n,) RMS."""
+    def own_belief(self, torque: FloatArray, known: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (n, OWN) and inverse variances of the joints' own parameters.
+
+        Args:
+            torque: (n,) RMS.
+            known: (n, OWN) what is known of them; zero: nothing.
+        """
         speed, push = rms(self.motion.velocity) + 1e-9, rms(self.motion.acceleration) + 1e-9
         deviation = np.column_stack([0.5 * torque, 0.5 * torque / speed, 0.3 * torque / push, 0.1 * torque])
-        known = self.frame.own != 0.0
-        deviation[known] = OWN_SPREAD * np.abs(self.frame.own[known])
-        return np.asarray(1.0 / (deviation + 1e-12) ** 2)
+        deviation = np.where(known != 0.0, OWN_SPREAD * np.abs(known), deviation)
+        return known, np.asarray(1.0 / (deviation + 1e-12) ** 2)
 
 
 def rms(signal: FloatArray) -> FloatArray:
@@ -248,7 +252,7 @@ def weigh(design: Design, measured: Measured, scales: Sequence[float] = CAD_SCAL
         iterations: Alternations between parameters, gains and error size, for every scale.
     """
     problem = _Problem(design, measured)
-    found = [problem.at_scale(scale, iterations) for scale in scales]
+    found = [problem.at_scale(scale, iterations, own) for scale in scales for own in problem.own_beliefs]
     logs = np.array([one.log_likelihood for one in found])
     total = float(np.logaddexp.reduce(logs) - np.log(len(logs)))
     return replace(found[int(np.argmax(logs))], log_likelihood=total)
@@ -277,7 +281,9 @@ class _Problem:
         self.squares = np.sum(torque**2, axis=1)
         self.rows = np.maximum(design.rows, 1)
         size = rms(measured.torque)
-        self.own_precision = design.own_precision(size)
+        nothing = np.zeros_like(design.frame.own)
+        beliefs = [nothing, design.frame.own] if design.frame.own.any() else [nothing]
+        self.own_beliefs = [design.own_belief(size, known) for known in beliefs]
         self.floor = MODEL_ERROR * size + 1e-9
         self.first_gains = self._first_gains(torque)
         self.signs = _Signs(design)
@@ -293,14 +299,15 @@ class _Problem:
             gains[j] = share if share > 1e-6 else 1.0
         return np.full(len(gains), np.exp(np.median(np.log(gains)))) if measured.common_gain_sd else gains
 
-    def at_scale(self, scale: float, iterations: int) -> Evidence:
-        """The evidence at one CAD scale."""
+    def at_scale(self, scale: float, iterations: int, own: tuple[FloatArray, FloatArray]) -> Evidence:
+        """The evidence at one CAD scale and one belief about the joints' own parameters."""
+        own_mean, own_precision = own
         counts, r = self.measured.counts, self.design.rigid
         rigid_precision, half_log = self.design.frame.belief(scale)
-        prior = np.diag(np.append(np.zeros(r), self.own_precision.ravel()))
+        prior = np.diag(np.append(np.zeros(r), own_precision.ravel()))
         prior[:r, :r] = rigid_precision
-        half_log += 0.5 * float(np.log(self.own_precision).sum())
-        prior_mean = np.append(self.design.frame.centre, self.design.frame.own)
+        half_log += 0.5 * float(np.log(own_precision).sum())
+        prior_mean = np.append(self.design.frame.centre, own_mean)
         better, next_weight = self.first_gains, counts / self.rows / self.floor**2
         for _ in range(iterations):
             gains, weight = better, next_weight
@@ -323,7 +330,8 @@ class _Problem:
         size = inverse * self.floor**2
         value += 0.5 * MODEL_ERROR_WEIGHT * float(np.sum(np.log(size) - size))
         gain_value, gain_errors = self._gain_evidence(gains, next_weight * sums.rigid_squared)
-        value += gain_value + self.signs.log_probability(mean[r:], covariance[r:, r:])
+        before = self.signs.log_probability(own_mean.ravel(), np.diag(1.0 / own_precision.ravel()))
+        value += gain_value + self.signs.log_probability(mean[r:], covariance[r:, r:]) - before
         return Evidence(value, scale, gains, gain_errors, mean, matrix, weight)
 
     def _system(
@@ -395,14 +403,14 @@ class _Signs:
         self.power = np.column_stack([np.abs(speed).sum(axis=0) / rows, (speed**2).sum(axis=0) / rows])
 
     def log_probability(self, own: FloatArray, covariance: FloatArray) -> float:
-        """Log of the posterior probability of both at every joint, relative to that before the data."""
+        """Log of the probability of both at every joint, own parameters (n OWN,) being known so well."""
         total = 0.0
         for j in np.flatnonzero(self.moves):
             first, power = OWN * j, self.power[j]
             friction = slice(first, first + 2)
             lost = power @ own[friction] / np.sqrt(power @ covariance[friction, friction] @ power)
             inertia = own[first + 2] / np.sqrt(covariance[first + 2, first + 2])
-            total += float(log_ndtr(lost) + log_ndtr(inertia)) + 2 * np.log(2.0)
+            total += float(log_ndtr(lost) + log_ndtr(inertia))
         return total
 
 

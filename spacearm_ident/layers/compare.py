@@ -150,7 +150,7 @@ class _Pass:
     def run(self, excluded: Sequence[str], report: Progress) -> Comparison:
         """All layers."""
         report(0.05, "conventions and wiring")
-        wired = find_wiring(self.simulation.model, self.wired_in, self.simulation.values)
+        wired = find_wiring(self.simulation.model, self.wired_in, self.simulation.own)
         report(0.2, "searching for missing physics")
         base, corrections = self.simulation.model.model, wired.wiring.corrections(self.joints)
         corrected, judged = (
@@ -172,11 +172,11 @@ class _Pass:
         chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
         extended = explanation.model or wired.model
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
-        wired = find_wiring(whole, self.wired_in, self.simulation.values, wired)
+        wired = find_wiring(whole, self.wired_in, self.simulation.own, wired)
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         idle = found.idle_wiring(SHOWS)
         if idle:
-            wired = without_columns(whole, self.wired_in, self.simulation.values, wired, idle)
+            wired = without_columns(whole, self.wired_in, self.simulation.own, wired, idle)
             found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         added = added_terms(whole, base, explanation.findings)
         optional = optional_terms(whole, base)

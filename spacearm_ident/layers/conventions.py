@@ -27,7 +27,6 @@ from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..mismatch.noise import weighted
 from ..recording.motion import Motion
-from ..simulations.simulation import ARMATURE, DAMPING, FRICTION
 from .linear import Linear, Prior, Solution, weak_prior
 from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
@@ -45,10 +44,8 @@ SPRING, LOADED = "stiffness", "mu"
 RIVALS = {SPRING: HarnessSpring.kind, LOADED: LoadFriction.kind}
 """Physics that is easily taken for a gain, a zero or a tilt: parameter -> effect. A cable at a vertical first joint is
 no tilted base, and friction that grows with the load no torque constant. It is no wiring, and not reported here."""
-WRITTEN = (FRICTION, DAMPING, ARMATURE)
-"""Parameters of a joint's own that a simulation's file has."""
 UNCHANGED = 0.9
-"""Prior probability that one of them is what the file has (`parameters.OFF`)."""
+"""Prior probability that a joint's own parameter is what the file has (`parameters.OFF`)."""
 KEPT_SD, OFF_SD = 0.01, 0.5
 """Relative standard deviation of one that is, for a file has two digits, and of one that is not
 (`parameters.ROTOR_SHARE`)."""
@@ -118,7 +115,7 @@ def find_wiring(
     Args:
         model: The simulation's torque model with values; physics that it lacks may have been added.
         motions: As recorded, in the bandwidth to look at.
-        written: Parameter by name -> value in the simulation's file.
+        written: Friction, damping and rotor inertias in the simulation's file, by name (`Simulation.own`).
         known: What was found before that physics was known; tested again beside it.
     """
     state = _State(_with_rivals(model), motions, model.model, written)
@@ -170,8 +167,7 @@ class _State:
         self, model: IdentifiedModel, motions: Sequence[Motion], known: TorqueModel, written: Mapping[str, float]
     ) -> None:
         self.motions = motions
-        symbols = {p.name: p.symbol for p in known.parameters}
-        self.written = {name: v for name, v in written.items() if symbols.get(name) in WRITTEN and v > 0.0}
+        self.written = written
         self.kept: dict[str, tuple[str, ...]] = {}
         own = {parameter.name for parameter in known.parameters}
         rivals = [f"{symbol}[{joint}]" for symbol in RIVALS for joint in known.arm.joint_names]

@@ -13,6 +13,8 @@ from ..dynamics.regressor import INERTIAL_SYMBOLS
 
 ARMATURE, DAMPING, FRICTION, STIFFNESS = "J_m", "k_v1", "f_c", "k_1"
 """Symbols of the torque model for what a simulator's joint holds beside its body."""
+LEAST_OWN = 1e-6
+"""N m, N m s/rad, kg m^2: an identification of a simulator's bag leaves a thousandth of it where there is none."""
 WORDS: Mapping[str, Mapping[str, str]] = {
     "mjcf": {ARMATURE: "armature", DAMPING: "damping", FRICTION: "frictionloss", STIFFNESS: "stiffness"},
     "urdf": {ARMATURE: "rotor inertia", DAMPING: "damping", FRICTION: "friction", STIFFNESS: "stiffness"},
@@ -97,6 +99,13 @@ class Simulation:
     def values(self) -> dict[str, float]:
         """Parameter by name, such as `m[joint_1]` -> value."""
         return {p.name: float(v) for p, v in zip(self.model.model.parameters, self.model.parameters)}
+
+    @property
+    def own(self) -> dict[str, float]:
+        """Friction, damping and rotor inertias that the joints have, by name; not what is rounding of zero."""
+        symbols = (FRICTION, DAMPING, ARMATURE)
+        found = zip(self.model.model.parameters, self.model.parameters)
+        return {p.name: float(v) for p, v in found if p.symbol in symbols and v > LEAST_OWN}
 
     def word(self, symbol: str) -> str:
         """What the simulation's format calls a parameter of a joint; other symbols stay."""
