@@ -40,16 +40,23 @@ SPREAD = {GAIN: GAIN_SD, ZERO: ZERO_SD, DELAY: DELAY_SD, TILT: TILT_SD}
 STAMP_PERIODS = 1 / 6
 """Standard deviation of a right stamp, sampling periods: effort is what held before the sample or what will hold after
 it, half a period early or late, at three standard deviations."""
-SPRING, LOADED = "stiffness", "mu"
-RIVALS = {SPRING: HarnessSpring.kind, LOADED: LoadFriction.kind}
-"""Physics that is easily taken for a gain, a zero or a tilt: parameter -> effect. A cable at a vertical first joint is
-no tilted base, and friction that grows with the load no torque constant. It is no wiring, and not reported here."""
+SPRING, LOADED, DRIVEN = "stiffness", "mu", "mu_in"
+RIVALS: Mapping[str, tuple[str, Mapping[str, str]]] = {
+    SPRING: (HarnessSpring.kind, {}),
+    LOADED: (LoadFriction.kind, {}),
+    DRIVEN: (LoadFriction.kind, {"side": "motor"}),
+}
+"""Physics that is easily taken for a gain, a zero or a tilt: parameter -> effect, and options of its place. A cable at
+a vertical first joint is no tilted base, and friction that grows with the load no torque constant. It is no wiring, and
+not reported here."""
+SCALING = frozenset({GAIN, LOADED, DRIVEN})
+"""What may leave friction and rotor inertia as the file has them where all of a joint's torque is more or less."""
 UNCHANGED = 0.9
 """Prior probability that a joint's own parameter is what the file has (`parameters.OFF`)."""
 KEPT_SD, OFF_SD = 0.01, 0.5
 """Relative standard deviation of one that is, for a file has two digits, and of one that is not
 (`parameters.ROTOR_SHARE`)."""
-ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5, SPRING: 0.05, LOADED: 0.05}
+ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5, SPRING: 0.05, LOADED: 0.05, DRIVEN: 0.02}
 """Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes), and of a rival. Of the
 five real arms in hand torque from current is 8 to 43 % off at single joints of two; a zero that is off shows as soon as
 an arm is used; late torque is common."""
@@ -149,9 +156,10 @@ def without_columns(
 def _with_rivals(model: IdentifiedModel) -> IdentifiedModel:
     """With `RIVALS` at every joint, hypotheses beside gains, zeros and tilt; a spring comes with a constant torque."""
     structure, own = dict(model.model.structure), {parameter.name for parameter in model.model.parameters}
-    for symbol, kind in RIVALS.items():
+    for symbol, (kind, options) in RIVALS.items():
         known = structure.get(kind, {"at": []})["at"]
-        places = [{"joint": joint} for joint in model.model.arm.joint_names if f"{symbol}[{joint}]" not in own]
+        joints = [joint for joint in model.model.arm.joint_names if f"{symbol}[{joint}]" not in own]
+        places = [{"joint": joint, **options} for joint in joints]
         structure[kind] = {"at": [*known, *places]}
     return model.carried_to(TorqueModel(model.model.arm, structure))
 
@@ -217,8 +225,18 @@ class _State:
         sure = [(odds, names) for odds, names in self._additions() if odds > SURE * len(names)]
         best = sorted(sure, reverse=True)[:SHORT_LIST]
         # A rival is there to be ruled out: beside what is still missing it need not be the same in all parts.
-        agreed = (names for _, names in best if names[0] in self.rivals or self._agreed(names))
-        return next(agreed, None)
+        return next((names for _, names in best if self._holds(names)), None)
+
+    def _holds(self, names: tuple[str, ...]) -> bool:
+        return self._possible(names[0]) if names[0] in self.rivals else self._agreed(names)
+
+    def _possible(self, rival: str) -> bool:
+        """Whether friction that grows with the load does grow."""
+        if kind_and_joint(rival)[0] not in SCALING:
+            return True
+        self._keep(rival)
+        values = self._solved([*self.found, rival]).values
+        return bool(values[self.linear.names.index(rival)] > 0.0)
 
     def suspected(self) -> tuple[Suspicion, ...]:
         """The best addition that is more probable than none, and that all parts of the data support."""
@@ -255,22 +273,22 @@ class _State:
     def _gained(self, name: str, beside: Sequence[str], blocks: np.ndarray | None = None) -> float:
         """Log odds of one hypothesis beside others."""
         with_it = [*beside, name]
-        if kind_and_joint(name)[0] != GAIN:
+        if kind_and_joint(name)[0] not in SCALING:
             return self._evidence(with_it, blocks) - self._evidence(beside, blocks)
         evidence = [self._unchanged(name, names, blocks)[0] for names in (with_it, beside)]
         return evidence[0] - evidence[1]
 
     def _unchanged(
-        self, gain: str, names: Sequence[str], blocks: np.ndarray | None = None
+        self, one: str, names: Sequence[str], blocks: np.ndarray | None = None
     ) -> tuple[float, tuple[str, ...]]:
         """The evidence, each of a joint's own parameters being as written or not, and which most probably are.
 
         Args:
-            gain: Of the joint.
+            one: A hypothesis about the joint.
             names: Hypotheses.
             blocks: Of time; None: all.
         """
-        joint = kind_and_joint(gain)[1]
+        joint = kind_and_joint(one)[1]
         own = [name for name in self.written if kind_and_joint(name)[1] == joint]
         others = self._kept(names, but=joint)
         scales = [(self._log_evidence(names, scale, others, blocks), scale) for scale in CAD_SCALES]
@@ -285,14 +303,15 @@ class _State:
         return whole + float(logsumexp(list(logs.values()))), max(logs, key=lambda kept: logs[kept])
 
     def _keep(self, name: str) -> None:
-        """Take what a gain at a joint most probably leaves as written for exactly that, wherever the gain is free."""
+        """Take what a hypothesis most probably leaves as written for exactly that, wherever it is free."""
         kind, joint = kind_and_joint(name)
-        if kind == GAIN:
+        if kind in SCALING:
             self.kept[joint] = self._unchanged(name, [*dict.fromkeys([*self.found, name])])[1]
 
     def _kept(self, names: Sequence[str], but: str = "") -> dict[str, float]:
-        """Relative standard deviation of what is kept, where gains among some hypotheses are free, but at one joint."""
-        joints = {kind_and_joint(name)[1] for name in names if name.startswith(GAIN)} - {but}
+        """Relative standard deviation of what is kept beside some hypotheses, but at one joint."""
+        places = (kind_and_joint(name) for name in names)
+        joints = {joint for kind, joint in places if kind in SCALING} - {but}
         return {name: KEPT_SD for joint in joints for name in self.kept.get(joint, ())}
 
     def _agreed(self, names: Sequence[str]) -> bool:

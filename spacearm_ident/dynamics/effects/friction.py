@@ -132,7 +132,10 @@ class TemperatureFriction(_Friction):
 
 @dataclass(frozen=True)
 class LoadFriction(_Friction):
-    """Friction that grows with the load on the gear."""
+    """Friction that grows with the load on the gear: on its output, or (`side: motor`) on its input, friction included.
+
+    The second is not searched for: it is a rival of a torque gain (`layers.conventions`).
+    """
 
     kind: ClassVar[str] = "load_friction"
     words: ClassVar[str] = "friction grows with the load on the gear"
@@ -144,14 +147,19 @@ class LoadFriction(_Friction):
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
-        return cls((Parameter("mu", known_joint(arm, place), "1", scale=0.1, lower=0.0, upper=0.4),), place=place)
+        symbol = "mu_in" if place.get("side") == "motor" else "mu"
+        return cls((Parameter(symbol, known_joint(arm, place), "1", scale=0.1, lower=0.0, upper=0.4),), place=place)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """|load| times direction."""
         row = self.row(motion)
         if background is None:
             return nothing(motion, [row], 1)
-        return own(row, np.abs(background.load[:, row]) * direction(motion, row))
+        load = background.load[:, row]
+        if self.place.get("side") == "motor":
+            rotor = background.values.get(f"J_m[{motion.joints[row]}]", 0.0)
+            load = background.torque[:, row] - rotor * motion.acceleration[:, row]
+        return own(row, np.abs(load) * direction(motion, row))
 
 
 @dataclass(frozen=True)
