@@ -8,6 +8,7 @@ A line a trial is appended as it finishes; a run that was stopped goes on where 
 from __future__ import annotations
 
 import argparse
+import datetime
 import json
 import os
 import resource
@@ -88,6 +89,7 @@ def main() -> None:
     parser.add_argument("--only", type=int, nargs="+", help="trials to run, in this order")
     parser.add_argument("--until", default=None, help="HH:MM; no trial starts after it")
     options = parser.parse_args()
+    end = _next(options.until) if options.until else datetime.datetime.max
     done = set()
     if options.results.exists():
         done = {json.loads(line)["trial"] for line in options.results.read_text().splitlines()}
@@ -95,7 +97,7 @@ def main() -> None:
         # an answer is written after its bags: a draw may still be going on
         drawn = {int(a.stem): a for a in sorted((options.draws / "answers").glob("*.json"))}
         left = [drawn[k] for k in options.only or drawn if k in drawn and k not in done]
-        if not left or (options.until and time.strftime("%H:%M") >= options.until):
+        if not left or datetime.datetime.now() >= end:
             break
         answer = json.loads(left[0].read_text())
         line = {
@@ -113,6 +115,13 @@ def main() -> None:
             "s",
             flush=True,
         )
+
+
+def _next(clock: str) -> datetime.datetime:
+    """When a clock next shows HH:MM."""
+    hour, minute = (int(part) for part in clock.split(":"))
+    today = datetime.datetime.now().replace(hour=hour, minute=minute, second=0, microsecond=0)
+    return today if today > datetime.datetime.now() else today + datetime.timedelta(days=1)
 
 
 if __name__ == "__main__":
