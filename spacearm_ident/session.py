@@ -320,5 +320,11 @@ def structure_of_file(path: Path, arm: Arm) -> Structure:
 
 
 def within(progress: Progress, start: float, stop: float) -> Progress:
-    """Progress of a part of the work, as progress of the whole."""
+    """A progress callback for a part of the work.
+
+    Args:
+        progress: Callback of the whole work: share done in 0..1, and what is being done.
+        start: Share of the whole at which the part begins.
+        stop: Share of the whole at which it ends.
+    """
     return lambda share, what: progress(start + (stop - start) * share, what)

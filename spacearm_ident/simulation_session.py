@@ -105,10 +105,17 @@ def is_simulation(path: Path) -> bool:
 
 
 def written_by_simulator(paths: Sequence[Path], arm: Path | None, namespace: str | None, mapping: Path | None) -> bool:
-    """Whether bags given as a healthy arm are a simulator's: the torque of the first has no noise.
+    """Whether the bags of a healthy arm come from a simulator: the torque of the first has no noise.
+
+    Args:
+        paths: Bags, of which the first is read; none, or a simulation's own file: false.
+        arm: URDF or arm YAML, for a bag or log that does not say which joints are meant; None: not given.
+        namespace: ROS namespace of the arm, as for `read_recording`; None: not given.
+        mapping: Mapping file of a log's columns, as for `read_log`; None: not given.
 
     Raises:
         UserError: It cannot be read.
+        UnfitDataError: It is sampled too slowly.
     """
     if not paths or is_simulation(paths[0]):
         return False

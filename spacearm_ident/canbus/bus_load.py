@@ -85,6 +85,11 @@ class Traffic:
 def frame_seconds(size: int, rate: BitRate, fd: bool) -> tuple[float, float]:
     """Time a frame of `size` bytes takes on the bus, s: with mean and with worst-case stuffing.
 
+    Args:
+        size: Data bytes of the frame: 0 to 8 of a classical frame, one of `FD_SIZES` of an FD frame.
+        rate: Bit rates of the bus, bit/s.
+        fd: Whether the frame is an FD frame; it stays classical on a bus without a data rate.
+
     Raises:
         ValueError: No frame of this kind holds `size` bytes.
     """
@@ -118,7 +123,16 @@ def bus_load(frames: Iterable[CyclicFrame], rate: BitRate = BitRate()) -> BusLoa
 
 
 def alternatives(axes: int, traffic: Traffic, rate: BitRate) -> list[tuple[str, BusLoad]]:
-    """Ways to carry `axes` axes, with the load of the fullest bus; those that give up least come first."""
+    """Ways to carry `axes` axes, with the load of the fullest bus; those that give up least come first.
+
+    Args:
+        axes: Number of drives of the arm, over all buses.
+        traffic: What each axis exchanges now; `rate` in Hz.
+        rate: Bit rates of a bus, bit/s.
+
+    Returns:
+        What to change, in words, and the load of the fullest bus after that change.
+    """
 
     def load(buses: int, changed: Traffic = traffic, bits: BitRate = rate) -> BusLoad:
         return bus_load(changed.frames(-(-axes // buses)), bits)

@@ -162,7 +162,16 @@ def command_of(controlword: int) -> Command:
 
 
 def after_command(state: State, controlword: int, previous: int) -> State:
-    """The drive's state after `controlword`, where the word before was `previous`."""
+    """The drive's state after `controlword`, where the word before was `previous`.
+
+    Args:
+        state: State of the drive before the command.
+        controlword: The 16-bit controlword (0x6040) received.
+        previous: The controlword received before it: bit 7 resets a fault only on a rising edge.
+
+    Returns:
+        The new state; `state` itself where CiA 402 defines no transition for the command.
+    """
     command = command_of(controlword)
     if command is Command.FAULT_RESET and previous & 0x80:
         return state

@@ -176,7 +176,13 @@ class Cycle:
         self._send_set_points()
 
     def report(self, kind: EventKind, axis: int, message: str) -> None:
-        """Leave an event for the caller."""
+        """Append an event, stamped with the present time, to `events`.
+
+        Args:
+            kind: What happened.
+            axis: Number of the axis; −1 where the event concerns a whole bus.
+            message: One line for a person.
+        """
         self.events.append(Event(kind, axis, message, time.time_ns()))
 
     # Sending --------------------------------------------------------------------------------------------

@@ -119,7 +119,13 @@ def pdo_writes(
 
 
 def pdo_off(node_id: int, *, transmit: bool, number: int) -> SdoWrite:
-    """The write that switches a PDO off."""
+    """The write that switches a PDO off.
+
+    Args:
+        node_id: CANopen node ID of the drive.
+        transmit: Whether it is a TPDO (feedback); else an RPDO (set-point).
+        number: 1 to 4; the COB-ID is that of the predefined connection set.
+    """
     cob_id = (TPDO1 if transmit else RPDO1) + 0x100 * (number - 1) + node_id
     return SdoWrite((0x1800 if transmit else 0x1400) + number - 1, 1, INVALID | cob_id, 4)
 

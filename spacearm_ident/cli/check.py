@@ -141,6 +141,14 @@ def check_files(options: argparse.Namespace, path: Path | None) -> int:
 def files(arm: Path | None, can: Path | None, params: Path | None) -> tuple[Path | None, Path | None, Path | None]:
     """The files meant: those named, and the others of a folder.
 
+    Args:
+        arm: Arm file, or a folder that holds `arm.yaml`; None: not given.
+        can: CAN file; None: that of the folder, if it has one.
+        params: Parameter file of the nodes; None: that of the folder, if it has one.
+
+    Returns:
+        Arm file, CAN file and parameter file; None where there is none to check.
+
     Raises:
         UserError: One that is named is not there.
     """

@@ -205,7 +205,17 @@ def enabled(chain: Chain) -> bool:
 
 
 def perform(chain: Chain, plan: Plan, file: Path, report: common.Report) -> None:
-    """Run an excitation; returns when the arm has been identified from it, or validated on it."""
+    """Run an excitation; returns when the arm has been identified from it, or validated on it.
+
+    Args:
+        chain: The running nodes, with the drives enabled and the recorder started.
+        plan: The run; its name is that of its bag.
+        file: Trajectory file of the run.
+        report: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UserError: The run did not complete, or the identification failed.
+    """
     go_through(chain, plan, file, report)
     _identified(chain, plan, report)
 
@@ -216,6 +226,12 @@ def go_through(chain: Chain, plan: Plan, file: Path, report: common.Report) -> N
     A run that breaks off because the machine is too busy, the trajectory node begins again by itself. Drives that have
     fallen out, and runs that the driver leaves to a person, are begun again here, `ATTEMPTS` times in all: the arm is
     simulated.
+
+    Args:
+        chain: The running nodes, with the drives enabled.
+        plan: The run; its length sets how long is waited for its end.
+        file: Trajectory file of the run.
+        report: Called with a share done in 0..1 and what is being done.
 
     Raises:
         UserError: It did not come through, or was refused though the drives are enabled.

@@ -81,7 +81,19 @@ def run(options: argparse.Namespace) -> int:
 
 
 def record_runs(out: Path, arm: Arm, report: common.Report) -> dict[str, list[Recording]]:
-    """Simulate every run of `RUNS` to `out`/recordings, with its trajectory beside it, and read it back."""
+    """Simulate every run of `RUNS` to `out`/recordings, with its trajectory beside it, and read it back.
+
+    Args:
+        out: Folder of the demo; `recordings` below it is made where it does not exist.
+        arm: Description of the simulated arm: limits, drive data and URDF.
+        report: Called with a share done in 0..1 and what is being done.
+
+    Returns:
+        Group of `RUNS` -> its recordings, as read back from the bags.
+
+    Raises:
+        UserError: A bag or a trajectory cannot be written.
+    """
     folder = out / "recordings"
     folder.mkdir(parents=True, exist_ok=True)
     total, done = sum(map(len, RUNS.values())), 0
@@ -97,7 +109,17 @@ def record_runs(out: Path, arm: Arm, report: common.Report) -> dict[str, list[Re
 
 
 def simulate(one: Run, arm: Arm, file: Path, report: common.Report) -> Recording:
-    """One run, by the code of `spacearm simulate`; its trajectory is saved as `file`."""
+    """One run, by the code of `spacearm simulate`; its trajectory is saved as `file`.
+
+    Args:
+        one: The run: excitation, temperature, °C, and whether it is in orbit.
+        arm: Description of the simulated arm: limits, drive data and URDF.
+        file: Where the trajectory is saved.
+        report: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UserError: The trajectory cannot be written, or the arm does not work at the temperature.
+    """
     limits = MotionLimits(*np.array([(j.lower, j.upper, j.velocity_limit, j.acceleration_limit) for j in arm.joints]).T)
     series = random_feasible(
         arm.joint_names, limits, seed=one.seed, fundamental_hz=one.fundamental_hz, periods=one.periods

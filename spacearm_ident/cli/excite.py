@@ -164,7 +164,21 @@ def write(
     margins: Sequence[Margin],
     first: Excitation | None,
 ) -> dict[str, str]:
-    """Write the runs and their page; returns what was written beside the run, for `document`."""
+    """Write the runs and their page; returns what was written beside the run, for `document`.
+
+    Args:
+        options: Of the command line: output paths, arm and model.
+        needs: All limits, and the model that predicts torque.
+        trajectory: The run to record.
+        margins: How near `trajectory` comes to each limit.
+        first: The gentle excitation, to be recorded first; None: none is written.
+
+    Returns:
+        Kind (`page`, `joint_trajectory`, `gentle`) -> path of the file written.
+
+    Raises:
+        UserError: A file cannot be written.
+    """
     origin = common.origin(options, options.arm, options.model)
     save_trajectory(trajectory, options.out, origin)
     files = {}
@@ -222,7 +236,16 @@ def model_of(options: argparse.Namespace) -> IdentifiedModel:
 def requirements(
     options: argparse.Namespace, identified: IdentifiedModel, start: FloatArray
 ) -> tuple[Requirements, list[str]]:
-    """All limits, and notes on what was assumed."""
+    """All limits that an excitation must keep, and notes on what was assumed for them.
+
+    Args:
+        options: Of the command line: limits, clearance, ground and structural frequency.
+        identified: Model that predicts torque; its arm has the limits.
+        start: (n,) posture of rest, rad or m; a joint without position limits may move about it.
+
+    Raises:
+        UserError: An option has a value out of range, or a joint has no velocity limit.
+    """
     arm = identified.model.arm
     for name in ("fundamental", "structural_frequency"):
         value = getattr(options, name)
@@ -276,7 +299,18 @@ def best(
     start: FloatArray,
     report: common.Report,
 ) -> Excitation:
-    """The Fourier excitation asked for."""
+    """Optimise the Fourier excitation that the command line asks for.
+
+    Args:
+        options: Of the command line: criterion, harmonics, periods, noise, optimiser and seed.
+        identified: Model whose parameters the excitation is to determine.
+        needs: All limits.
+        start: (n,) posture of rest before and after the run, rad or m.
+        report: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UserError: `--noise` or `--harmonics` is not understood, or no excitation within the limits is found.
+    """
     question = Question.of(identified, _per_joint(options.noise, needs.joints, "--noise"))
     method = METHODS[options.optimiser]
     problem = Problem(question, needs, options.criterion, options.fundamental, 5, options.periods, start)
@@ -319,7 +353,14 @@ def worst(margins: Sequence[Margin]) -> list[Margin]:
 def document(
     options: argparse.Namespace, trajectory: Trajectory, margins: Sequence[Margin], excitation: Excitation | None
 ) -> dict[str, Any]:
-    """The result for programs."""
+    """The result as plain data, for `--json`.
+
+    Args:
+        options: Of the command line: output path, criterion and purpose.
+        trajectory: The run to record.
+        margins: How near it comes to each limit.
+        excitation: The optimised excitation; None where the run was composed for a purpose (`--for`).
+    """
     out: dict[str, Any] = {
         "trajectory": str(options.out),
         "joints": list(trajectory.joints),
@@ -371,7 +412,16 @@ def summary(
     needs: Requirements,
     files: Mapping[str, str],
 ) -> str:
-    """The result on a terminal."""
+    """The result as text for a terminal.
+
+    Args:
+        options: Of the command line: output path, criterion and purpose.
+        trajectory: The run to record.
+        margins: How near it comes to each limit.
+        excitation: The optimised excitation; None where the run was composed for a purpose (`--for`).
+        needs: All limits, and the model that predicts torque.
+        files: Kind -> path of the other files written, as from `write`.
+    """
     lines = [f"{options.out}: {trajectory.duration_s:.1f} s, all limits of {len(needs.joints)} joints kept"]
     if "gentle" in files:
         lines.append(

@@ -201,7 +201,14 @@ def _symbols(text: str) -> tuple[str, ...]:
 
 
 def summary(identified: Identified, validation: Validation, page: Path, coupling: CouplingTrial | None = None) -> str:
-    """The result on a terminal: verdict, what to do next, figures, then how they came about."""
+    """The result as text for a terminal: verdict, next step, figures of merit, and how they were obtained.
+
+    Args:
+        identified: Identified model with estimates and bandwidth.
+        validation: Figures of merit of that model by joint.
+        page: The HTML report written.
+        coupling: Outcome of the test for coupled motors; None: it was not made.
+    """
     bandwidth = identified.bandwidth
     units = {joint.name: joint.units.effort for joint in identified.model.model.arm.joints}
     verdict = judge_result(identified, validation)

@@ -156,7 +156,14 @@ UNFIT_NEXT = "next: correct the recordings or their description as listed, then 
 
 
 def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None, unit: str = "N m") -> str:
-    """The result on a terminal: verdict, what to do next, the layers, residuals in `unit`."""
+    """The result as text for a terminal: verdict, next step, layers and residuals.
+
+    Args:
+        comparison: The comparison; where its data are unfit, only the reasons are given.
+        page: The HTML report written.
+        mended: The simulation's file with corrected values, written beside `page`; None: there is none.
+        unit: Unit of torque shown above the residuals.
+    """
     if not comparison.fit:
         return "\n".join(
             ["data unfit", *(f"  {reason}" for reason in comparison.reasons), UNFIT_NEXT, f"report: {page}"]
@@ -224,6 +231,14 @@ def sort_bags(
     In `--reference R BAG ...` the option has taken the bags as well: where none is left, the first of its group is
     the reference and the others are what is to be explained.
 
+    Args:
+        bags: Bags named as arguments of the command, to be explained.
+        reference: Bags of the healthy arm, one list for each `--reference`; may be shortened in place.
+        validate: Held-out bags, one list for each `--validate`; may be shortened in place.
+
+    Returns:
+        Bags to explain, bags of the reference, and held-out bags.
+
     Raises:
         UserError: There is nothing to explain.
     """
@@ -238,7 +253,13 @@ def sort_bags(
 
 
 def summary(explanation: Explanation, page: Path, unit: str) -> str:
-    """The result on a terminal, residuals in `unit`."""
+    """The result as text for a terminal: verdict, next step, findings and residuals.
+
+    Args:
+        explanation: The analysis; where its data are unfit, no residuals are given.
+        page: The HTML report written.
+        unit: Unit of torque shown above the residuals.
+    """
     lines = [_verdict_line(explanation)]
     lines += [f"  {reason}" for reason in explanation.reasons]
     lines += [*_next_lines(explanation, page), f"report: {page}"]

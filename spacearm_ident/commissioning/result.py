@@ -37,10 +37,22 @@ def ok(subject: str, message: str) -> CheckResult:
 
 
 def warn(subject: str, message: str, advice: str) -> CheckResult:
-    """It works, with a limit that should be known."""
+    """A check that passed with a limitation that should be known.
+
+    Args:
+        subject: What was checked.
+        message: What was found.
+        advice: What to do about it.
+    """
     return CheckResult(subject, Level.WARN, message, advice)
 
 
 def fail(subject: str, message: str, advice: str) -> CheckResult:
-    """It cannot work like this."""
+    """A check that failed: the arm cannot work like this.
+
+    Args:
+        subject: What was checked.
+        message: What was found.
+        advice: What to do about it.
+    """
     return CheckResult(subject, Level.FAIL, message, advice)

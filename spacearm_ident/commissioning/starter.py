@@ -65,6 +65,11 @@ class DataSheet:
     def of(self, key: str, joint: int, joints: int) -> float | None:
         """The value for a joint; None where it is not known.
 
+        Args:
+            key: Name of an attribute, such as `gear_ratio`; its unit is that of the result.
+            joint: Index of the joint, from 0.
+            joints: Number of joints of the arm.
+
         Raises:
             UserError: Neither one value nor one a joint, or a value that is not above zero.
         """

@@ -38,7 +38,14 @@ def empty_keys(data: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def to_fill_in(subject: str, path: Path, data: Mapping[str, Any], empty: Mapping[str, list[str]]) -> CheckResult:
-    """The line for what has no value yet."""
+    """The failed check of a file in which values are still empty.
+
+    Args:
+        subject: What was checked.
+        path: The file.
+        data: Its contents, with the key `joints`.
+        empty: Key -> joints where it has no value, as from `empty_keys`.
+    """
     count = len(data["joints"])
     listed = "; ".join(
         f"{key} of {'every joint' if len(joints) == count else ', '.join(joints)}" for key, joints in empty.items()

@@ -154,7 +154,15 @@ class Court:
     def score(
         self, changes: Sequence[Change], setup: Setup, scales: Sequence[float] = CAD_SCALES, iterations: int = 8
     ) -> Scored:
-        """Score a setup."""
+        """Score a setup.
+
+        Args:
+            changes: Departures from the conventions that `setup` undoes; their log priors are added to the score.
+            setup: Assignment, scale, offset and timing of the recorded columns, and gravity.
+            scales: Relative standard deviations of the CAD inertials; the evidence is averaged over them.
+            iterations: Alternations between parameters, gains and error size, for each scale. Three times as many are
+                made where a gain is free.
+        """
         design, measured = self.design(setup), self.measured(setup)
         if measured.common_gain_sd or measured.gain_sd.max() > GAIN_SD:
             iterations *= 3
@@ -261,6 +269,11 @@ def judged(court: Court, start: Scored, one: Scored) -> Scored:
 
     One that takes torque to another motion on the rows in which all its joints move: elsewhere it would explain other
     data than `start`, and of such hypotheses the likelihoods do not compare.
+
+    Args:
+        court: Scores, on all rows.
+        start: The setup without the change.
+        one: The setup with the change, which is the last of its `changes`.
     """
     change = one.changes[-1]
     if change.kind not in (Kind.POSITIONS_EXCHANGED, Kind.EFFORTS_EXCHANGED):
@@ -302,6 +315,11 @@ def testable(court: Court, start: Scored, change: Change) -> bool:
 
     A gain needs CAD inertials, and a single joint's a large gravity torque; a joint without torque says
     nothing about its sign, gain or place.
+
+    Args:
+        court: Scores, with the arm, its CAD inertials and the joints that move or show torque.
+        start: The scored setup that the change would be made to.
+        change: The hypothesis.
     """
     if change.kind in (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT):
         if court.frame.rough:
@@ -365,7 +383,13 @@ def zero_prior(zero: float, n: int) -> float:
 
 
 def zero_error(court: Court, here: Scored, joint: int) -> float:
-    """Standard error of a joint's zero with all parameters free, before any belief about it, rad."""
+    """Standard error of a joint's zero with all parameters free, before any belief about it, rad.
+
+    Args:
+        court: Scores.
+        here: The scored setup about which the torque is linearised.
+        joint: Number of a revolute joint, in the arm's order.
+    """
     square = float(_zero_normal(court, here, joint)[0][0, 0])
     return float(1.0 / np.sqrt(max(square, 1e-9)))
 
@@ -393,7 +417,16 @@ def _zero_normal(court: Court, here: Scored, joint: int) -> tuple[FloatArray, Fl
 
 
 def reduced(court: Court, here: Scored, along: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix (k, k) and vector (k,) of k further columns of the rigid arm (M, n, k), all parameters free."""
+    """Normal matrix (k, k) and vector (k,) of k further columns of the rigid arm, all parameters free.
+
+    The parameters' own columns are eliminated from both (Schur complement).
+
+    Args:
+        court: Scores.
+        here: The scored setup whose motion, gains and residual are used.
+        along: (M, n, k) derivatives of the rigid-body torque by the k further unknowns, N·m per unit of the unknown,
+            before gains.
+    """
     design, evidence = court.design(here.setup), here.evidence
     r, weight = design.rigid, evidence.weight
     residual = court.measured(here.setup).torque - predicted(design, evidence)
@@ -443,7 +476,13 @@ def refined_gravity(court: Court, one: Scored) -> Scored:
 
 
 def gravity_step(court: Court, one: Scored, size: float) -> FloatArray:
-    """(3,) gravity of a given size that explains what is left, all parameters free, m/s^2."""
+    """(3,) gravity of a given size that explains what is left, all parameters free, m/s^2.
+
+    Args:
+        court: Scores.
+        one: The scored setup whose gravity is changed by one Gauss-Newton step.
+        size: Norm of the result, above zero, m/s^2.
+    """
     design = court.design(one.setup)
     motion = design.motion
     inertials = court.frame.inertials(one.evidence.parameters[: design.rigid])

@@ -20,7 +20,13 @@ def joint_names(arm: Arm, change: Change) -> tuple[str, ...]:
 
 
 def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
-    """One sentence."""
+    """A sentence that says how a recording departs from the conventions.
+
+    Args:
+        arm: The arm, for names of joints and the gravity described.
+        change: The departure.
+        evidence: Of the setup with this change; its gains and their errors are quoted where `change` is a gain.
+    """
     names = ", ".join(joint_names(arm, change))
     match change.kind:
         case Kind.EFFORT_SIGN:
@@ -114,7 +120,13 @@ def _guess(gains: FloatArray) -> str:
 
 
 def remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
-    """The option that mends it."""
+    """The command-line option or arm YAML entry that corrects it.
+
+    Args:
+        arm: The arm, for names of joints.
+        change: The departure to correct.
+        evidence: Of the setup with this change; its gains are used where `change` is a gain.
+    """
     names = joint_names(arm, change)
     match change.kind:
         case Kind.GRAVITY:

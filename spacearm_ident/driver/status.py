@@ -86,7 +86,16 @@ def silent_joint(joints: Sequence[str], missing: NDArray[np.int64], stale: int) 
 
 
 def stuck_joint(joints: Sequence[str], states: Sequence[State | None], wanted: State) -> str:
-    """The first joint whose drive is not in the state wanted; empty if all are."""
+    """The first joint whose drive is not in the wanted state, as a clause; empty if all are.
+
+    Args:
+        joints: Names of the n joints.
+        states: CiA 402 state of each drive, in the same order; None: unknown.
+        wanted: State that every drive should be in.
+
+    Raises:
+        ValueError: `joints` and `states` differ in length.
+    """
     for joint, state in zip(joints, states, strict=True):
         if state is not wanted:
             return f"{joint} stays in {state.label if state else 'an unknown state'}"

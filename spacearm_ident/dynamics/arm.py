@@ -268,7 +268,18 @@ def load_arm(path: Path) -> Arm:
 
 
 def arm_from_description(urdf: str, data: Mapping[str, Any], where: str) -> Arm:
-    """An arm from its URDF text and the keys of an arm YAML (`where` names it in errors)."""
+    """An arm from its URDF text and the keys of an arm YAML.
+
+    Args:
+        urdf: Text of the URDF.
+        data: Content of the arm YAML. `gravity_m_s2`, `joints`, `couplings`, `corrections`, `name` and `effort` are
+            read, each optional; other keys are ignored.
+        where: Name of the description in error messages, such as its path.
+
+    Raises:
+        UserError: The URDF is none that `arm_from_urdf` can read, or a key is malformed, or names a joint that the
+            URDF does not have.
+    """
     arm = arm_from_urdf(urdf, _vector(data.get("gravity_m_s2", EARTH), f"{where}: gravity_m_s2"))
     given = _mapping(data.get("joints"), f"{where}: joints")
     unknown = set(given) - set(arm.joint_names)

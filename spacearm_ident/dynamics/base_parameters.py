@@ -60,7 +60,13 @@ class BaseParameters:
 
 
 def base_parameters(model: TorqueModel, seed: int = 0, *, moving_base: bool = False) -> BaseParameters:
-    """The base parameters of a model, whatever the motion; a base that moves, and is measured, reveals more."""
+    """The base parameters of a model, whatever the motion; a base that moves, and is measured, reveals more.
+
+    Args:
+        model: Its arm and terms.
+        seed: Seed of the random motion states at which the observation matrix is evaluated.
+        moving_base: Whether the random states include a motion of the base.
+    """
     return regroup(_random_columns(model, seed, moving_base), model.parameters, _preference(model))
 
 

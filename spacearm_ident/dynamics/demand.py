@@ -18,7 +18,13 @@ USUAL_ACCELERATION = 4.0
 
 
 def drawn_postures(arm: Arm, count: int = POSTURES, seed: int = 0) -> FloatArray:
-    """(count, n) rad or m, uniform between the limits, at most half a turn (or π m) from zero."""
+    """(count, n) rad or m, uniform between the limits, at most half a turn (or π m) from zero.
+
+    Args:
+        arm: Arm of n joints, with its position limits.
+        count: Number of postures.
+        seed: Seed of the random generator.
+    """
     lower = np.array([max(joint.lower, -np.pi) for joint in arm.joints])
     upper = np.array([min(joint.upper, np.pi) for joint in arm.joints])
     return np.random.default_rng(seed).uniform(lower, np.maximum(upper, lower), (count, len(arm.joints)))

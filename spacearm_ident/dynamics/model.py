@@ -196,7 +196,13 @@ class TorqueModel:
         return total
 
     def background(self, motion: Motion, parameters: FloatArray, constants: FloatArray) -> Background:
-        """What terms may need to know of the others along a motion; computed only where one asks."""
+        """What terms may need to know of the others along a motion; computed only where one asks.
+
+        Args:
+            motion: N samples of n joints.
+            parameters: (p,) in the order of `self.parameters`.
+            constants: (c,) in the order of `self.constants`.
+        """
         count = 10 * len(self.arm.joints)
         first = next((first for term, first, _ in self.numbered() if isinstance(term, RigidBody)), None)
         inertials = None if first is None else parameters[first : first + count].reshape(-1, 10)

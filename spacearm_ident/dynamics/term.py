@@ -134,7 +134,14 @@ class Term(ABC):
     def torque(
         self, motion: Motion, constants: Values, background: Background | None, parameters: FloatArray
     ) -> FloatArray:
-        """(N, n) N·m of the term with `parameters` (in its own order); the rest as for `columns`."""
+        """(N, n) torque of the term, N·m.
+
+        Args:
+            motion: N samples of n joints.
+            constants: Values in the order of `self.constants`.
+            background: What the rest of the model says of this motion as last estimated; None where not yet known.
+            parameters: Values in the order of `self.parameters`.
+        """
         total = np.zeros_like(motion.position)
         for row, (indices, columns) in self.columns(motion, constants, background).items():
             total[:, row] += columns @ parameters[indices]

@@ -148,6 +148,11 @@ class Clearance:
 
         Sum over postures and pairs of s − 1 − log s, s = (distance − needed) / reach: zero with zero slope beyond
         `reach_m`, infinite from the needed distance on. Pairs whose spheres are farther apart are not measured.
+
+        Args:
+            postures: (T, n) rad or m.
+            reach_m: Distance beyond the needed one at which the barrier begins, m.
+            slopes: Whether to compute the derivative. It is zero otherwise, and where the barrier is infinite.
         """
         slope = np.zeros_like(postures)
         frames = _frames(self._arm, postures)

@@ -251,12 +251,23 @@ _MAKERS: dict[str, Callable[[_Scene, _Run, float], None]] = {
 
 
 def slow_segment(scene: _Scene, periods: int = 1, share: float = 1.0) -> FourierTrajectory:
-    """A sine up to a share of `SLOW_RAD_S`: Stribeck velocities of a thousandth of a radian a second show there."""
+    """A sine up to a share of `SLOW_RAD_S`: Stribeck velocities of a thousandth of a radian a second show there.
+
+    Args:
+        scene: Limits, start posture and the joints to move.
+        periods: Number of periods, of `SLOW_PERIOD_S` each.
+        share: Peak velocity over `SLOW_RAD_S`.
+    """
     return scene.slow(share * SLOW_RAD_S * SLOW_PERIOD_S / (2 * np.pi), SLOW_PERIOD_S, periods)
 
 
 def with_slow_segment(run: Trajectory, needs: Requirements, periods: int = 1) -> Trajectory:
     """A run from rest to rest, with a slow segment of all joints appended.
+
+    Args:
+        run: The run; the slow segment begins and ends at the posture in which it ends.
+        needs: Limits that the whole must keep.
+        periods: Periods of the slow segment.
 
     Raises:
         UserError: A limit is in the way.

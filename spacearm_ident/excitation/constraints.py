@@ -75,7 +75,16 @@ class Requirements:
         clearance: Clearance | None = None,
         accelerations: tuple[float, ...] = (1.0,),
     ) -> Requirements:
-        """Those of a model's arm."""
+        """The requirements of a model's arm, with a share of its torque limits allowed.
+
+        Args:
+            identified: The model that predicts torque; its arm states the torque limits.
+            motion: Limits of position, velocity, acceleration and, where given, jerk, in the arm's order.
+            torque_share: Allowed torque over the arm's torque limit.
+            structural_hz: The structure's first resonance, Hz; None: not stated.
+            clearance: Distances to keep; None: not checked.
+            accelerations: Multiples of the planned acceleration with which torque must be kept, 1 among them.
+        """
         torque = torque_share * np.array([joint.effort_limit for joint in identified.model.arm.joints])
         return cls(motion, torque, identified, structural_hz, clearance, accelerations)
 
@@ -90,11 +99,19 @@ def limits_for_excitation(
 ) -> tuple[MotionLimits, list[str]]:
     """An arm's motion limits made complete, and what had to be assumed.
 
-    A joint without position limits may turn half a turn to either side of `start` (n,); one without an acceleration
+    A joint without position limits may turn half a turn to either side of `start`; one without an acceleration
     limit may reach its velocity limit in `_UP_TO_SPEED_S`.
 
+    Args:
+        arm: Arm of n joints; each needs a velocity limit.
+        start: (n,) start posture, rad.
+        jerk: (n,) limit of the jerk, rad/s³; None: no limit.
+
+    Returns:
+        The limits, and one note for each kind of limit that was assumed.
+
     Raises:
-        UserError: A joint has no velocity limit.
+        UserError: A joint has no velocity limit, or no room between its position limits.
     """
     given = limits_of(arm, arm.joint_names)
     notes = []
@@ -156,7 +173,13 @@ class Margin:
 
 
 def check(run: Trajectory, needs: Requirements, coarser: int = 1) -> tuple[Margin, ...]:
-    """The margin of every limit along a run, on a grid of `STEP_S`; `coarser`: every so many of its instants alone."""
+    """The margin of every limit along a run.
+
+    Args:
+        run: Motion of the joints of `needs`.
+        needs: Limits; those that are infinite or not given have no margin.
+        coarser: Multiple of the grid's steps, `STEP_S` and `CLEARANCE_STEP_S`, at which the run is evaluated.
+    """
     times = _instants(run, coarser * STEP_S)
     motion = run.evaluate(times)
     margins = [*motion_margins(needs.joints, motion, needs.motion, times)]
@@ -222,7 +245,13 @@ def require(margins: Sequence[Margin]) -> None:
 
 
 def model_torque(identified: IdentifiedModel, motion: Motion, rate_hz: float) -> FloatArray:
-    """(T, n) N·m along a motion, exact friction included."""
+    """(T, n) N·m along a motion, exact friction included.
+
+    Args:
+        identified: The model with its values.
+        motion: (T, n) each, joints in the arm's order.
+        rate_hz: Sampling rate of the motion, Hz.
+    """
     zero = np.zeros(motion.q.shape[1])
     names = identified.model.arm.joint_names
     torque = np.empty_like(motion.q)
@@ -237,6 +266,11 @@ def largest_torque(needs: Requirements, motion: Motion, rate_hz: float) -> Float
     """(T, n) N·m: of all `needs.accelerations` what is largest along a motion, with its sign.
 
     Torque is linear in the acceleration at given positions and velocities: two of them tell all.
+
+    Args:
+        needs: The model, and the multiples of the acceleration.
+        motion: (T, n) each, as planned.
+        rate_hz: Sampling rate of the motion, Hz.
     """
     planned = model_torque(needs.identified, motion, rate_hz)
     most = max(needs.accelerations)
@@ -252,7 +286,14 @@ def largest_torque(needs: Requirements, motion: Motion, rate_hz: float) -> Float
 
 
 def motion_margins(joints: Sequence[str], motion: Motion, limits: MotionLimits, times: FloatArray) -> list[Margin]:
-    """Margins of position, velocity and acceleration; a position counts from the middle of its range."""
+    """Margins of position, velocity and acceleration; a position counts from the middle of its range.
+
+    Args:
+        joints: Names of the n joints.
+        motion: (T, n) each.
+        limits: (n,) each; those that are infinite have no margin.
+        times: (T,) instants of the motion, s from the start of the run.
+    """
     margins = []
     for j, name in enumerate(joints):
         low, high = float(limits.lower[j]), float(limits.upper[j])

@@ -33,7 +33,15 @@ def evolve(
     population: int = POPULATION,
     generations: int = GENERATIONS,
 ) -> Excitation:
-    """The best of a population after some generations; `known` (of no more harmonics) is one of the first.
+    """The best of a population after some generations.
+
+    Args:
+        problem: What is wanted.
+        seed: Same seed, same trajectory.
+        progress: Called with the share done and what is going on.
+        known: A good series of no more harmonics, added to the first population where it keeps all limits.
+        population: Individuals of a generation; more than `ELITE`.
+        generations: Number of generations after the first population.
 
     Raises:
         UserError: The limits leave no motion: which, by how much, and what to do.

@@ -212,6 +212,12 @@ def optimise_harmonics(
 
     A successor that gains nothing at all has found no better optimum, which says nothing of the next: that is tried.
 
+    Args:
+        problem: What is wanted; its `harmonics` are replaced.
+        seed: Seed of every optimisation.
+        progress: Called with the share done and what is going on.
+        method: Optimiser for a given N_h, with the arguments of `optimise`.
+
     Raises:
         UserError: As `optimise`.
     """
@@ -266,6 +272,15 @@ def draw_feasible(
 ) -> list[tuple[float, FloatArray]]:
     """Random points where all limits hold at the samples, best first; drawn towards rest until they do.
 
+    Args:
+        problem: What is wanted.
+        function: Criterion of a point, infinite where a limit of torque or clearance is broken.
+        rng: Source of the random series.
+        count: Series drawn; those that cannot be made feasible are left out.
+
+    Returns:
+        At most `count` pairs of value and point (n, 1 + 2 N_h).
+
     Raises:
         UserError: None does however small; the arm can only rest in its start posture.
     """
@@ -311,7 +326,17 @@ def _reachable(
 def known_point(
     problem: Problem, function: Function, series: FourierTrajectory | None
 ) -> list[tuple[float, FloatArray]]:
-    """Value and point of a series already known, where it keeps all limits here, else nothing."""
+    """Value and point of a series already known, where it keeps all limits here, else nothing.
+
+    Args:
+        problem: What is wanted.
+        function: Criterion of a point, infinite where a limit of torque or clearance is broken.
+        series: A series of the problem's joints and fundamental; None, or one of more harmonics than the problem's,
+            gives nothing. It is scaled down where it breaks a motion limit.
+
+    Returns:
+        One pair of value and point (n, 1 + 2 N_h), or none.
+    """
     if series is None or series.a.shape[1] > problem.harmonics:
         return []
     point = problem.space.point(series)

@@ -84,7 +84,11 @@ class Problem:
     def function(self, sharpness: float, softness: float, finer: int = 1, slopes: bool = True) -> Function:
         """The smooth criterion of a point with the barriers; infinite where torque or clearance is broken.
 
-        On `finer` times as many samples as usual. Without `slopes` the gradient is left zero, at a third of the time.
+        Args:
+            sharpness: p of the eigenvalues' p-norms, see `criteria.smooth_criterion`.
+            softness: Speed over which the direction of motion changes, as a share of the velocity limit.
+            finer: Multiple of the usual number of samples.
+            slopes: Whether to compute the gradient. Without it the gradient is zero, at a third of the time.
         """
         samples = finer * SAMPLES_A_HARMONIC * max(self.harmonics, 4)
         basis = self.space.basis(samples)
@@ -156,7 +160,19 @@ class Problem:
 
 
 def torque_barrier(torque: FloatArray, limit: FloatArray, samples: int) -> tuple[float, FloatArray | None]:
-    """Sum of −log(1 − (torque/limit)²) over `samples`, and its derivative (T, n); None where there are no limits."""
+    """Barrier on the torque, and its derivative.
+
+    The value is `TORQUE_BARRIER` / `samples` times the sum of −log(1 − (torque/limit)²).
+
+    Args:
+        torque: (T, n) N·m.
+        limit: (n,) N·m; infinite where there is none.
+        samples: Number by which the sum is divided.
+
+    Returns:
+        The value, infinite where a limit is reached, and its derivative (T, n) by the torque. The derivative is None
+        where there are no limits or the value is infinite.
+    """
     bounded = np.isfinite(limit)
     if not bounded.any():
         return 0.0, None

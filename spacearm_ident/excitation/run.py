@@ -104,13 +104,19 @@ def limits_of(arm: Arm, joints: Sequence[str]) -> MotionLimits:
 
 
 def plan_run(excitation: Trajectory, limits: MotionLimits, start: FloatArray) -> Run:
-    """Approach from rest at `start` (n,), the excitation, and return there.
+    """Approach from rest at `start`, the excitation, and return there.
 
     Approach and return are quintics within the limits. An excitation that is one Fourier series alone, so
     begins in motion, is entered and left as `FourierTrajectory.run` does.
 
+    Args:
+        excitation: Motion of n joints.
+        limits: (n,) each, in the order of `excitation.joints`.
+        start: (n,) posture of rest before and after, rad.
+
     Raises:
-        UserError: `start` is outside the position limits, or cannot be joined to the excitation within them.
+        UserError: `start` is outside the position limits, or cannot be joined to the excitation within them, or the
+            run would take longer than `LONGEST_RUN_S`.
     """
     names = excitation.joints
     outside = np.flatnonzero((start < limits.lower) | (start > limits.upper))
@@ -144,7 +150,13 @@ def _periodic_part(whole: Trajectory) -> tuple[tuple[float, float], int]:
 
 
 def check_limits(joints: Sequence[str], motion: Motion, limits: MotionLimits, rate_hz: float) -> None:
-    """Refuse set-points (T, n) at `rate_hz` that are not finite or leave a limit, with joint, place and figures.
+    """Refuse set-points that are not finite or leave a limit, with joint, place and figures.
+
+    Args:
+        joints: Names of the n joints.
+        motion: (T, n) each, from the start of the run.
+        limits: (n,) each; the jerk is not checked.
+        rate_hz: Rate of the set-points, Hz.
 
     Raises:
         UserError: They do.

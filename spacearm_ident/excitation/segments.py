@@ -119,6 +119,12 @@ class Quintic:
     def within(cls, limits: MotionLimits, start: Motion, end: Motion, shortest_s: float = 1.0) -> Quintic:
         """The quickest such move, in steps of some 10 % from `shortest_s`, that keeps the limits.
 
+        Args:
+            limits: (n,) each.
+            start: State at the beginning, (n,) each.
+            end: State at the end, (n,) each.
+            shortest_s: Shortest duration tried, s.
+
         Raises:
             UserError: No duration up to two minutes does.
         """

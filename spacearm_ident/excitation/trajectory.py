@@ -263,9 +263,14 @@ def draw_coefficients(
     harmonics: int,
     usage: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coefficients a, b (n, N_h) and centre (n,) of one random series within the limits (jerk apart).
+    """Coefficients a, b (n, N_h), rad/s, and centre (n,), rad, of one random series within the limits (jerk apart).
 
-    `usage` is the smallest and the largest share of a limit a joint may use.
+    Args:
+        rng: Source of the random numbers.
+        limits: (n,) each; position limits must be finite.
+        fundamental_hz: f0, Hz.
+        harmonics: N_h.
+        usage: Smallest and largest share of a limit that a joint may use, at most 1.
     """
     n = len(limits.lower)
     # Coefficients are velocities (eq. 10), so every harmonic gets the same share of speed.

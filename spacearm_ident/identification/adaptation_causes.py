@@ -81,7 +81,13 @@ def _gravity(adaptation: Adaptation) -> Cause:
 
 
 def with_error(value: float, error: float, sign: str = "") -> str:
-    """A value to two digits of its error: `2.185 ± 0.018`; `sign` as in a format."""
+    """A value to two digits of its error: `2.185 ± 0.018`.
+
+    Args:
+        value: The value.
+        error: Its standard error, in the same unit. Where it is not positive and finite, the value is given alone.
+        sign: Sign option of a format specification: `+` also marks positive values.
+    """
     if not (np.isfinite(error) and error > 0.0):
         return f"{value:{sign}.4g}"
     decimals = max(0, 1 - int(np.floor(np.log10(error))))

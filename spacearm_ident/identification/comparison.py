@@ -56,7 +56,18 @@ class Comparison:
 def compare(
     method: str, base: BaseParameters, other: FloatArray, least_squares: FloatArray, errors: FloatArray
 ) -> Comparison:
-    """Both estimates (p,) in base parameters, apart by how many of their standard errors (b,)."""
+    """Compare two estimates in base parameters.
+
+    Args:
+        method: What the other estimate is called, in the plural.
+        base: The b base parameters.
+        other: (p,) the other estimate of the parameters.
+        least_squares: (p,) estimate by least squares.
+        errors: (b,) standard errors of the base parameters.
+
+    Returns:
+        The differences in standard errors, and the base parameter with the largest.
+    """
     apart = base.regrouping @ (other - least_squares)
     apart = np.divide(apart, errors, out=np.zeros_like(apart), where=errors > 0)
     return Comparison(method, apart, base.names[int(np.argmax(np.abs(apart)))])

@@ -53,7 +53,13 @@ def link_parameters(model: TorqueModel) -> list[np.ndarray]:
 
 
 def is_consistent(model: TorqueModel, parameters: FloatArray, scale: FloatArray) -> bool:
-    """Whether every link's pseudo-inertia is positive definite and every bound holds."""
+    """Whether every link's pseudo-inertia is positive definite and every bound holds.
+
+    Args:
+        model: Which parameter is what, and its bounds.
+        parameters: (p,) in the order of `model.parameters`, SI.
+        scale: (p,) prior scales, for the units of the pseudo-inertia.
+    """
     for numbers in link_parameters(model):
         units = _link_units(scale[numbers])
         if np.linalg.eigvalsh(pseudo_inertia(parameters[numbers]) / np.outer(units, units))[0] < MARGIN:

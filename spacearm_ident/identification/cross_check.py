@@ -16,7 +16,16 @@ from .solution_columns import residuals_of
 
 
 def fit_instrumental(known: Fit, recordings: Sequence[Recording], cutoff_hz: float) -> Fit:
-    """Instrumental variables in the structure that least squares chose, and the verdict on how far apart they are."""
+    """Instrumental variables in the structure that least squares chose, and the verdict on how far apart they are.
+
+    Args:
+        known: The least-squares fit; its structure and constants are taken over.
+        recordings: Those of that fit.
+        cutoff_hz: Low-pass cut-off, Hz.
+
+    Raises:
+        UserError, UnfitDataError: As `prepare`, or a segment of a recording has fewer than eight samples.
+    """
     model = known.regression.model
     plain, first, second = instrumental.split_motions(recordings, model.arm.joint_names, cutoff_hz)
     regression, prior, solution, noise = refitted(known, plain)
@@ -29,7 +38,16 @@ def fit_instrumental(known: Fit, recordings: Sequence[Recording], cutoff_hz: flo
 
 
 def fit_output_error(known: Fit, recordings: Sequence[Recording], cutoff_hz: float) -> Fit:
-    """Closed-loop output error in the structure that least squares chose, and the verdict on how far apart they are."""
+    """Closed-loop output error in the structure that least squares chose, and the verdict on how far apart they are.
+
+    Args:
+        known: The least-squares fit; its structure and constants are taken over.
+        recordings: Those of that fit.
+        cutoff_hz: Low-pass cut-off, Hz.
+
+    Raises:
+        UserError, UnfitDataError: As `prepare`, or the structure cannot be simulated (UserError).
+    """
     plain, _ = prepare(recordings, known.regression.model.arm.joint_names, cutoff_hz, average=False)
     regression, prior, solution, noise = refitted(known, plain)
     found = output_error.solve(recordings, regression, prior, solution, cutoff_hz)

@@ -120,6 +120,11 @@ def open_ended(regression: Regression, prior: Prior, solution: Solution) -> froz
     slowest speed that is resolved, only the area of its peak is seen, and any smaller one with a higher peak fits as
     well. So the profile decides: with everything else fitted again, either end must cost `PRESENCE_GATE` squares
     (profile likelihood; Raue et al. 2009).
+
+    Args:
+        regression: Weighted rows, and the range of each constant.
+        prior: Of the parameters.
+        solution: Optimum on these rows, with its cost; constants that are zero are not examined.
     """
     found = set()
     for k, (constant, grid) in enumerate(zip(regression.model.constants, regression.grids)):

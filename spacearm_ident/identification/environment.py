@@ -31,7 +31,13 @@ ZERO_ERROR = 0.5
 
 
 def wald(values: FloatArray, covariance: FloatArray, freedom: float) -> tuple[float, float]:
-    """F and p value of the hypothesis that all values (q,) are zero, given their covariance (q, q)."""
+    """F and p value of the hypothesis that all values are zero.
+
+    Args:
+        values: (q,) estimates.
+        covariance: (q, q) of the estimates, positive definite.
+        freedom: Degrees of freedom of the residual, the denominator's of F.
+    """
     scale = np.sqrt(np.diag(covariance))
     inside = np.linalg.solve(covariance / np.outer(scale, scale), values / scale)
     ratio = float(values / scale @ inside) / len(values)

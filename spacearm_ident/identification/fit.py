@@ -44,6 +44,13 @@ class Fit:
 def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: Fit | None = None) -> Fit:
     """Solve, weight the rows by what the residual shows, solve again.
 
+    Args:
+        model: Terms whose parameters and constants are fitted.
+        motions: One or more, with the arm's joints in its order.
+        search: How constants are searched; not used where `start` is given.
+        start: A fit of a model of the same terms to the same motions. Its row weights and constants are where the
+            solver begins.
+
     Raises:
         UnfitDataError: A joint moves without any torque.
     """
@@ -68,7 +75,13 @@ def allowed(regression: Regression, constants: FloatArray) -> FloatArray:
 
 
 def searched(regression: Regression, prior: Prior, search: Search) -> Solution:
-    """What a search over the constants finds, under weights that a more flexible one's residual shows."""
+    """What a search over the constants finds, under weights that a more flexible one's residual shows.
+
+    Args:
+        regression: Rows; their weights are set.
+        prior: Of the parameters.
+        search: How constants are searched.
+    """
     _first_weights(regression)
     reweight(regression, residuals_of(regression, without_constants(regression, prior)))
     # What a model leaves out makes its residual loud and slow, and a test under its weights blind. So the search is
@@ -82,7 +95,16 @@ def searched(regression: Regression, prior: Prior, search: Search) -> Solution:
 
 
 def reweighted(regression: Regression, prior: Prior, solution: Solution) -> tuple[Solution, list[list[Noise]]]:
-    """A solution refined under the weights that its own residual shows, and that noise."""
+    """A solution refined under the weights that its own residual shows, and that noise.
+
+    Args:
+        regression: Rows; their weights are set `REWEIGHTINGS` times.
+        prior: Of the parameters.
+        solution: Solution on these rows; the solver begins at its constants.
+
+    Returns:
+        The solution, and the noise of its residual by joint and motion.
+    """
     noise: list[list[Noise]] = []
     for _ in range(REWEIGHTINGS):
         noise = reweight(regression, residuals_of(regression, solution))
@@ -93,8 +115,14 @@ def reweighted(regression: Regression, prior: Prior, solution: Solution) -> tupl
 def fit_as_published(model: TorqueModel, motions: list[Motion], seed: int) -> Fit:
     """PSO-LM on rows of equal weight; what its residual shows is for the standard errors only.
 
+    Args:
+        model: Of the paper's form, see `pso_lm.as_published`.
+        motions: One or more, with the arm's joints in its order.
+        seed: Seed of the particle swarm.
+
     Raises:
         UnfitDataError: A joint moves without any torque.
+        UserError: As `pso_lm.solve`.
     """
     require_torque(motions)
     regression = Regression(model, motions)

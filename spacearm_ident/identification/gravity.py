@@ -94,7 +94,16 @@ def first_inertial(model: TorqueModel) -> int:
 def weight_columns(
     columns: list[tuple[list[int], FloatArray]], model: TorqueModel, parameters: FloatArray
 ) -> list[FloatArray]:
-    """Per joint, (M, 3) torque of unit gravity along each axis, from `gravity_columns` and the model's parameters."""
+    """Per joint, (M, 3) torque of unit gravity along each axis.
+
+    Args:
+        columns: From `gravity_columns`: per joint, the numbers of its columns and the columns (M, k).
+        model: Which parameter is what; it must have rigid links.
+        parameters: (p,) in the order of `model.parameters`, SI.
+
+    Raises:
+        UserError: The model has no rigid links.
+    """
     first = first_inertial(model)
     moments = parameters[first : first + 10 * len(model.arm.joints)].reshape(-1, 10)[:, :MOMENTS]
     products = np.zeros((len(moments), 3, MOMENTS, 3))
@@ -191,7 +200,15 @@ def _compressed(
 def gravity_result(
     gravity: FloatArray, believed: FloatArray, covariance: FloatArray, choice: str, freedom: float
 ) -> GravityEstimate:
-    """The estimate with its covariance (3, 3) and the test against zero."""
+    """The estimate with its covariance and the test against zero.
+
+    Args:
+        gravity: (3,) estimate in the base frame, m/s².
+        believed: (3,) gravity before any data, m/s².
+        covariance: (3, 3) of the estimate, (m/s²)².
+        choice: One of `GRAVITY_CHOICES`. Only `VECTOR` is tested against zero; otherwise the p value is 0.
+        freedom: Degrees of freedom of the residual.
+    """
     p_zero = 0.0
     if choice == VECTOR:
         p_zero = wald(gravity, covariance, freedom)[1]

@@ -59,8 +59,17 @@ def split_motions(
 ) -> tuple[list[Motion], list[Motion], list[Motion]]:
     """Motions of the recordings, and of either half of their samples, on the same rows; periods are not averaged.
 
+    Args:
+        recordings: One or more runs of the same arm.
+        joints: The arm's joints, in its order.
+        cutoff_hz: Low-pass cut-off, Hz.
+
+    Returns:
+        The motions of all samples, of every second sample from the first, and of every second from the second.
+
     Raises:
-        UnfitDataError: As `prepare`.
+        UserError: As `prepare`.
+        UnfitDataError: As `prepare`, or a segment has fewer than eight samples.
     """
     split = [halves(recording) for recording in recordings]
     plain, _ = prepare(recordings, joints, cutoff_hz, average=False)

@@ -234,9 +234,16 @@ def as_published(structure: Structure) -> Structure:
 def box_of(
     model: TorqueModel, regression: Regression, prior: Prior, unknowns: Unknowns
 ) -> tuple[FloatArray, FloatArray]:
-    """Ours: each parameter within its prior's scale of its prior mean and in its bounds, each constant in its grid.
+    """The swarm's box, (d,) lower and (d,) upper ends: ours, since the paper states none.
 
-    The prior of f_b, believed equal to f_c, counts as zero here.
+    Each parameter is within its prior's scale of its prior mean and in its bounds, each constant in its grid. The prior
+    of f_b, believed equal to f_c, counts as zero here.
+
+    Args:
+        model: Prior means and bounds of the parameters.
+        regression: Grids of the constants.
+        prior: Scales of the parameters.
+        unknowns: The d coordinates: free parameters, then searched constants.
     """
     ends = []
     for number in unknowns.free:
@@ -270,8 +277,18 @@ def solve(
 ) -> tuple[Solution, PsoLm]:
     """PSO-LM on a regression, with the weights it has; the prior only gives the box.
 
+    Args:
+        regression: Weighted rows.
+        prior: Scales of the parameters, and which of them are free.
+        seed: Seed of the particle swarm.
+        settings: Numbers of both stages; the defaults of `PsoLmSettings` where None.
+
+    Returns:
+        The solution, and how the two stages came to it.
+
     Raises:
-        UserError: The model is not of the paper's form: more than one constant shapes a joint's columns.
+        UserError: The model is not of the paper's form: more than one constant shapes a joint's columns, or they depend
+            on the rest of the model. Or a constant's columns cannot be tabulated.
     """
     unknowns = Unknowns.of(regression, prior)
     lower, upper = box_of(regression.model, regression, prior, unknowns)
@@ -287,7 +304,16 @@ def solve(
 
 
 def gap(regression: Regression, prior: Prior, solution: Solution) -> float:
-    """How many times the squares that the exact parameters leave, at the same constants, a solution has left."""
+    """Square root of the ratio of a solution's squares to those of the exact parameters at the same constants.
+
+    Args:
+        regression: Weighted rows.
+        prior: Which parameters are free; its beliefs take no part.
+        solution: With its cost on these rows, without a prior.
+
+    Returns:
+        The ratio; infinite where the exact parameters leave no residual.
+    """
     empty = Prior(prior.rows[:0], prior.target[:0], prior.scale, prior.held, prior.free)
     exact = solve_linear(regression, empty, solution.constants)[1]
     return float(np.sqrt(solution.cost / exact)) if exact > 0 else float("inf")

@@ -205,7 +205,14 @@ class Regression:
     def derivatives(
         self, term_number: int, constants: Values, which: int, parameters: FloatArray
     ) -> dict[int, FloatArray]:
-        """Joint row -> (M,) derivative of the term's torque by the logarithm of one constant."""
+        """Joint row -> (M,) derivative of the term's torque by the logarithm of one constant, N·m.
+
+        Args:
+            term_number: Number of the term in the model.
+            constants: Values of all constants of that term, in its order.
+            which: Number within the term of the constant to differentiate by; its value is not zero.
+            parameters: (p,) of the whole model.
+        """
         moved = list(constants)
         moved[which] *= np.exp(DERIVATIVE_STEP)
         here, there = self.shaped(term_number, constants), self._shaped(term_number, tuple(moved))

@@ -167,7 +167,16 @@ class _Local:
 
 
 def solve_linear(regression: Regression, prior: Prior, constants: FloatArray) -> tuple[FloatArray, float]:
-    """The exact parameters for given constants, and the cost."""
+    """The exact parameters (p,) for given constants, and the cost.
+
+    Args:
+        regression: Weighted rows.
+        prior: Of the parameters; those it holds keep their values.
+        constants: (c,) in the model's order.
+
+    Returns:
+        The parameters, and the sum of weighted squares of rows and prior.
+    """
     matrix, vector = system(regression, prior, constants)
     parameters = prior.held.copy()
     known = prior.fixed_part(matrix)
@@ -221,7 +230,13 @@ def system(
 
 
 def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray) -> Solution:
-    """Refine constants and parameters together from `start`."""
+    """Refine constants and parameters together from `start`.
+
+    Args:
+        regression: Weighted rows; their background is updated where terms depend on the rest of the model.
+        prior: Of the parameters.
+        start: (c,) constants to begin from.
+    """
     constants = start.copy()
     lower, upper = _bounds(regression)
     regression_parameters, cost = solve_linear(regression, prior, constants)

@@ -60,7 +60,13 @@ class _Dry:
 
 
 def sampled(joints: Sequence[str], rate_hz: float, position: FloatArray) -> Motion:
-    """A motion known by its positions (N, n) alone, its derivatives by central differences; no torque."""
+    """A motion known by its positions alone, its derivatives by central differences; no torque.
+
+    Args:
+        joints: Names of the n joints.
+        rate_hz: Sampling rate, Hz.
+        position: (N, n) rad or m.
+    """
     velocity = np.gradient(position, 1.0 / rate_hz, axis=0)
     return Motion(
         joints=tuple(joints),

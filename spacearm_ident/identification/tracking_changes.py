@@ -210,7 +210,13 @@ class ChangeWatch:
         return min(earliest, latest), latest
 
     def replay(self, found: Found, filters: InformationFilter, spread: FloatArray) -> None:
-        """Put the filters back to before the change, loosen them by `spread` (J, p), and take the rows since."""
+        """Put the filters back to before the change, loosen them, and take the rows since.
+
+        Args:
+            found: The change, within the present window.
+            filters: The J filters; changed in place.
+            spread: (J, p) standard deviation that is added to each unknown, in its unit.
+        """
         batches = list(self.window)
         known, since = self._around(found.place)
         filters.root, filters.side = batches[known].root.copy(), batches[known].side.copy()

@@ -189,7 +189,13 @@ class Layout:
         return self._gathered(own, shared)
 
     def values(self, value: FloatArray, error: FloatArray, informed: np.ndarray) -> tuple[TrackedValue, ...]:
-        """Parameters with their values, from departures (J, p)."""
+        """The followed parameters with their values.
+
+        Args:
+            value: (J, p) departures from the identified values, in the parameters' units.
+            error: (J, p) their standard errors.
+            informed: (J, p) whether rows have told of each.
+        """
         parts = [self.spread_out(array) for array in (value, error, informed)]
         model, tracked = self._tracked.model, self._tracked
         places = [

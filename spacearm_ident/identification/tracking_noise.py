@@ -47,7 +47,13 @@ class InnovationNoise:
         self._recent = np.full((LAGS, joints), np.nan)
 
     def begin(self, joint: int, residual: FloatArray, unknowns: int) -> None:
-        """First noise level of a joint, from the residual (M,) of a fit of `unknowns` to it."""
+        """Set the first noise level of a joint from the residual of a fit to it.
+
+        Args:
+            joint: Number of the joint.
+            residual: (M,) N·m.
+            unknowns: Number of parameters that were fitted.
+        """
         middle = 1.4826 * float(np.median(np.abs(residual)))
         bounded = np.clip(residual, -HUBER * middle, HUBER * middle) if middle > 0 else residual
         freedom = max(1.0, len(residual) / self._least - unknowns) * self._least

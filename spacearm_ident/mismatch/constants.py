@@ -47,7 +47,14 @@ def search(
     evidence: Evidence,
     gain: Callable[[Candidate], float],
 ) -> Candidate:
-    """The candidate with better constants, if the method finds any that gain more."""
+    """The candidate with better constants, if the method finds any with a larger gain; else the candidate itself.
+
+    Args:
+        method: `refine` or `polish`: from effect, constants, gain and present gain to constants.
+        candidate: Effect with the constants to begin at.
+        evidence: Computes a candidate's columns at other constants.
+        gain: Drop in chi-square of a candidate; −∞ where its values are implausible.
+    """
     effect = candidate.effect
 
     def gain_at(constants: Values) -> float:
@@ -58,7 +65,17 @@ def search(
 
 
 def refine(effect: Effect, constants: Values, gain: Gain, best: float) -> Values:
-    """Constants between the points of their grids, one after the other; twice where one has a reach."""
+    """Search each constant in turn between the neighbours of its grid point; twice where one has a reach.
+
+    Args:
+        effect: The effect, for its constants' grids.
+        constants: (c,) values to begin at, each in its constant's unit.
+        gain: From (c,) constants to the drop in chi-square.
+        best: Gain at `constants`; other constants must exceed it.
+
+    Returns:
+        (c,) the constants with the largest gain found; `constants` itself where none is better.
+    """
     rounds = 1 + any(constant.reach is not None for constant in effect.constants)
     for k, constant in [*enumerate(effect.constants)] * rounds:
         grid = np.array(constant.grid)
@@ -76,7 +93,17 @@ def refine(effect: Effect, constants: Values, gain: Gain, best: float) -> Values
 
 
 def polish(effect: Effect, constants: Values, gain: Gain, best: float) -> Values:
-    """All constants together, by the simplex of Nelder and Mead 1965: one after the other they may end in a valley."""
+    """Search all constants together by the simplex of Nelder and Mead (1965), because coordinate search may stall.
+
+    Args:
+        effect: The effect, for its constants' bounds.
+        constants: (c,) values to begin at, each in its constant's unit.
+        gain: From (c,) constants to the drop in chi-square.
+        best: Gain at `constants`; other constants must exceed it.
+
+    Returns:
+        (c,) the constants found; `constants` itself where none is better, or where there is only one.
+    """
     if len(constants) < 2:
         return constants
 

@@ -186,7 +186,14 @@ class Evidence:
                 background.with_whole(load + np.stack(rows, axis=1))
 
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
-        """An effect in the field; its columns may be known from elsewhere."""
+        """An effect with given constants as a candidate in the field.
+
+        Args:
+            effect: The effect.
+            constants: (c,) values of its constants.
+            stacked: Its whitened columns in the field with these constants, where they are known; None: they are
+                computed.
+        """
         stacked = stacked or stacked_effect(self.field, effect, constants)
         return self._candidate(effect, constants, stacked, self._basis[stacked.rows].T @ stacked.columns)
 
@@ -303,7 +310,13 @@ class Evidence:
     def base_parameters_with(
         self, known: FloatArray, candidates: Sequence[Candidate], values: FloatArray
     ) -> FloatArray:
-        """The same where some of the base model's own are known: (p,), NaN for the others."""
+        """Parameters of the base, as `base_parameters`, where some of the base model's own are known.
+
+        Args:
+            known: (p,) values of the base model's own parameters; NaN where they are to be fitted.
+            candidates: Effects beside the base.
+            values: (k,) their parameters, one candidate after the other.
+        """
         whole = np.zeros(self._width)
         whole[: len(known)] = np.nan_to_num(known)
         free = np.concatenate([np.isnan(known), np.ones(self._width - len(known), dtype=bool)])[self._used]
@@ -387,7 +400,17 @@ def without_effects(
     values: FloatArray,
     stack: Callable[[Candidate], Stacked],
 ) -> FloatArray:
-    """A residual (V,) less what effects of these values add; what belongs to a recording is fitted to this one."""
+    """Subtract the torque of effects from a residual; their per-recording parameters are fitted to it anew.
+
+    Args:
+        residual: (V,) residual of the base model, whitened or in N·m.
+        candidates: Effects to subtract.
+        values: (k,) their parameters, one candidate after the other.
+        stack: Columns of a candidate in the rows of `residual`, in its unit.
+
+    Returns:
+        (V,) what is left; `residual` is not changed.
+    """
     residual = residual.copy()
     stacks = [stack(candidate) for candidate in candidates]
     for stacked, (_, own) in zip(stacks, with_own(candidates, values)):

@@ -42,6 +42,11 @@ def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) 
     """Whether one of the findings explains enough of the held-out data.
 
     An event in time need not show there, nor a first one that is asleep there.
+
+    Args:
+        number: Index of the finding to judge; 0 is the one accepted first.
+        findings: All findings, with residuals on held-out data.
+        floor: Joint -> noise floor, RMS, N·m.
     """
     finding, first = findings[number], number == 0
     if finding.effect == ExternalContact.kind:
@@ -85,7 +90,16 @@ def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
 
 
 def contradicted(finding: Finding, effect: Effect, beside: Sequence[Effect]) -> Finding:
-    """A finding as an unknown one where its own values, or a free function of its quantity beside it, deny its name."""
+    """Relabel a finding as unknown where its values, or a free function of its quantity, contradict its name.
+
+    Args:
+        finding: The finding; `against` holds what its own values contradict.
+        effect: Its effect.
+        beside: Effects accepted together with it, among them free functions (`UNKNOWN`).
+
+    Returns:
+        The finding as an unknown one, or `finding` itself.
+    """
 
     def freer(other: Effect) -> bool:
         own = other.joints == effect.joints and "with" not in other.place

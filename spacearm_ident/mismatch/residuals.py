@@ -51,7 +51,13 @@ class Residuals:
         return self.scene.speed[mine], self.scene.gone[mine]
 
     def of(self, base: FloatArray, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
-        """(V,) measured minus predicted, N·m."""
+        """(V,) measured minus predicted, N·m.
+
+        Args:
+            base: Parameters of the base, nuisance and common effects last, as from `Evidence.base_parameters`.
+            candidates: Effects in the model beside the base.
+            values: (k,) their parameters, one candidate after the other.
+        """
         return without_effects(
             self._torque - self._columns @ base,
             candidates,

@@ -25,7 +25,13 @@ COARSE_HZ = 250.0
 
 
 def coarse(motion: Motion, cutoff_hz: float, rate_hz: float = COARSE_HZ) -> Motion:
-    """The motion with neighbouring samples averaged, at no less than `rate_hz`, and reduced at another cut-off."""
+    """The motion averaged to a lower sampling rate, with another cut-off of its reduced rows.
+
+    Args:
+        motion: The motion at its full rate; a last incomplete group of samples is left out.
+        cutoff_hz: Cut-off of the reduced rows, Hz.
+        rate_hz: Lower bound of the new sampling rate, Hz; a slower motion keeps its rate.
+    """
     step = max(1, int(motion.rate_hz / rate_hz))
     whole = len(motion.position) // step
 
@@ -248,7 +254,16 @@ class Scene:
         return slice(int(self._starts[first * count]), int(self._starts[(last + 1) * count]))
 
     def whiten(self, joint: int, motion: int, rows: FloatArray) -> FloatArray:
-        """(r, k) stacked rows of reduced rows (M, k)."""
+        """Whiten and weight the rows of one joint in one motion.
+
+        Args:
+            joint: Index of the joint.
+            motion: Index of the motion.
+            rows: (M, k) rows reduced to the bandwidth, N·m or columns of a regressor.
+
+        Returns:
+            (r, k) whitened rows of those that count, as in `slot(joint, motion)`.
+        """
         return np.asarray(self._whitening[joint][motion] @ rows * self.weight[self.slot(joint, motion), None])
 
     def torque(self) -> FloatArray:
@@ -328,7 +343,16 @@ def stable(coefficients: FloatArray) -> FloatArray:
 
 
 def louder(whiteners: Sequence[Whitener], scene: Scene, residual: FloatArray) -> list[Whitener]:
-    """The whiteners with what slow rows and rows near a reversal count for, from the residual (R,) of all joints."""
+    """Whiteners whose variance at low speed and near a reversal is estimated from a residual.
+
+    Args:
+        whiteners: One for each of the n joints.
+        scene: Rows that were weighted by these whiteners.
+        residual: (R,) residual in the rows of `scene`; only ratios within a joint matter.
+
+    Returns:
+        (n,) whiteners with the factors `loud`, and the same filters.
+    """
     shape = len(whiteners), len(SLOW) + 1, len(NEAR) + 1
     total, count = np.zeros(shape), np.zeros(shape)
     where = scene.joint, *_cell(scene.speed, scene.gone)

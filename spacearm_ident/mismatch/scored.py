@@ -61,7 +61,13 @@ class Scored:
 
 
 def shadow(scored: Scored, refused: Sequence[Scored], joints: Set[str]) -> bool:
-    """Whether a named effect only takes what another at its joints explains better, which itself does not stand."""
+    """Whether a named effect is dominated by a rejected one that shares a joint with it.
+
+    Args:
+        scored: The effect in question.
+        refused: Candidates of the same round that were rejected.
+        joints: Names of the joints at which `scored` acts.
+    """
 
     def better(other: Scored) -> bool:
         return other.named and other.plausible and other.score > SHADOW * scored.score
@@ -106,7 +112,13 @@ def penalty(effect: Effect, rows: int) -> float:
 
 
 def plausible(candidate: Candidate, values: FloatArray, coulomb: Mapping[str, float]) -> bool:
-    """Whether values lie within their physical bounds, and are more than a healthy joint of this friction shows."""
+    """Whether values lie within their physical bounds and outside the deviation of healthy joints.
+
+    Args:
+        candidate: Effect with its constants.
+        values: (k,) its parameters.
+        coulomb: Joint -> Coulomb friction, N·m.
+    """
     effect, constants = candidate.effect, candidate.constants
     for parameter, value in zip(effect.parameters, values):
         if not parameter.lower <= value <= parameter.upper or not np.isfinite(value):
@@ -135,7 +147,13 @@ def sleeps(gain: float, loud: float, drop: float, foretold: float, rows: int) ->
 
 
 def throughout(scene: Scene, without: FloatArray, beside: FloatArray) -> float:
-    """Drop in chi-square from one residual (R,) to another, less that of the best parts of the time."""
+    """Drop in chi-square from one residual to another, without the `BEST` of `PARTS` equal parts of the time.
+
+    Args:
+        scene: Rows of both residuals.
+        without: (R,) whitened residual without the effect.
+        beside: (R,) whitened residual with it.
+    """
     part = scene.part(PARTS)
     drops = np.bincount(part, weights=without**2 - beside**2, minlength=PARTS)
     return float(np.sort(drops)[:-BEST].sum())

@@ -77,7 +77,16 @@ class Stacked:
 
 
 def stacked_effect(scene: Scene, effect: Effect, constants: Values) -> Stacked:
-    """Whitened columns of an effect."""
+    """Whitened columns of an effect in a scene.
+
+    Args:
+        scene: Rows to compute them in.
+        effect: The effect.
+        constants: (c,) values of its constants.
+
+    Returns:
+        Columns in the rows from the first to the last joint it acts at; of an event, only in the rows that it changes.
+    """
     columns = [
         effect.columns(motion, constants, background) for motion, background in zip(scene.motions, scene.backgrounds)
     ]
@@ -100,7 +109,13 @@ def stacked_effect(scene: Scene, effect: Effect, constants: Values) -> Stacked:
 
 
 def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Effect, tuple[float, ...]]]) -> FloatArray:
-    """(R, p + NUISANCE n + c) whitened columns of the base model, of its reversals, and of effects it includes."""
+    """(R, p + NUISANCE n + c) whitened columns of the base model, of its reversals, and of effects it includes.
+
+    Args:
+        base: Base model of p parameters; its constants are used, its parameter values are not.
+        scene: The R rows to compute the columns in.
+        common: Effects that belong to the base, of c parameters in all, each with values of its constants.
+    """
     blocks = []
     for term, _, first in base.model.numbered():
         constants = base.constants[first : first + len(term.constants)]

@@ -155,6 +155,11 @@ class Chain:
     def set_parameter(self, node: str, name: str, text: str) -> None:
         """Set a text parameter of a running node.
 
+        Args:
+            node: Name of the node, without namespace.
+            name: Name of the parameter.
+            text: Its new value.
+
         Raises:
             UserError: It is refused.
         """
@@ -176,6 +181,11 @@ class Chain:
 
     def wait(self, condition: Callable[[], object], what: str, longest_s: float) -> None:
         """Spin until a condition holds.
+
+        Args:
+            condition: Called after every spin; what it returns is taken as a truth value.
+            what: What is waited for, for the error message.
+            longest_s: Longest wait, s.
 
         Raises:
             UserError: It did not within `longest_s`, or a node has ended meanwhile.

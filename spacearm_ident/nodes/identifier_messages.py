@@ -105,7 +105,13 @@ def _status(arm: str, entry: _Entry) -> DiagnosticStatus:
 
 
 def torque_message(joints: tuple[str, ...], stamp_ns: int, effort: FloatArray) -> JointState:
-    """`/identifier/residuals`, `/identifier/predicted`: the stamp is the moment the torque belongs to."""
+    """A joint state with torques, for `/identifier/residuals` and `/identifier/predicted`.
+
+    Args:
+        joints: Names of the n joints.
+        stamp_ns: Time that the torque belongs to, ns since the epoch.
+        effort: (n,) torque, N·m or N.
+    """
     message = JointState(name=joints, effort=effort)
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
     return message

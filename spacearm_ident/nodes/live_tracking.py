@@ -44,7 +44,13 @@ class LiveTracking:
         self.state: TrackingState | None = None
 
     def feed(self, payloads: Sequence[bytes], temperatures: Sequence[bytes], arrived_ns: int) -> None:
-        """Hand over joint states and temperatures in the order of arrival; the last came at `arrived_ns`."""
+        """Hand over joint states and temperatures in the order of arrival.
+
+        Args:
+            payloads: Joint states since the last call, CDR.
+            temperatures: Temperatures since the last call, CDR.
+            arrived_ns: When the last joint state arrived, ns.
+        """
         if (payloads or temperatures) and not self._broken:
             self._thread.feed(payloads, temperatures, arrived_ns)
 
@@ -115,7 +121,13 @@ class ChangeWindow:
         self._from_s: float | None = None
 
     def add(self, newest_s: float, arrived_ns: int, changes: Sequence[Change]) -> None:
-        """The last stamp of a block, when it came, and what was found in it."""
+        """Note a block of joint states and the changes found in it.
+
+        Args:
+            newest_s: Stamp of the last joint state of the block, s since 1970.
+            arrived_ns: When that joint state arrived, ns.
+            changes: Changes found in the block.
+        """
         if self._marks and newest_s < self._marks[-1][0]:
             # The clock was set back: what it showed before says nothing of what it shows now.
             self._marks.clear()

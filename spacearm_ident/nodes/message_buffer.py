@@ -52,7 +52,13 @@ class Capture:
 
     @classmethod
     def of_one(cls, topic: str, time_ns: int, payload: bytes) -> Capture:
-        """A single message."""
+        """A single message.
+
+        Args:
+            topic: Name of the topic.
+            time_ns: Time of arrival, ns.
+            payload: The message, serialised.
+        """
         data = np.frombuffer(payload, dtype=np.uint8)
         return cls(topic, np.array([time_ns]), np.array([len(payload)]), data)
 

@@ -200,7 +200,13 @@ class LiveNode(Node):
         return node
 
     def subscribe_unspun(self, kind: type, topic: str, qos: QoSProfile) -> Any:
-        """A subscription of an `unspun_node`, to the topic that this node means: remapped as its own would be."""
+        """Subscribe on an `unspun_node`, with this node's remapping of the topic's name.
+
+        Args:
+            kind: Message type; messages are taken raw.
+            topic: Name of the topic, as this node would give it.
+            qos: Quality of service of the subscription.
+        """
         name = self.resolve_topic_name(topic)
         return self.unspun_node().create_subscription(kind, name, lambda _: None, qos, raw=True)
 

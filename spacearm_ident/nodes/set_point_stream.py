@@ -39,7 +39,13 @@ class Encoder(Protocol):
     """A set-point as the message of some topic."""
 
     def encode(self, stamp_ns: int, q: FloatArray, qd: FloatArray) -> bytes:
-        """The message (CDR) with this header stamp, positions and velocities, (n,) each."""
+        """The set-point as a serialised message (CDR).
+
+        Args:
+            stamp_ns: Stamp of the message's header, ns since the epoch.
+            q: (n,) positions, rad or m.
+            qd: (n,) velocities, rad/s or m/s.
+        """
 
 
 class Slots(Protocol):

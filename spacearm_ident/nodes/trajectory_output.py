@@ -140,7 +140,13 @@ class Output:
             )
 
     def start(self, run: Run, motion: Motion, limits: MotionLimits) -> Stream:
-        """Begin a run whose set-points at `rate_hz` are `motion`, checked against the limits."""
+        """Begin a run, as set-points or as one path.
+
+        Args:
+            run: The planned run; its limits have been checked.
+            motion: Its T set-points at `rate_hz`, (T, n) each.
+            limits: Motion limits of the n joints, kept when the run is stopped.
+        """
         if self.kind == JOINT_TRAJECTORY:
             publish, now = self._publisher.publish, self.now_ns
             return SentPath(run, limits, publish, now, order=self._order, rate_hz=self._path_rate_hz)

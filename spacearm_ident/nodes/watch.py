@@ -126,7 +126,12 @@ class Listener:
 
 
 def look_once(wait_s: float, most_parameters: int, namespace: str = "") -> View:
-    """One view of a namespace, once every node has had its second to speak.
+    """One view of a namespace, after every node has had a second to publish.
+
+    Args:
+        wait_s: Longest wait for the first node, s.
+        most_parameters: Most parameters to include in the view.
+        namespace: ROS namespace without leading slash; empty: the root.
 
     Raises:
         UnfitDataError: No node speaks within `wait_s`.
@@ -151,7 +156,14 @@ def look_once(wait_s: float, most_parameters: int, namespace: str = "") -> View:
 
 
 def watch(console: Console, rate_hz: float, most_parameters: int, namespace: str = "") -> None:
-    """Keep a screen of a namespace up to date until SIGINT or SIGTERM; the terminal is given back."""
+    """Keep a screen of a namespace up to date until SIGINT or SIGTERM; the terminal is then restored.
+
+    Args:
+        console: Terminal to draw on.
+        rate_hz: Screens a second, Hz.
+        most_parameters: Most parameters to show.
+        namespace: ROS namespace without leading slash; empty: the root.
+    """
     # An exception out of a signal handler, in the middle of a C++ call, becomes another one there.
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -150,7 +150,16 @@ class WatchState:
         return len(self._statuses)
 
     def hear_status(self, name: str, level: int, message: str, hardware: str, values: Values, now_s: float) -> None:
-        """One status of `/diagnostics`."""
+        """Take in one status of `/diagnostics`.
+
+        Args:
+            name: Name of the node, or `node: part`, without namespace.
+            level: Level of a `DiagnosticStatus`: 0 OK, 1 warning, 2 error, 3 stale.
+            message: Summary of the status, one line.
+            hardware: Hardware ID of the status: the arm's name.
+            values: Key -> value of the status.
+            now_s: Monotonic time, s.
+        """
         self._statuses[name] = _Heard(level, message, values, now_s)
         if name == DRIVER or not self._arm:
             self._arm = hardware
@@ -167,7 +176,15 @@ class WatchState:
     def hear_joints(
         self, names: Sequence[str], position: Sequence[float], torque: Sequence[float], count: int, now_s: float
     ) -> None:
-        """A joint state; `count` is its number in the stream, so that not all of them need be heard."""
+        """Take in a joint state; not every message of the stream is needed.
+
+        Args:
+            names: Names of the n joints.
+            position: (n,) rad or m; shorter or empty where not published.
+            torque: (n,) N·m or N; shorter or empty where not published.
+            count: Number of the message in its publisher's stream, from which the rate is computed.
+            now_s: Monotonic time, s.
+        """
         rows = {}
         for k, name in enumerate(names):
             at = (position[k] if k < len(position) else None, torque[k] if k < len(torque) else None)

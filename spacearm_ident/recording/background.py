@@ -80,7 +80,17 @@ class BackgroundWriter:
         return (self._put_bytes - self._taken_bytes) / self._room
 
     def put(self, topic: Topic, log_time_ns: int, payload: bytes, publish_time_ns: int) -> bool:
-        """Hand over one message (from one thread at a time), never waiting; False where it was dropped."""
+        """Queue one message for writing, without waiting; call it from one thread at a time.
+
+        Args:
+            topic: Topic of the message.
+            log_time_ns: When it was received, ns since the epoch.
+            payload: The message, CDR.
+            publish_time_ns: When it was published, ns since the epoch.
+
+        Returns:
+            False where it was dropped.
+        """
         if self.failure is not None or self._put_bytes - self._taken_bytes + len(payload) > self._room:
             self.dropped += 1
             return False

@@ -133,7 +133,16 @@ def on_grid(sensor: BaseSensor, grid: FloatArray, rate_hz: float) -> BaseSamples
 
 
 def covered(sensor: BaseSensor | None, time: FloatArray, segment: slice) -> list[slice]:
-    """The parts of a segment of samples at `time` (N,) s in which the base's motion is known; all of it without one."""
+    """The parts of a segment in which the base's motion is known.
+
+    Args:
+        sensor: Sensor on the base; None, or one of unknown orientation: the whole segment counts.
+        time: (N,) time of the recording's samples, s.
+        segment: Range of those samples.
+
+    Returns:
+        Ranges of samples, in the same numbering; empty where the sensor covers none.
+    """
     if sensor is None or sensor.rotation is None:
         return [segment]
     parts = []

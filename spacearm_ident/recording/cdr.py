@@ -337,7 +337,13 @@ def encode_joint_states(
 
 
 def encode_stamped(stamp_ns: int, texts: Iterable[str], numbers: Iterable[float]) -> bytes:
-    """Encode a message of a stamp, strings and float64; counterpart of `decode_stamped`."""
+    """Encode a message of a stamp, strings and float64; counterpart of `decode_stamped`.
+
+    Args:
+        stamp_ns: Stamp of the header, ns since the epoch.
+        texts: Strings, the first the frame_id.
+        numbers: Float64 values after them.
+    """
     builder = _Builder()
     builder.stamp(stamp_ns)
     for text in texts:
@@ -348,7 +354,14 @@ def encode_stamped(stamp_ns: int, texts: Iterable[str], numbers: Iterable[float]
 
 
 def encode_temperature(stamp_ns: int, frame_id: str, temperature: float, variance: float = 0.0) -> bytes:
-    """Encode a `sensor_msgs/msg/Temperature` (°C; `frame_id` is the joint's name)."""
+    """Encode a `sensor_msgs/msg/Temperature`.
+
+    Args:
+        stamp_ns: Stamp of the header, ns since the epoch.
+        frame_id: Name of the joint.
+        temperature: °C.
+        variance: Variance of the temperature, °C²; 0: unknown.
+    """
     return encode_stamped(stamp_ns, (frame_id,), (temperature, variance))
 
 

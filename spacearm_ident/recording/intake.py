@@ -238,11 +238,24 @@ class Intake:
         return intake
 
     def note(self, kind: str, message: str, count: int = 1, stamp_ns: int | None = None) -> None:
-        """Put a finding on the account."""
+        """Add a finding to `findings`.
+
+        Args:
+            kind: Short identifier of the defect, such as `nan`.
+            message: One line for a person; the label of the topic is put before it.
+            count: How many messages or samples are concerned.
+            stamp_ns: Stamp of the first of them, ns; None: of no particular moment.
+        """
         self.findings.append(Finding(kind, self._label + message, count, stamp_ns))
 
     def drop(self, bad: BoolArray, kind: str, message: str) -> None:
-        """Leave out the `bad` samples; `message` goes on behind their number, with "samples" or the like."""
+        """Drop samples and note how many.
+
+        Args:
+            bad: (N,) true where a sample of `samples` is dropped.
+            kind: Short identifier of the defect, such as `nan`.
+            message: What is dropped and why; begins with a plural noun ("samples ..."), before which the count is put.
+        """
         if bad.any():
             self._left_out(self.samples.stamp_ns[bad], kind, message)
             self.samples = self.samples.rows(~bad)

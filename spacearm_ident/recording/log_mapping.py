@@ -125,6 +125,11 @@ def samples_of(table: Table, mapping: LogMapping, where: str) -> tuple[Samples, 
 def column(table: Table, name: str, where: str) -> Column:
     """A column by name.
 
+    Args:
+        table: Columns of a log.
+        name: Name of the column.
+        where: The log, for the error message.
+
     Raises:
         UserError: There is none of that name.
     """

@@ -75,7 +75,13 @@ class JointSignals:
 
 
 def joint_signals(traces: Sequence[Trace], joint: int, revolute: bool) -> JointSignals | None:
-    """The rows of one joint, or None where there are none."""
+    """The signals of one joint in all traces, joined; None where no trace has a row.
+
+    Args:
+        traces: Signals of the validation, one trace for each uninterrupted stretch.
+        joint: Index of the joint.
+        revolute: Whether the joint turns, for the units.
+    """
     traces = [trace for trace in traces if len(trace.time)]
     if not traces:
         return None
@@ -180,7 +186,14 @@ def over_velocity(signals: dict[str, JointSignals]) -> Markup:
 
 
 def cloud(axes: Axes, x: FloatArray, y: FloatArray, colour: str) -> None:
-    """Points, as a picture within the figure."""
+    """Draw points, as a raster image within the vector figure.
+
+    Args:
+        axes: Panel to draw in.
+        x: (N,) coordinates along the x axis, in its unit.
+        y: (N,) coordinates along the y axis, in its unit.
+        colour: Colour of the points.
+    """
     axes.plot(x, y, ".", markersize=3.2, markeredgewidth=0, color=colour, alpha=0.55, rasterized=True)
 
 
@@ -197,7 +210,13 @@ def _trend(velocity: FloatArray, residual: FloatArray) -> tuple[FloatArray, Floa
 
 
 def friction(model: IdentifiedModel, signals: dict[str, JointSignals], pose: FloatArray) -> Markup:
-    """The model's friction over velocity, with the residual added to it where the joint moves."""
+    """Friction of the model over velocity, with the residual added to it while the joint moves.
+
+    Args:
+        model: The identified model.
+        signals: Joint -> its signals, one panel each.
+        pose: (n,) position in which friction is computed, rad or m.
+    """
     names = model.model.arm.joint_names
     with grid(len(signals), 3, 1.95) as (figure, panels):
         for axes, (joint, mine) in zip(panels, signals.items()):
@@ -216,7 +235,14 @@ def friction(model: IdentifiedModel, signals: dict[str, JointSignals], pose: Flo
 
 
 def name_axes(axes: Axes, title: str, below: str, beside: str) -> None:
-    """Title and labels of a panel, and few ticks."""
+    """Set title, axis labels and few ticks of a panel.
+
+    Args:
+        axes: The panel.
+        title: Title; shortened to `LONGEST_NAME` characters.
+        below: Label of the x axis, with unit.
+        beside: Label of the y axis, with unit.
+    """
     axes.set_title(short(title, LONGEST_NAME))
     axes.set_xlabel(below, labelpad=1)
     axes.set_ylabel(beside, labelpad=2)

@@ -196,7 +196,13 @@ def _slug(name: str) -> str:
 
 
 def index_html(title: str, entries: Sequence[Entry], mismatches: Sequence[MismatchEntry]) -> str:
-    """The whole page."""
+    """The index page of a folder of results, as HTML.
+
+    Args:
+        title: Name of the folder.
+        entries: Results of identifications, in the order of the page.
+        mismatches: Results of `spacearm mismatch` in the folder.
+    """
     count = f"{len(entries)} runs" if len(entries) != 1 else "1 run"
     arms = runs_by_arm(entry.result for entry in entries if entry.result is not None)
     body = join(

@@ -32,6 +32,15 @@ def write_comparison(
 ) -> Path:
     """Write everything, or nothing; returns the page.
 
+    Args:
+        comparison: The comparison.
+        simulation: The simulation that was compared.
+        mended: Its file with corrected values; None: none is written.
+        fitted: Recordings it was fitted to, for the provenance.
+        held: Held-out recordings, for the provenance.
+        directory: Folder of the result; made where it does not exist. An earlier result in it is replaced.
+        command: Command line that produces the result again; None: not stated.
+
     Raises:
         UserError: The folder cannot be written.
     """

@@ -40,7 +40,14 @@ SOURCES = ((FITTED, "Recordings fitted"), (VALIDATED, "Held-out recordings"))
 def comparison_html(
     comparison: Comparison, simulation: Simulation, mended: Mended | None, sources: Mapping[str, Any]
 ) -> str:
-    """The whole page."""
+    """The page of a comparison, as HTML.
+
+    Args:
+        comparison: The comparison.
+        simulation: The simulation that was compared.
+        mended: Its file with corrected values; None: there is none.
+        sources: Provenance, as from `provenance`.
+    """
     title = f"From the simulation to the arm: {simulation.arm.name}"
     judged = f" · validated on {comparison.judged_on}" if comparison.judged_on else ""
     body = join(

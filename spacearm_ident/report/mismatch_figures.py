@@ -168,7 +168,14 @@ def _labels(findings: Sequence[Finding], joint: str) -> list[str]:
 
 
 def dependence(finding: Finding, arm: Arm, of: Signals, floor: FloatArray) -> tuple[Markup, str] | None:
-    """Residual before and after over what the finding depends on, and a caption; None where nothing can be drawn."""
+    """Residual before and after over the quantity a finding depends on, and a caption; None: nothing to draw.
+
+    Args:
+        finding: The finding.
+        arm: The arm, for names and units.
+        of: Signals of all traces.
+        floor: (n,) noise floor, RMS, N·m or N.
+    """
     rows = [k for k in _strongest(finding, arm.joint_names, of) if np.isfinite(of.before[:, k]).any()]
     if not rows:
         return None
@@ -205,7 +212,16 @@ def _strongest(finding: Finding, names: Sequence[str], of: Signals) -> list[int]
 
 
 def view_of(finding: Finding, row: int, of: Signals) -> View:
-    """What to draw a finding over at one joint."""
+    """The quantity over which one joint's residual shows a finding best.
+
+    Args:
+        finding: The finding; its effect limits the choice.
+        row: Index of the joint.
+        of: Signals of all traces.
+
+    Returns:
+        The view that explains most of the residual's variance; over time where none is clear.
+    """
     cycles = finding.parameters.get("cycles")
     if finding.effect == "torque_ripple" and cycles is not None and np.isfinite(cycles.value) and cycles.value > 0:
         return View(POSITION, row, cycles=cycles.value)
@@ -295,7 +311,13 @@ def _caption(views: Sequence[View]) -> str:
 
 
 def over_time(names: Sequence[str], of: Signals, floor: FloatArray) -> Markup:
-    """Residual of every joint over time, before and after."""
+    """Residual of every joint over time, before and after.
+
+    Args:
+        names: Names of the n joints.
+        of: Signals of all traces.
+        floor: (n,) noise floor, RMS, N·m or N.
+    """
     with stacked([0.75] * len(names), titled=True) as (figure, panels):
         for row, (axes, name) in enumerate(zip(panels, names)):
             for when in ("before", "after"):

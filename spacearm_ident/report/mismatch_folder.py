@@ -35,6 +35,15 @@ def write_mismatch(
 ) -> Path:
     """Write everything, or nothing; returns the page.
 
+    Args:
+        explanation: The analysis.
+        arm: The arm that was analysed.
+        field: Recordings that were explained; the first says where the proposed run starts.
+        judged: Held-out recordings, for the provenance.
+        reference: Recordings of the healthy arm, for the provenance; empty: there are none.
+        directory: Folder of the result; made where it does not exist. An earlier result in it is replaced.
+        command: Command line that produces the result again; None: not stated.
+
     Raises:
         UserError: The folder cannot be written.
     """
@@ -55,7 +64,13 @@ def write_mismatch(
 
 
 def next_run(explanation: Explanation, arm: Arm, field: Recording) -> Trajectory | None:
-    """The motion of the next experiment, from where a recording began; None where no motion within the limits is."""
+    """Trajectory of the next experiment; None where none is proposed or none keeps the limits.
+
+    Args:
+        explanation: The analysis; `next_effect` and `next_joints` say what the experiment is for.
+        arm: The arm, with its motion limits.
+        field: Recording whose first position the run starts from.
+    """
     if not explanation.next_effect:
         return None
     start = field.in_order(arm.joint_names).position[0]

@@ -29,7 +29,13 @@ SOURCES = ((FITTED, "Explained"), (REFERENCE, "Reference"), (VALIDATED, "Validat
 
 
 def mismatch_html(explanation: Explanation, arm: Arm, sources: Mapping[str, Any]) -> str:
-    """The whole page."""
+    """The page of a mismatch, as HTML.
+
+    Args:
+        explanation: The analysis.
+        arm: The arm that was analysed.
+        sources: Provenance, as from `provenance`.
+    """
     title = f"Mismatch of {arm.name}"
     drawn = figures.signals(explanation.traces)
     judged = f" · validated on {explanation.judged_on}" if explanation.judged_on else ""
@@ -182,7 +188,13 @@ def colour_key(*roles: str) -> Markup:
 
 
 def finding_cards(explanation: Explanation, arm: Arm, drawn: figures.Signals | None) -> Iterable[Markup]:
-    """A heading, and a card for each finding with its evidence."""
+    """A heading, and a card for each finding with its evidence.
+
+    Args:
+        explanation: The analysis; without findings nothing is yielded.
+        arm: The arm, for names and units.
+        drawn: Signals of all traces; None: cards without figures.
+    """
     if not explanation.findings:
         return
     yield element("h2", "Findings")

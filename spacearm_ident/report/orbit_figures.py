@@ -19,7 +19,13 @@ ROLES = ("muted", "before", "residual", "after")
 
 
 def fits(validations: Sequence[Validation], names: Sequence[str], wanted_r: float) -> Markup:
-    """R and residual of every model, joint by joint."""
+    """Correlation R and relative residual of every model, joint by joint.
+
+    Args:
+        validations: One for each model, in the order of `orbit_html.MODELS`.
+        names: Names of the models, for the description of the figure.
+        wanted_r: Required correlation R, drawn as a dashed line.
+    """
     joints = list(validations[0].joints)
     with grid(2, 2, 2.3, left_in=0.6) as (figure, (left, right)):
         width = 0.8 / len(validations)

@@ -31,7 +31,15 @@ def write_orbit(
     directory: Path,
     command: str | None = None,
 ) -> Path:
-    """Write everything, or nothing; returns the page. `validations` in the order of `orbit_html.MODELS`.
+    """Write everything, or nothing; returns the page.
+
+    Args:
+        adaptation: The adapted model, and what changed.
+        validations: One for each model, in the order of `orbit_html.MODELS`.
+        orbit: Recordings adapted to, and held-out recordings, both in orbit.
+        wanted_r: Correlation R that every joint must exceed.
+        directory: Folder of the result; made where it does not exist. An earlier result in it is replaced.
+        command: Command line that produces the result again; None: not stated.
 
     Raises:
         UserError: The folder cannot be written.
@@ -46,7 +54,13 @@ def write_orbit(
 
 
 def orbit_dict(adaptation: Adaptation, validations: Sequence[Validation], wanted_r: float) -> dict[str, Any]:
-    """The content of `orbit.json`."""
+    """The content of `orbit.json`.
+
+    Args:
+        adaptation: The adapted model, and what changed.
+        validations: One for each model, in the order of `orbit_html.MODELS`.
+        wanted_r: Correlation R that every joint must exceed in the first and the last validation.
+    """
     return {
         "schema": SCHEMA,
         "adapted": all(worst(validations[k])[1] > wanted_r for k in (0, -1)),

@@ -22,7 +22,14 @@ SAID: Mapping[bool | None, str] = {True: "yes", False: "no", None: "not determin
 def orbit_html(
     adaptation: Adaptation, validations: Sequence[Validation], wanted_r: float, sources: Mapping[str, Any]
 ) -> str:
-    """The whole page; `validations` in the order of `MODELS`."""
+    """The page of an adaptation, as HTML.
+
+    Args:
+        adaptation: The adapted model, and what changed.
+        validations: One for each model, in the order of `MODELS`.
+        wanted_r: Correlation R that every joint must exceed.
+        sources: Provenance, as from `provenance`.
+    """
     arm = adaptation.adapted.model.arm
     title = f"{arm.name}, adapted to orbit"
     warm = adaptation.levels.temperature

@@ -98,7 +98,15 @@ def _drawing() -> Iterator[None]:
 def grid(
     count: int, columns: int, height_in: float, left_in: float = 0.6, below_in: float = 0.42
 ) -> Iterator[tuple[Figure, list[Axes]]]:
-    """`count` axes, `columns` in a row, in the report's style; to be drawn and turned to SVG inside the block."""
+    """A figure with a grid of axes in the report's style; draw and convert it to SVG inside the block.
+
+    Args:
+        count: Number of axes.
+        columns: Axes in a row; together they are `WIDTH_IN` wide.
+        height_in: Height of a row, inches.
+        left_in: Space left of each panel for its labels, inches.
+        below_in: Space below each panel for its labels, inches.
+    """
     with _drawing():
         rows = -(-count // columns)
         total, cell = height_in * rows, WIDTH_IN / columns

@@ -42,7 +42,13 @@ class RecordedRun:
 
 
 def recorded_runs(fitted: Sequence[Recording], held_out: Sequence[Recording], arm: Arm) -> tuple[RecordedRun, ...]:
-    """Every recording once, those of the fit first; a recording that lacks a joint of the arm is left out."""
+    """Every recording once, those of the fit first; a recording that lacks a joint of the arm is left out.
+
+    Args:
+        fitted: Recordings the model was fitted to.
+        held_out: Held-out recordings.
+        arm: The arm, for the joints and their order.
+    """
     pairs = [*((recording, True) for recording in fitted), *((recording, False) for recording in held_out)]
     return tuple(_run(recording, fit, arm) for recording, fit in pairs if set(arm.joint_names) <= set(recording.joints))
 

@@ -41,7 +41,13 @@ def motion(run: RecordedRun, arm: Arm) -> Markup:
 
 
 def spectrum(spectrum: Spectrum, cutoff_hz: float, arm: Arm) -> Markup:
-    """Power spectral density of unfiltered torque and residual, a panel a joint, with the bandwidth of the fit."""
+    """Power spectral density of unfiltered torque and residual, a panel a joint, with the bandwidth of the fit.
+
+    Args:
+        spectrum: (F, n) densities of torque and residual, (N·m)²/Hz or N²/Hz.
+        cutoff_hz: Bandwidth of the fit, Hz.
+        arm: The arm, for names and units.
+    """
     with grid(len(arm.joints), 3, 1.8, left_in=0.6) as (figure, panels):
         for k, (axes, joint) in enumerate(zip(panels, arm.joints)):
             for density, role in ((spectrum.torque, "measured"), (spectrum.residual, "residual")):

@@ -49,6 +49,11 @@ def write_summary(
 ) -> dict[str, Any]:
     """Write both summaries and the index into a folder that holds the results.
 
+    Args:
+        directory: Folder that holds the results, each in a folder below it.
+        rows: What became of each bag; one that is not identified is listed as a failure.
+        progress: Called with a share done in 0..1 and what is being read.
+
     Returns:
         The content of `summary.json`.
 

@@ -135,7 +135,13 @@ def hidden_physics(path: Path, joints: Sequence[str]) -> Concealment:
 
 
 def serve(config: ArmCan, arm: LiveArm, stop: Callable[[], bool]) -> None:
-    """Run a simulated arm in this process without ROS, until `stop()` is true."""
+    """Run a simulated arm in this process without ROS, until `stop()` is true or the arm has failed.
+
+    Args:
+        config: The arm's drives and buses.
+        arm: The physics behind the drives.
+        stop: Asked every 50 ms whether to end.
+    """
     process = ArmProcess(config, arm)
     process.start()
     while not stop() and process.failure is None:

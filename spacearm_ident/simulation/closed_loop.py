@@ -79,7 +79,14 @@ class HiddenPhysics(Protocol):
     def plant(
         self, parameters: PlantParameters, position: FloatArray, thermal: ThermalParameters, law: JointLaw | None
     ) -> Plant:
-        """The plant at rest at `position` (n,), its clock at -`SETTLE_S`."""
+        """The plant at rest, its clock at −`SETTLE_S`.
+
+        Args:
+            parameters: Parameters of the n joints and of the rigid bodies.
+            position: (n,) rad or m, where the drives are.
+            thermal: Thermal parameters of the joints.
+            law: Friction and drive train in place of the parameters' own; None: their own.
+        """
 
     def encoder(self, position: FloatArray) -> FloatArray:
         """What the drives take for the position `position` (..., n), rad."""
@@ -271,14 +278,29 @@ def plant_of(
     law: JointLaw | None,
     hidden: HiddenPhysics | None,
 ) -> Plant:
-    """The arm at rest at a position (n,), rad, with what is hidden in it."""
+    """The plant at rest at a position, with its hidden physics.
+
+    Args:
+        parameters: Parameters of the n joints and of the rigid bodies.
+        position: (n,) rad or m.
+        thermal: Thermal parameters of the joints.
+        law: Friction and drive train in place of the parameters' own; None: their own.
+        hidden: Physics beyond the parameters; None: there is none.
+    """
     if hidden is None:
         return Plant(parameters, position=position, law=law, thermal=thermal)
     return hidden.plant(parameters, position, thermal, law)
 
 
 def measure(truth: Truth, noise: SensorNoise, seed: int = 0, start_ns: int = 0) -> Recording:
-    """The truth through sensors: same seed, same recording."""
+    """Simulate the sensors: the recording that they make of the true motion.
+
+    Args:
+        truth: True signals of the run.
+        noise: Noise, resolution and IMU of the sensors.
+        seed: Seed of the noise; the same seed gives the same recording.
+        start_ns: Start of the recording, ns since the epoch.
+    """
     rng = np.random.default_rng(seed)
     shape = truth.q.shape
     limit = truth.drives.torque_limit if noise.effort_scale is None else noise.effort_scale

@@ -111,7 +111,14 @@ class SimulatedDrive(Communication):
         self._watch_following(dt)
 
     def observe(self, position: float, velocity: float, torque: float, temperature: float) -> None:
-        """Take over what sensors see: rad, rad/s, N·m (output side), °C."""
+        """Update the objects of measured values from what the sensors see, all on the output side.
+
+        Args:
+            position: rad.
+            velocity: rad/s.
+            torque: N·m.
+            temperature: Temperature of the winding, °C.
+        """
         scale, values = self.config.scale, self.values
         self._actual = position / scale.rad_per_count + scale.zero_counts
         counts = values[POSITION] = _limited(round(self._actual), _I32)

@@ -90,6 +90,11 @@ class DriveDictionary:
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
         """Bytes of an object, for the SDO server.
 
+        Args:
+            index: Index of the object, 16 bit.
+            subindex: Its subindex, 8 bit.
+            check_readable: Whether an object that can only be written is refused.
+
         Raises:
             SdoAbortedError: No such object, or it cannot be read.
         """
@@ -102,6 +107,12 @@ class DriveDictionary:
 
     def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
         """Store what a master wrote.
+
+        Args:
+            index: Index of the object, 16 bit.
+            subindex: Its subindex, 8 bit.
+            data: The value as the SDO carries it, of the object's length.
+            check_writable: Whether an object that can only be read is refused.
 
         Raises:
             SdoAbortedError: No such object, read only, of another length, or refused by a rule.

@@ -20,10 +20,22 @@ class JointLaw(Protocol):
     """Friction and drive train of all joints; `q` rad, `qd` rad/s, `temperature` °C, (n,) each."""
 
     def dry_level(self, q: FloatArray, qd: FloatArray, temperature: FloatArray) -> FloatArray:
-        """Largest dry friction torque at this state, (n,) N·m, not negative."""
+        """Largest dry friction torque at this state, (n,) N·m, not negative.
+
+        Args:
+            q: (n,) position, rad.
+            qd: (n,) velocity, rad/s.
+            temperature: (n,) temperature of the housings, °C.
+        """
 
     def smooth_torque(self, q: FloatArray, qd: FloatArray, temperature: FloatArray) -> FloatArray:
-        """All other torque the motor must provide against (viscous, spring), (n,) N·m; finite slope."""
+        """All other torque the motor must provide against (viscous, spring), (n,) N·m; finite slope.
+
+        Args:
+            q: (n,) position, rad.
+            qd: (n,) velocity, rad/s.
+            temperature: (n,) temperature of the housings, °C.
+        """
 
 
 class StribeckLaw:

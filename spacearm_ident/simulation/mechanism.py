@@ -62,10 +62,22 @@ class Mechanism(Protocol):
         """Drive positions (n,) of a configuration."""
 
     def moved(self, configuration: FloatArray, velocity: FloatArray, h: float) -> FloatArray:
-        """The configuration after `h` seconds at `velocity` (m,)."""
+        """The configuration after a step at constant velocity.
+
+        Args:
+            configuration: Generalised positions, as from `start`.
+            velocity: (m,) generalised velocity, rad/s or m/s.
+            h: Length of the step, s.
+        """
 
     def acceleration(self, configuration: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
-        """(m,) under `torque` (m,) and the mechanism's own forces."""
+        """(m,) generalised acceleration under a torque and the mechanism's own forces, rad/s² or m/s².
+
+        Args:
+            configuration: Generalised positions, as from `start`.
+            velocity: (m,) generalised velocity, rad/s or m/s.
+            torque: (m,) generalised force, N·m or N.
+        """
 
     def bias(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray:
         """b, (m,): Coriolis, gravity and passive forces."""
@@ -77,7 +89,13 @@ class Mechanism(Protocol):
         """Inertia (n, n) the drives would feel if everything but the joints were stiff."""
 
     def load(self, configuration: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """(n,) N·m the gears pass on to the links, that is without rotors and joint friction."""
+        """(n,) torque that the gears pass on to the links, without rotors and joint friction, N·m.
+
+        Args:
+            configuration: Generalised positions, as from `start`.
+            velocity: (m,) generalised velocity, rad/s or m/s.
+            acceleration: (m,) generalised acceleration, rad/s² or m/s².
+        """
 
     def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
         """Where the base is, then its twist in its own axes: (13,) m, quaternion x y z w, m/s, rad/s; None: fixed."""

@@ -41,7 +41,15 @@ class DriveData:
         torque_limit: ArrayLike = np.inf,
         winding_resistance: ArrayLike = 0.6,
     ) -> DriveData:
-        """From one number for all drives or (n,) each."""
+        """Data of n drives, each quantity from one number for all drives or (n,) numbers.
+
+        Args:
+            n: Number of drives.
+            gear_ratio: Motor turns per output turn.
+            torque_constant: N·m/A on the motor side.
+            torque_limit: N·m on the output side.
+            winding_resistance: Ω.
+        """
         given = (gear_ratio, torque_constant, torque_limit, winding_resistance)
         return cls(*(np.broadcast_to(np.asarray(value, dtype=float), (n,)).copy() for value in given))
 

@@ -74,7 +74,13 @@ class Thermal:
         self._elapsed_s = 0.0
 
     def heat(self, torque: FloatArray, friction_power: FloatArray, dt: float) -> None:
-        """Let `dt` seconds pass at this motor torque (n,) N·m and friction power (n,) W."""
+        """Advance the thermal state by a time step.
+
+        Args:
+            torque: (n,) motor torque on the output side, N·m.
+            friction_power: (n,) power lost to joint friction, W.
+            dt: Length of the step, s.
+        """
         self._copper_J += torque * torque * dt
         self._friction_J += friction_power * dt
         self._elapsed_s += dt

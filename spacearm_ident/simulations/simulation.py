@@ -125,9 +125,18 @@ def simulation_of(
     notes: Sequence[str] = (),
     parts: Sequence[Part] = (),
 ) -> Simulation:
-    """A simulation from an arm and what its joints hold; joints that are not named hold nothing.
+    """A simulation from an arm and the dynamics of its joints.
 
     Springs are those about zero; one about another position adds a constant torque, which goes to the offset.
+
+    Args:
+        arm: The arm, with the inertials of its links.
+        joints: Joint -> friction, damping, armature and spring; a joint that is not named has none.
+        format_: Key of `WORDS`.
+        source: The file, as a person would name it.
+        bodies: Joint -> name of the body it moves, in the simulation's words; None: the joints' names.
+        notes: What of the file is not in the model, a sentence each.
+        parts: Bodies of the file, where the reader knows them apart.
     """
     values = {name: joints.get(name, JointDynamics()) for name in arm.joint_names}
     structure = simulated_structure([name for name, one in values.items() if one.stiffness])

@@ -68,7 +68,14 @@ class Compliance(Effect):
         return 0
 
     def own_link(self, motion: Motion, constants: Values, background: Background, joint: int) -> Sensitivity:
-        """What swings about a joint's own axis."""
+        """Sensitivity of the joint torques to a small motion about a joint's own axis.
+
+        Args:
+            motion: N samples of n joints.
+            constants: Values in the order of `self.constants`.
+            background: What the rest of the model says of this motion; the arm and its inertials must be known.
+            joint: Number of the joint, in the arm's order.
+        """
         return by_position(motion, background, joint)
 
     def sensitivity(self, motion: Motion, constants: Values, background: Background) -> Sensitivity:
@@ -87,7 +94,16 @@ class Compliance(Effect):
         return give[:, 0, 0], acceleration[:, 0, 0]
 
     def of_grid(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
-        """(N,) d and d'' of the joint's own link; those of the whole grid, at all joints, are computed at once."""
+        """(N,) d and d'' of the joint's own link; those of the whole grid, at all joints, are computed at once.
+
+        The grid's results are kept in `background`. Constants off the grid are computed alone.
+
+        Args:
+            swing: Law of the spring or gap.
+            motion: N samples of n joints.
+            constants: Values in the order of `self.constants`; the last `of_link` of them belong to the link.
+            background: What the rest of the model says of this motion; the arm and its inertials must be known.
+        """
         grids, swung = [constant.grid for constant in self.constants], len(constants) - self.of_link
         if any(value not in grid for value, grid in zip(constants, grids)):
             return self._alone(swing, motion, constants, background)

@@ -96,7 +96,13 @@ class Effect(Term):
         return 0
 
     def ordinary(self, parameters: FloatArray, constants: Values, coulomb: Mapping[str, float]) -> bool:
-        """Whether any healthy joint does as much, given the Coulomb friction of each, N m."""
+        """Whether any healthy joint does as much.
+
+        Args:
+            parameters: Fitted values, in the order of `self.parameters`.
+            constants: Values in the order of `self.constants`.
+            coulomb: Joint -> Coulomb friction, N·m.
+        """
         return False
 
     @property
@@ -105,7 +111,13 @@ class Effect(Term):
         return ()
 
     def resonance(self, motion: Motion, constants: Values, background: Background) -> tuple[float, float] | None:
-        """Lowest and highest frequency, Hz, at which it rings along a motion; None where it does not."""
+        """Lowest and highest frequency, Hz, at which it rings along a motion; None where it does not.
+
+        Args:
+            motion: N samples of n joints.
+            constants: Values in the order of `self.constants`.
+            background: What the rest of the model says of this motion; the arm and its inertials must be known.
+        """
         return None
 
     @property
@@ -189,7 +201,13 @@ def direction(motion: Motion, row: int) -> FloatArray:
 
 
 def nothing(motion: Motion, rows: Sequence[int], count: int) -> Columns:
-    """Columns of an effect before anything is known of the rest of the model."""
+    """Zero columns of an effect before anything is known of the rest of the model.
+
+    Args:
+        motion: N samples.
+        rows: Numbers of the joints whose rows the effect acts in.
+        count: Number of columns: the effect's parameters.
+    """
     return {row: (list(range(count)), np.zeros((len(motion.position), count))) for row in rows}
 
 

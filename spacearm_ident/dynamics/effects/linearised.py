@@ -60,7 +60,13 @@ class Sensitivity:
 
 
 def by_position(motion: Motion, background: Background, joint: int) -> Sensitivity:
-    """Sensitivity to one of the arm's own joints."""
+    """Sensitivity to a small motion of one of the arm's own joints; kept in `background`.
+
+    Args:
+        motion: N samples of n joints.
+        background: What the rest of the model says of this motion; the arm and its inertials must be known.
+        joint: Number of the joint, in the arm's order.
+    """
     assert background.arm is not None
     arm = background.arm
     return background.keep(("position", joint), lambda: _sensitivity(motion, background, arm, joint, {}))  # type: ignore[no-any-return]
@@ -108,11 +114,17 @@ def next_joint(arm: Arm, link: int) -> FloatArray:
 
 
 def with_virtual_joint(arm: Arm, link: int, axis: FloatArray, offset: FloatArray) -> tuple[Arm, dict[int, int]]:
-    """The arm with a hinge in link `link`, (3,) m off its root, at number `link + 1`.
+    """The arm with a hinge in link `link`, at number `link + 1`.
+
+    Args:
+        arm: Arm of n joints.
+        link: Number of the link; -1: the base.
+        axis: (3,) axis of the hinge in the link's frame, of length 1.
+        offset: (3,) position of the hinge in the link's frame, m.
 
     Returns:
-        The arm, and the new number of each joint by its old one. The joint `link` keeps its place; the hinge carries
-        the joints that it carried.
+        The arm, without couplings, and the new number of each joint by its old one. The joint `link` keeps its place;
+        the hinge carries the joints that it carried.
     """
     places = {k: k if k <= link else k + 1 for k in range(len(arm.joints))}
     hinge = Joint("hinge", link, True, axis, np.eye(3), offset, np.zeros(10))
@@ -134,7 +146,15 @@ def with_virtual_joint(arm: Arm, link: int, axis: FloatArray, offset: FloatArray
 def rigid_torque(
     arm: Arm, inertials: FloatArray, q: FloatArray, qd: FloatArray | None = None, qdd: FloatArray | None = None
 ) -> FloatArray:
-    """(N, n) torque of the rigid links with the given inertials (n, 10); speeds and accelerations zero unless given."""
+    """(N, n) torque of the rigid links, N·m (N where a joint slides).
+
+    Args:
+        arm: Arm of n joints, with gravity.
+        inertials: (n, 10) inertial parameters of the links, SI.
+        q: (N, n) rad or m.
+        qd: (N, n) rad/s or m/s; zero unless given.
+        qdd: (N, n) rad/s² or m/s²; zero unless given.
+    """
     still = np.zeros_like(q)
     return rigid_body_torque(arm, inertials, q, still if qd is None else qd, still if qdd is None else qdd)
 

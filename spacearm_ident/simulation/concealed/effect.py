@@ -94,7 +94,13 @@ class Effect:
         return float(self.values[name].flat[0])
 
     def spread(self, name: str, n: int, rest: float = 0.0) -> FloatArray:
-        """A parameter over all n joints, `rest` where the effect does not act."""
+        """A parameter of the effect over all joints of the arm, (n,).
+
+        Args:
+            name: Name of the parameter, one number a joint.
+            n: Number of joints of the arm.
+            rest: Value at the joints where the effect does not act, in the parameter's unit.
+        """
         full = np.full(n, rest)
         full[self.joints] = self.values[name]
         return full
