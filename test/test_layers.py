@@ -163,6 +163,17 @@ def test_gain_at_a_joint_without_load_is_told_by_what_it_leaves_as_written(
     np.testing.assert_allclose(wired.wiring.gain[0], 0.8 if found else 1.0, atol=0.02)
 
 
+def test_friction_by_the_load_on_the_motors_side_is_no_gain(simulation: Simulation) -> None:
+    run, share = recorded(mjcf(), 3), 0.15
+    speed = np.gradient(run.position, run.time, axis=0)
+    load = run.effort - 0.05 * np.gradient(speed, run.time, axis=0)
+    driving = load * speed > 0.0
+    rub = np.abs(load) * np.sign(speed) * np.where(driving, share / (1 - share), share / (1 + share))
+    run = replace(run, effort=run.effort + rub * np.array([1.0, 0.0, 0.0]))
+    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.own)
+    assert wired.found == () and wired.suspected == ()
+
+
 def test_intervals_hold_where_friction_has_physics_that_is_not_in_the_model(simulation: Simulation) -> None:
     """What is left out is the same function of the position in every block of time."""
     text = mjcf(friction=1.1)

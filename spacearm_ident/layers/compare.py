@@ -181,7 +181,8 @@ class _Pass:
         added = added_terms(whole, base, explanation.findings)
         optional = optional_terms(whole, base)
         report(0.9, "what a flexible function could remove")
-        lost = tuple(f"{_wiring_words(name)}, which lowers nothing in the held-out recordings" for name in idle)
+        why = "which is within its error of none or lowers no held-out variance"
+        lost = tuple(f"{_wiring_words(name)}, {why}" for name in idle)
         return self._answer(found, added, optional, explanation, wired.suspected, lost)
 
     def _answer(

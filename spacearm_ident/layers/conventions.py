@@ -64,6 +64,8 @@ LARGEST = {GAIN: 1.6, ZERO: 0.35, DELAY: 0.1, TILT: 0.35}
 """Largest size of each that is considered: a factor of five, twenty degrees, a tenth of a second, twenty degrees.
 Beyond, the torque is in another unit or the joint has another zero, and the linear problem around the simulation does
 not hold."""
+ORDINARY_GAIN = 0.1
+"""Logarithm of a gain that is small: published torque constants are so far off (`conventions.evidence.GAIN_SD`)."""
 AGREE = 0.001
 """Probability below which values from different parts do not agree: they are compared within errors that take residuals
 for noise."""
@@ -139,6 +141,7 @@ def find_wiring(
         state.found.remove(min(odds, key=lambda name: odds[name]))
         state.settle()
         odds = {name: state.log_odds(name) for name in state.found}
+    state.drop_what_helps_a_rival()
     return state.answer(model.model)
 
 
@@ -210,6 +213,20 @@ class _State:
         self.fitted = self._with(solution.values)
         self.relinearise()
 
+    def drop_what_helps_a_rival(self) -> None:
+        """Leave out gains that only make up for a law of friction by the load that is not quite the arm's."""
+        now = self.wiring.by_column(self.arm.joint_names)
+        kept = [name for name in self.found if not self._helps(name, now.get(name, 0.0))]
+        if kept != self.found:
+            self.found = kept
+            self.settle()
+
+    def _helps(self, name: str, value: float) -> bool:
+        """Whether this is a small gain, as its logarithm, where friction by the load was found."""
+        kind, joint = kind_and_joint(name)
+        beside = {f"{symbol}[{joint}]" for symbol in SCALING - {GAIN}}
+        return kind == GAIN and abs(value) < ORDINARY_GAIN and bool(beside & set(self.found))
+
     def answer(self, model: TorqueModel) -> Wired:
         """What was found, with the values of a model's terms."""
         return Wired(
@@ -248,6 +265,8 @@ class _State:
         solution = self._solved([*self.found, *best[1]])
         now = self.wiring.by_column(self.arm.joint_names)
         values = [now.get(name, 0.0) + float(solution.values[self.linear.names.index(name)]) for name in best[1]]
+        if any(self._helps(name, value) for name, value in zip(best[1], values)):
+            return ()
         shown = [float(np.exp(v)) if name.startswith(GAIN) else v for name, v in zip(best[1], values)]
         return (Suspicion(best[1], tuple(shown), float(expit(best[0]))),)
 

@@ -152,7 +152,7 @@ class JointFit:
             self._settle()
 
     def idle_wiring(self, least: float) -> tuple[str, ...]:
-        """Columns of the wiring that do not lower the variance of the held-out recordings.
+        """Columns of the wiring that are within their 95 % intervals of none, or lower no held-out variance.
 
         Nothing is fitted again without a column: what it is worth against a heavier link was decided by how far a
         simulation's inertials may be off (`conventions`), which this fit leaves free.
@@ -165,11 +165,13 @@ class JointFit:
         idle = []
         for name, undone in self.wiring.by_column(self.simulation.arm.joint_names).items():
             if name in self.names:
-                values = self.estimate.values.copy()
+                values, column = self.estimate.values.copy(), np.zeros(self.linear.count)
+                column[self.linear.names.index(name)] = 1.0
                 values[self.linear.names.index(name)] = -undone
                 with np.errstate(invalid="ignore", divide="ignore"):
                     rise = self.judge.rms(values) ** 2 / left - 1.0
-                if not (np.nanmax(rise) > least and np.nanmean(rise) > 0.0):
+                low, high = self.estimate.interval(column)
+                if low <= -undone <= high or not (np.nanmax(rise) > least and np.nanmean(rise) > 0.0):
                     idle.append(name)
         return tuple(idle)
 
