@@ -94,16 +94,17 @@ def estimate(linear: Linear, prior: Prior, variance: FloatArray) -> Estimate:
 def _between(gram: FloatArray, free: np.ndarray, whole: Solution, variance: FloatArray) -> FloatArray:
     """(P, P) covariance of a solution from how the groups of rows (n, G, P + 1, P + 1) of each joint pull at it."""
     own = np.flatnonzero(free)
-    size, axes = np.linalg.eigh(whole.covariance[np.ix_(own, own)])
-    root = axes * np.sqrt(np.maximum(size, 0.0))
+    sizes, axes = np.linalg.eigh(whole.covariance[np.ix_(own, own)])
+    root = axes * np.sqrt(np.maximum(sizes, 0.0))
     vector = np.append(whole.values, -1.0)
-    found = np.zeros_like(whole.covariance)
-    meat = np.zeros((len(own), len(own)))
+    between = np.zeros((len(own), len(own)))
     for joint, groups in enumerate(gram):
         for one in groups:
             pull = root.T @ (one[own] @ vector) / variance[joint]
-            size, axes = np.linalg.eigh(root.T @ one[np.ix_(own, own)] @ root / variance[joint])
-            moved = root @ (axes @ (axes.T @ pull / np.sqrt(np.maximum(1.0 - size, LEAST_LEFT))))
-            meat += np.outer(moved, moved)
-    found[np.ix_(own, own)] = meat
+            # Which share of each direction this group alone decides: its residual there is smaller for that.
+            shares, along = np.linalg.eigh(root.T @ one[np.ix_(own, own)] @ root / variance[joint])
+            moved = root @ (along @ (along.T @ pull / np.sqrt(np.maximum(1.0 - shares, LEAST_LEFT))))
+            between += np.outer(moved, moved)
+    found = np.zeros_like(whole.covariance)
+    found[np.ix_(own, own)] = between
     return found
