@@ -268,6 +268,15 @@ def test_vacuum_takes_the_higher_powers_of_speed_away():
 # --- functions of the model's torque --------------------------------------------------------------------------------
 
 
+def test_load_friction_on_the_motors_side_grows_with_friction_too_and_not_with_the_rotor():
+    whole, inertia = np.full((len(Q), 3), 7.0), 0.4
+    known = Background(None, None, {"J_m[shoulder]": inertia}, lambda: 0.0 * whole, lambda: whole, lambda: 0.0 * whole)
+    term = one("load_friction", ARM, joint="shoulder", side="motor")
+    load = 7.0 - inertia * W.acceleration[:, 1]
+    np.testing.assert_allclose(torque(term, W, [0.1], (), known), only(1, 0.1 * np.abs(load) * S))
+    assert [parameter.name for parameter in term.parameters] == ["mu_in[shoulder]"]
+
+
 def test_load_friction_opposes_the_motion_whatever_the_load_does():
     load = np.stack([np.zeros_like(Q), 20.0 * np.sin(7.0 * Q + 1.0), np.zeros_like(Q)], axis=1)
     rub = torque(one("load_friction", ARM, joint="shoulder"), W, [0.1], (), Background.known(load))

@@ -78,6 +78,7 @@ def in_one_direction(truth: Truth) -> np.ndarray:
         ("friction_drift", {**SECOND, "of": ["k_v1"]}, {"dk_v1": -2.0}, 0.01),
         ("friction_drift", {**SECOND, "of": ["creep"]}, {"creep": 0.3}, 0.01),
         ("load_friction", SECOND, {"mu": 0.08}, 0.01),
+        ("load_friction", {**SECOND, "side": "motor"}, {"mu_in": 0.08}, 0.25),
         ("gear_efficiency", SECOND, {"share": 1.0, "eta": 0.9}, 0.01),
         ("presliding_hysteresis", SECOND, {"f": PAPER.value("f_c", "joint_2"), "d_s": 0.01}, 0.01),
         ("asymmetric_friction", {**SECOND, "of": ["level", "viscous"]}, {"a": 1.0, "b": -1.5}, 0.01),

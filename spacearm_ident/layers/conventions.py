@@ -222,10 +222,12 @@ class _State:
             self.settle()
 
     def _helps(self, name: str, value: float) -> bool:
-        """Whether this is a small gain, as its logarithm, where friction by the load was found."""
+        """Whether this is a small gain, as its logarithm, where friction by the load was found or is known."""
         kind, joint = kind_and_joint(name)
-        beside = {f"{symbol}[{joint}]" for symbol in SCALING - {GAIN}}
-        return kind == GAIN and abs(value) < ORDINARY_GAIN and bool(beside & set(self.found))
+        values = {p.name: float(v) for p, v in zip(self.fitted.model.parameters, self.fitted.parameters)}
+        beside = [f"{symbol}[{joint}]" for symbol in SCALING - {GAIN}]
+        loaded = any(one in self.found or (one not in self.rivals and values.get(one, 0.0) > 0.0) for one in beside)
+        return kind == GAIN and abs(value) < ORDINARY_GAIN and loaded
 
     def answer(self, model: TorqueModel) -> Wired:
         """What was found, with the values of a model's terms."""

@@ -132,10 +132,7 @@ class TemperatureFriction(_Friction):
 
 @dataclass(frozen=True)
 class LoadFriction(_Friction):
-    """Friction that grows with the load on the gear: on its output, or (`side: motor`) on its input, friction included.
-
-    The second is not searched for: it is a rival of a torque gain (`layers.conventions`).
-    """
+    """Friction that grows with the load on the gear: on its output, or (`side: motor`) on its input, with friction."""
 
     kind: ClassVar[str] = "load_friction"
     words: ClassVar[str] = "friction grows with the load on the gear"
@@ -143,6 +140,13 @@ class LoadFriction(_Friction):
     source: ClassVar[str] = "Hamon, Gautier and Garrec 2010"
     confused_with: ClassVar[tuple[str, ...]] = ("gear_efficiency", "torque_constant", "friction_drift")
     experiment: ClassVar[str] = "raise and lower a known load slowly: load and speed of both signs"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """By the load on either side of the gear."""
+        for joint in arm.joint_names:
+            yield {"joint": joint}
+            yield {"joint": joint, "side": "motor"}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:

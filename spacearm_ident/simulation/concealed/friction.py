@@ -49,16 +49,22 @@ class FrictionDrift(Effect):
 
 
 class LoadFriction(Effect):
-    """Gear teeth and bearings rub in proportion to the torque they pass on."""
+    """Gear teeth and bearings rub in proportion to the torque they pass on.
+
+    Law `input`: to that on the motor's side, in which the joint's own dry friction is.
+    """
 
     name = "load_friction"
     parameters: ClassVar = {"mu": Parameter("1", 0.015, 0.15)}
+    laws = ("usual", "input")
     needs_load = True
 
     def level(self, state: State, level: FloatArray) -> FloatArray:
         """μ·|load| on top."""
-        level = level.copy()
-        level[self.joints] += self.values["mu"] * np.abs(state.load[self.joints])
+        load, level = state.load[self.joints], level.copy()
+        if self.law == "input":
+            load = load + level[self.joints] * np.sign(state.qd[self.joints])
+        level[self.joints] += self.values["mu"] * np.abs(load)
         return level
 
 

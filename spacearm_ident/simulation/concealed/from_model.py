@@ -8,6 +8,7 @@ the other: same thing, other parameters. What is exact and what is not:
   `encoder_eccentricity`, `base_tilt` (to first order in the angle), `temperature_friction` (warmed by the arm's own
   losses).
 - A fitted `share` other than 1 goes into the constant beside it, to first order: half the lag, half the gap.
+- `load_friction` by the load on the motor's side leaves out the viscous part of that load.
 - `payload` is a ball: of its inertia only the trace counts. `presliding_hysteresis` takes over all dry friction of its
   joint. `motor_saturation` agrees up to the third power of torque; `torque_constant` of temperature goes by the
   winding. A spring is damped as the term has it with the arm at zero, a gap as gaps usually are.
@@ -253,6 +254,12 @@ def _friction_drift(found: _Found) -> Values:
     return {"coulomb": CREEP_S * found["creep"], "over": CREEP_S, "law": "creeping"}
 
 
+def _load_friction(found: _Found) -> Values:
+    if found.place.get("side") == "motor":
+        return {"mu": found["mu_in"], "law": "input"}
+    return {"mu": found["mu"]}
+
+
 def _elasticity(found: _Found) -> Values:
     stiffness = found["stiffness"] / found.share
     link = found.inertia(found.joints[0]) - found.of_joint("rotor_inertia")
@@ -272,7 +279,7 @@ _CONVERTERS: dict[str, Callable[[_Found], Values]] = {
     "payload": _payload,
     "friction_drift": _friction_drift,
     "temperature_friction": _temperature_friction,
-    "load_friction": lambda found: {"mu": found["mu"]},
+    "load_friction": _load_friction,
     "gear_efficiency": lambda found: {"efficiency": 1.0 - found.share * (1.0 - found["eta"])},
     "presliding_hysteresis": _presliding,
     "position_friction": _position_friction,
