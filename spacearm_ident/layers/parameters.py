@@ -406,8 +406,8 @@ def few_causes(
     errors = np.array([found.error(one.vector) for one in base])
     posterior = rows @ found.covariance @ rows.T
     wider = errors / np.sqrt(np.maximum(np.diag(posterior), 1e-300))
-    # One factor for all: the jackknife's few blocks say how large errors are, not how they go together.
-    covariance = posterior * float(np.mean(wider**2))
+    # Few blocks and groups say how large the errors are, not how they go together.
+    covariance = posterior * np.outer(wider, wider)
     whiten = np.linalg.pinv(np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance))))
     target = whiten @ delta
     if chi2.sf(float(target @ target), len(target)) > ENOUGH:
@@ -467,7 +467,7 @@ def _sufficient(
         sets = [one for _, one in scored[:KEPT]]
     enough.sort(key=lambda fit: -fit.log_probability)
     near = [fit for fit in enough if fit.log_probability > enough[0].log_probability - NEAR]
-    return [fit for fit in near if _possible(simulation.arm, fit.causes, fit.values)]
+    return [fit for fit in near if _possible(simulation, fit.causes, fit.values)]
 
 
 def _width(fit: _Fitted) -> int:
@@ -502,12 +502,14 @@ def _in_nearly_all(sets: Sequence[_Fitted], simulation: Simulation) -> tuple[tup
     return tuple(explained), tuple(others)
 
 
-def _possible(arm: Arm, chosen: Sequence[Cause], values: Sequence[FloatArray]) -> bool:
-    """Whether bodies changed like this have mass, and centres of mass within reach of the arm's own size."""
-    reach = max(float(np.linalg.norm(joint.translation)) for joint in arm.joints)
+def _possible(simulation: Simulation, chosen: Sequence[Cause], values: Sequence[FloatArray]) -> bool:
+    """Whether bodies changed like this have mass, centres within reach of the arm's own size, and rotors inertia."""
+    reach = max(float(np.linalg.norm(joint.translation)) for joint in simulation.arm.joints)
     for cause, change in zip(chosen, values):
         mass = float(cause.inertial[0])
         if cause.name in ("mass", "body") and mass + change[0] <= 0.0:
+            return False
+        if cause.name == "armature" and simulation.values.get(f"J_m[{cause.joint}]", 0.0) + change[0] < 0.0:
             return False
         if cause.name == "body":
             moved = (cause.inertial[1:4] + change[1:4]) / (mass + change[0])
