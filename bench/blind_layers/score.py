@@ -134,7 +134,7 @@ def score_trial(record: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any
 
 
 def _names(item: dict[str, Any]) -> tuple[str, ...]:
-    """Its name, and what it says that no motion tells from it."""
+    """Its name, and its equivalents."""
     return (str(item["name"]), *item.get("equivalents", ()))
 
 

@@ -268,6 +268,15 @@ class _Sums:
     rigid_product: FloatArray
 
 
+@dataclass(frozen=True)
+class _OwnBelief:
+    """Mean and inverse variances (n, OWN) of the joints' own parameters, and the log probability of their signs."""
+
+    mean: FloatArray
+    precision: FloatArray
+    signs: float
+
+
 class _Problem:
     """Alternation between parameters, gains and error size (expectation maximisation) at one CAD scale.
 
@@ -283,10 +292,14 @@ class _Problem:
         size = rms(measured.torque)
         nothing = np.zeros_like(design.frame.own)
         beliefs = [nothing, design.frame.own] if design.frame.own.any() else [nothing]
-        self.own_beliefs = [design.own_belief(size, known) for known in beliefs]
         self.floor = MODEL_ERROR * size + 1e-9
         self.first_gains = self._first_gains(torque)
         self.signs = _Signs(design)
+        self.own_beliefs = []
+        for known in beliefs:
+            mean, precision = design.own_belief(size, known)
+            signs = self.signs.log_probability(mean.ravel(), np.diag(1.0 / precision.ravel()))
+            self.own_beliefs.append(_OwnBelief(mean, precision, signs))
 
     def _first_gains(self, torque: FloatArray) -> FloatArray:
         """(n,) gains that CAD and free friction fit best where gains are wide open; 1 elsewhere."""
@@ -299,15 +312,14 @@ class _Problem:
             gains[j] = share if share > 1e-6 else 1.0
         return np.full(len(gains), np.exp(np.median(np.log(gains)))) if measured.common_gain_sd else gains
 
-    def at_scale(self, scale: float, iterations: int, own: tuple[FloatArray, FloatArray]) -> Evidence:
+    def at_scale(self, scale: float, iterations: int, own: _OwnBelief) -> Evidence:
         """The evidence at one CAD scale and one belief about the joints' own parameters."""
-        own_mean, own_precision = own
         counts, r = self.measured.counts, self.design.rigid
         rigid_precision, half_log = self.design.frame.belief(scale)
-        prior = np.diag(np.append(np.zeros(r), own_precision.ravel()))
+        prior = np.diag(np.append(np.zeros(r), own.precision.ravel()))
         prior[:r, :r] = rigid_precision
-        half_log += 0.5 * float(np.log(own_precision).sum())
-        prior_mean = np.append(self.design.frame.centre, own_mean)
+        half_log += 0.5 * float(np.log(own.precision).sum())
+        prior_mean = np.append(self.design.frame.centre, own.mean)
         better, next_weight = self.first_gains, counts / self.rows / self.floor**2
         for _ in range(iterations):
             gains, weight = better, next_weight
@@ -330,8 +342,7 @@ class _Problem:
         size = inverse * self.floor**2
         value += 0.5 * MODEL_ERROR_WEIGHT * float(np.sum(np.log(size) - size))
         gain_value, gain_errors = self._gain_evidence(gains, next_weight * sums.rigid_squared)
-        before = self.signs.log_probability(own_mean.ravel(), np.diag(1.0 / own_precision.ravel()))
-        value += gain_value + self.signs.log_probability(mean[r:], covariance[r:, r:]) - before
+        value += gain_value + self.signs.log_probability(mean[r:], covariance[r:, r:]) - own.signs
         return Evidence(value, scale, gains, gain_errors, mean, matrix, weight)
 
     def _system(

@@ -446,7 +446,7 @@ def tilts(court: Court, start: Scored) -> list[Scored]:
     size = float(np.linalg.norm(start.setup.gravity))
     if size == 0.0:
         return []
-    # Near CAD: inertials that fit the gravity believed would hold on to it.
+    # At inertials near CAD: those that were fitted under the arm's gravity would keep it.
     here, found = court.score(start.changes, start.setup, (ZERO_SCALE,), SCREEN_ITERATIONS), []
     for _ in range(TILT_STEPS):
         change = Change(Kind.GRAVITY, (), tuple(float(v) for v in gravity_step(court, here, size)))
@@ -523,7 +523,7 @@ def friction_shares(court: Court, start: Scored) -> FloatArray:
 
 
 TILT_STEPS = 12
-"""Gauss-Newton steps from the gravity believed to another at most."""
+"""Most Gauss-Newton steps from the arm's gravity to another."""
 LEAST_TILT_RAD = 0.17
 """Tilt of the base from which it is looked for (10 degrees); less is for `spacearm mismatch`."""
 LATE_S = 0.04

@@ -21,6 +21,7 @@ from scipy.special import expit, logsumexp
 from scipy.stats import chi2
 
 from ..conventions.evidence import CAD_SCALES, inertial_belief
+from ..conventions.evidence import GAIN_SD as ORDINARY_GAIN_SD
 from ..dynamics.arm import FloatArray
 from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.effects.position import HarnessSpring
@@ -28,6 +29,7 @@ from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..mismatch.noise import weighted
 from ..recording.motion import Motion
 from .linear import Linear, Prior, Solution, weak_prior
+from .parameters import OFF, ROTOR_SHARE
 from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
 SURE = 5.0
@@ -51,11 +53,10 @@ a vertical first joint is no tilted base, and friction that grows with the load 
 not reported here."""
 SCALING = frozenset({GAIN, LOADED, DRIVEN})
 """What may leave friction and rotor inertia as the file has them where all of a joint's torque is more or less."""
-UNCHANGED = 0.9
-"""Prior probability that a joint's own parameter is what the file has (`parameters.OFF`)."""
-KEPT_SD, OFF_SD = 0.01, 0.5
-"""Relative standard deviation of one that is, for a file has two digits, and of one that is not
-(`parameters.ROTOR_SHARE`)."""
+UNCHANGED = 1.0 - OFF
+"""Prior probability that a joint's own parameter is what the file has."""
+KEPT_SD = 0.01
+"""Relative standard deviation of one that is, for a file has two digits; of one that is not it is `ROTOR_SHARE`."""
 ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5, SPRING: 0.05, LOADED: 0.05, DRIVEN: 0.02}
 """Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes), and of a rival. Of the
 five real arms in hand torque from current is 8 to 43 % off at single joints of two; a zero that is off shows as soon as
@@ -64,8 +65,6 @@ LARGEST = {GAIN: 1.6, ZERO: 0.35, DELAY: 0.1, TILT: 0.35}
 """Largest size of each that is considered: a factor of five, twenty degrees, a tenth of a second, twenty degrees.
 Beyond, the torque is in another unit or the joint has another zero, and the linear problem around the simulation does
 not hold."""
-ORDINARY_GAIN = 0.1
-"""Logarithm of a gain that is small: published torque constants are so far off (`conventions.evidence.GAIN_SD`)."""
 AGREE = 0.001
 """Probability below which values from different parts do not agree: they are compared within errors that take residuals
 for noise."""
@@ -180,6 +179,8 @@ class _State:
         self.motions = motions
         self.written = written
         self.kept: dict[str, tuple[str, ...]] = {}
+        # Hypotheses are compared with the same others again and again.
+        self._evidences: dict[object, float] = {}
         own = {parameter.name for parameter in known.parameters}
         rivals = [f"{symbol}[{joint}]" for symbol in RIVALS for joint in known.arm.joint_names]
         self.rivals = [name for name in rivals if name not in own]
@@ -227,7 +228,7 @@ class _State:
         values = {p.name: float(v) for p, v in zip(self.fitted.model.parameters, self.fitted.parameters)}
         beside = [f"{symbol}[{joint}]" for symbol in SCALING - {GAIN}]
         loaded = any(one in self.found or (one not in self.rivals and values.get(one, 0.0) > 0.0) for one in beside)
-        return kind == GAIN and abs(value) < ORDINARY_GAIN and loaded
+        return kind == GAIN and abs(value) < ORDINARY_GAIN_SD and loaded
 
     def answer(self, model: TorqueModel) -> Wired:
         """What was found, with the values of a model's terms."""
@@ -317,7 +318,7 @@ class _State:
         here, scale = max(scales)
         logs = {}
         for kept in chain.from_iterable(combinations(own, k) for k in range(len(own) + 1)):
-            spreads = {name: KEPT_SD if name in kept else OFF_SD for name in own}
+            spreads = {name: KEPT_SD if name in kept else ROTOR_SHARE for name in own}
             odds = len(kept) * np.log(UNCHANGED) + (len(own) - len(kept)) * np.log(1.0 - UNCHANGED)
             logs[kept] = self._log_evidence(names, scale, {**others, **spreads}, blocks) - here + odds
         whole = float(logsumexp([one for one, _ in scales])) + self._log_prior(names)
@@ -378,6 +379,7 @@ class _State:
         self.weak = weak_prior(self.linear)
         everything = self._solved(self._candidates(), np.ones(len(size)))
         self.variance = self.linear.variance(everything.values, noise, LEAST_FACTOR)
+        self._evidences.clear()
 
     def _prior(self, names: Sequence[str], scale: float, own: Mapping[str, float] | None = None) -> Prior:
         """With inertials off the simulation's by `scale` of themselves, and these hypotheses free.
@@ -418,8 +420,12 @@ class _State:
     def _log_evidence(
         self, names: Sequence[str], scale: float, own: Mapping[str, float] | None, blocks: np.ndarray | None = None
     ) -> float:
-        """Of hypotheses at one scale of the inertials (arguments as `_prior`)."""
-        return self.linear.log_evidence(self._prior(names, scale, own), self.variance, blocks)
+        """Of hypotheses at one scale of the inertials (arguments as `_prior`), computed once a linearisation."""
+        own = self._kept(names) if own is None else own
+        key = frozenset(names), scale, frozenset(own.items()), None if blocks is None else tuple(blocks.tolist())
+        if key not in self._evidences:
+            self._evidences[key] = self.linear.log_evidence(self._prior(names, scale, own), self.variance, blocks)
+        return self._evidences[key]
 
     def _solved(
         self, names: Sequence[str], variance: FloatArray | None = None, blocks: np.ndarray | None = None

@@ -26,7 +26,7 @@ class Item:
         share: Of the simulation's residual variance above the noise, on held-out data, that is back without it.
         replicated: Whether another recording, or another part, says the same; None: there is none to ask.
         combination: Parameter of the simulation -> coefficient, where it is a combination of several.
-        equivalents: Other effects with the same torque wherever the joints move: no recording of a motion tells.
+        equivalents: Other effects with the same torque wherever the joints move.
     """
 
     name: str

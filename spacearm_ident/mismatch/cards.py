@@ -191,7 +191,7 @@ def _confidence(winner: Scored, others: Sequence[Scored]) -> float:
 
 
 def _same_torque(winner: Scored) -> list[Alternative]:
-    """What no motion tells from the winner."""
+    """Effects that have the same torque as the winner in every motion."""
     effect = winner.candidate.effect
     why = f"the same torque wherever the joint moves: {effect.experiment}"
     return [Alternative(kind, effect.joints, 1.0, why) for kind in effect.same_torque]

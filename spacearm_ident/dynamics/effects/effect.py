@@ -37,8 +37,7 @@ class Effect(Term):
     confused_with: ClassVar[tuple[str, ...]] = ()
     experiment: ClassVar[str] = ""
     same_torque: ClassVar[tuple[str, ...]] = ()
-    """Kinds that no motion tells apart: the same torque wherever the joint moves. What confidence there is, is theirs
-    together."""
+    """Kinds with the same torque wherever the joint moves. A finding's confidence is that of all of them together."""
     one_cause: ClassVar[bool] = False
     """Whether several joints show it for one reason (the arm got warm, the clock is late): one finding then."""
     exact: ClassVar[bool] = False
