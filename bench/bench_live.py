@@ -29,7 +29,7 @@ from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.nodes.chain import Chain
 from spacearm_ident.recording import read_recording
-from spacearm_ident.report.store import load_result
+from spacearm_ident.results.store import load_result
 
 TABLE_2_NM = (3.9462, 5.0670, 3.2432, 1.4323, 1.0583, 1.1698)
 """RMSE of the paper's validation, joint by joint (Jing et al. 2025, table 2)."""

@@ -23,8 +23,8 @@ from scipy.stats import binomtest
 from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import Arm, load_arm
 from spacearm_ident.dynamics.model_file import load_model, model_to_dict
+from spacearm_ident.estimate.identified import Identified
 from spacearm_ident.excitation import trajectory
-from spacearm_ident.identification.identified import Identified
 from spacearm_ident.identification.identify import identify
 from spacearm_ident.recording import read_recording, write_recording
 from spacearm_ident.simulation import closed_loop

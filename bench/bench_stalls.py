@@ -33,7 +33,7 @@ from spacearm_ident.driver.playback import Playback
 from spacearm_ident.driver.safety import Margins, MotionMonitor
 from spacearm_ident.driver.set_points import SetPointStream
 from spacearm_ident.excitation.trajectory_file import load_trajectory
-from spacearm_ident.simulation.drives_motion import Motion
+from spacearm_ident.simulation.drives.motion import Motion
 from spacearm_ident.simulation.live_arm import LiveArm
 
 STALLS_S = (0.015, 0.03, 0.045)

@@ -24,12 +24,12 @@ from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.model import IdentifiedModel
 from spacearm_ident.dynamics.model_file import load_model
-from spacearm_ident.identification.tracking import Change, Tracker
-from spacearm_ident.identification.tracking_rows import RowStream, TrackedModel, rows_of
 from spacearm_ident.recording import cdr
 from spacearm_ident.recording.bag import read_bag
 from spacearm_ident.recording.messages import STATES_TOPIC, TEMPERATURES_TOPIC, TOPIC_TYPES
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.tracking.rows import RowStream, TrackedModel, rows_of
+from spacearm_ident.tracking.tracker import Change, Tracker
 
 MODEL = Path(__file__).parent.parent / "config" / "paper_arm_model.yaml"
 CUTOFF_HZ = 10.0

@@ -23,16 +23,16 @@ from pathlib import Path
 import numpy as np
 from bench_simulated_arm import fingerprint
 
+from spacearm_ident.bayes.adaptation import adapt
+from spacearm_ident.bayes.from_prior import CHANGES, GroundPrior
+from spacearm_ident.bayes.updated import identify_from_prior
 from spacearm_ident.cli.demo_orbit import RUNS, WEIGHTLESS, Run
 from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import Arm, load_arm
 from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.estimate.identified import Determination
 from spacearm_ident.excitation.trajectory import MotionLimits, random_feasible
-from spacearm_ident.identification.adaptation import adapt
-from spacearm_ident.identification.from_prior import CHANGES, GroundPrior
-from spacearm_ident.identification.identified import Determination
 from spacearm_ident.identification.identify import identify
-from spacearm_ident.identification.updated import identify_from_prior
 from spacearm_ident.recording import Recording
 from spacearm_ident.simulation.closed_loop import SensorNoise, Truth, measure, simulate_truth
 from spacearm_ident.simulation.concealed import Concealment, load_concealed

@@ -15,12 +15,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from spacearm_ident.bag_session import Options, identify_bags
 from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.export.law import SLOW_SHARE
 from spacearm_ident.export.motion import motions_of, sweep
 from spacearm_ident.export.write import export_model, read_result
+from spacearm_ident.sessions.bags import Options, identify_bags
 
 ARMS = {
     "ur10e": ("commissioning.mcap", "commissioning_validation.mcap"),

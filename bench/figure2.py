@@ -29,18 +29,19 @@ from typing import Any
 import numpy as np
 from figure2_methods import METHODS, Answer, Problem
 
-from spacearm_ident.dynamics.arm import Arm, FloatArray, load_arm
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.dynamics.arm import Arm, load_arm
 from spacearm_ident.dynamics.base_parameters import BaseParameters, base_parameters
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.estimate.consistency import link_parameters, pseudo_inertia
 from spacearm_ident.excitation.run import limits_of
 from spacearm_ident.excitation.trajectory import random_feasible
-from spacearm_ident.identification import pso_lm, separable
-from spacearm_ident.identification.consistency import link_parameters, pseudo_inertia
-from spacearm_ident.identification.prior import Prior, make_prior
-from spacearm_ident.identification.pso_lm import as_published
-from spacearm_ident.identification.regression import Regression
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.regression.prior import Prior, make_prior
+from spacearm_ident.regression.regression import Regression
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.solvers import pso_lm, separable
+from spacearm_ident.solvers.pso_lm import as_published
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 RATE_HZ, PERTURBATION, SPEED_RATIO, NOISE = 100.0, 0.2, 2.0, 0.02

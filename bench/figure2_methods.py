@@ -11,19 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spacearm_ident.dynamics.arm import FloatArray
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.dynamics.model import TorqueModel
-from spacearm_ident.identification import pso, pso_lm, separable
-from spacearm_ident.identification.consistency import make_consistent
+from spacearm_ident.estimate.consistency import make_consistent
 from spacearm_ident.identification.fit import reweighted, searched
-from spacearm_ident.identification.prior import Prior
-from spacearm_ident.identification.regression import Regression
-from spacearm_ident.identification.separable import Solution
-from spacearm_ident.identification.solution_columns import residuals_of
-from spacearm_ident.identification.solvers import SEPARABLE, search_of
-from spacearm_ident.identification.swarm_cost import SwarmCost, Unknowns
-from spacearm_ident.identification.weights import reweight
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.noise.weights import reweight
+from spacearm_ident.regression.prior import Prior
+from spacearm_ident.regression.regression import Regression
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.solvers import pso, pso_lm, separable
+from spacearm_ident.solvers.choice import SEPARABLE, search_of
+from spacearm_ident.solvers.separable import Solution
+from spacearm_ident.solvers.solution_columns import residuals_of
+from spacearm_ident.solvers.swarm_cost import SwarmCost, Unknowns
 
 GENERATIONS, TOURNAMENT, BLEND, MUTATION = 300, 3, 0.5, 0.02
 """Genetic algorithm: as many evaluations as the swarm's; BLX-0.5 crossover, one gene in fifty mutated."""

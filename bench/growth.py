@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 from peers import CENTRE, RATE_HZ, RECORDINGS, STRIBECK, TORQUE_NOISE, record
 
-from spacearm_ident.dynamics.arm import Arm, FloatArray, arm_from_urdf
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.recording import write_recording
 
 SIZES = (10_000, 30_000, 100_000, 300_000, 1_200_000)

@@ -11,12 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from spacearm_ident.dynamics.arm import Arm, FloatArray
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.dynamics.arm import Arm
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
-from spacearm_ident.identification.prior import make_prior
 from spacearm_ident.recording import Recording
-from spacearm_ident.recording.motion import Motion
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.regression.prior import make_prior
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.signals.prepare import prepare
 
 STEP = 1e-4
 MOTION_HZ = 20.0

@@ -39,12 +39,13 @@ import pinocchio as pin
 from least_error import least_rms
 from pinocchio_wls import Pinocchio
 
-from spacearm_ident.dynamics.arm import Arm, FloatArray, arm_from_urdf
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.dynamics.regressor import regressor
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.recording import Recording, read_recording, write_recording
-from spacearm_ident.recording.motion import Motion
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.signals.prepare import prepare
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDINGS = ROOT.parent / "shared" / "recordings" / "real" / "ur10e"

@@ -6,9 +6,10 @@ import numpy as np
 import pinocchio as pin
 from scipy.signal import butter, decimate, sosfiltfilt
 
-from spacearm_ident.dynamics.arm import Arm, FloatArray
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.dynamics.arm import Arm
 from spacearm_ident.recording import Recording
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.signals.motion import Motion
 
 
 class Pinocchio:

@@ -30,7 +30,7 @@ from spacearm_ident.dynamics.arm import Arm, load_arm
 from spacearm_ident.errors import UnfitDataError, UserError
 from spacearm_ident.identification.identify import identify
 from spacearm_ident.recording import Recording, read_recording
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.prepare import prepare
 
 NAMES = {
     "ur10e": {"A": "commissioning", "B": "commissioning_2", "C": "commissioning_validation"},

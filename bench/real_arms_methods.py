@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from spacearm_ident.dynamics.arm import Arm, FloatArray
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.dynamics.arm import Arm
+from spacearm_ident.signals.motion import Motion
 
 ROUNDS = 4
 """Fits of the plain model; its weights by joint are re-estimated from the residual after each."""

@@ -14,11 +14,11 @@ import pinocchio as pin
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.dynamics.arm import Arm
 from spacearm_ident.identification.identify import identify
 from spacearm_ident.recording import Recording
-from spacearm_ident.recording.recording import FloatArray
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.prepare import prepare
 
 SMOOTH_HZ = 8.0
 """Cut-off of the positions that are differentiated for planted torque."""

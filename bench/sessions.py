@@ -28,7 +28,7 @@ from real_arms import NAMES, part
 
 from spacearm_ident.dynamics.arm import load_arm
 from spacearm_ident.errors import UnfitDataError
-from spacearm_ident.identification.identified import Identified
+from spacearm_ident.estimate.identified import Identified
 from spacearm_ident.identification.identify import identify
 
 NORMAL = 1.959964

@@ -26,38 +26,42 @@ class Place:
 
 
 PLACES = {
-    "api": Place(14, 20, 600, "the same from Python: import spacearm_ident as sa"),
-    "cli": Place(13, 20, 600, "the command spacearm: options in, exit codes out"),
-    "commissioning": Place(12, 340, 900, "files of a new arm, and checks of them and of the machine"),
-    "nodes": Place(11, 340, 1060, "the five ROS 2 nodes and what only they need; the one place with rclpy"),
-    "batch_session": Place(11, 226, 334, "many bags"),
-    "side_by_side": Place(10, 200, 296, "on cores"),
-    "bag_session": Place(10, 304, 450, "identify as a function"),
-    "orbit_session": Place(10, 86, 192, "to orbit"),
-    "mismatch_session": Place(10, 460, 600, "to explanation"),
-    "simulation_session": Place(10, 610, 760, "from a simulation"),
-    "export": Place(9, 20, 78, "models"),
-    "session": Place(9, 86, 600, "bags to validated model, one pass for command and node"),
-    "report": Place(8, 20, 430, "pages, figures and files out of results"),
-    "layers": Place(7, 20, 308, "from a simulation to the arm"),
-    "mismatch": Place(6, 20, 300, "what physics was left out"),
-    "identification": Place(5, 20, 300, "fit, errors, validation, tracking"),
-    "conventions": Place(5, 526, 600, "signs, units"),
-    "logs": Place(5, 440, 520, "whose columns"),
-    "excitation": Place(5, 310, 430, "motions, limits, criteria"),
-    "simulation": Place(5, 620, 900, "the arm and its drives, apart"),
-    "driver": Place(4, 620, 900, "safety, set-points, 1 kHz loop"),
-    "simulations": Place(4, 20, 110, "MJCF, SDF"),
-    "dynamics": Place(3, 20, 700, "arm, regressor, friction, effects: the terms of the torque"),
-    "recording": Place(2, 20, 600, "bags in and out, and the signals in them"),
-    "canbus": Place(2, 720, 900, "CANopen, CiA 402"),
-    "documents": Place(1, 20, 600, "files that others wrote, read safely"),
-    "config": Place(1, 920, 1060, "where config/ is"),
-    "errors": Place(0, 20, 700, "the one line a user sees"),
-    "blas_threads": Place(0, 720, 1060, "one thread for BLAS"),
+    "api": Place(18, 20, 700, "the same from Python: import spacearm_ident as sa"),
+    "cli": Place(17, 20, 700, "the command spacearm: options in, exit codes out"),
+    "commissioning": Place(16, 440, 1000, "files of a new arm, and checks of them and of the machine"),
+    "nodes": Place(15, 440, 1160, "the five ROS 2 nodes and what only they need; the one place with rclpy"),
+    "sessions": Place(14, 20, 700, "one pass each, from bags to a result folder, for command, node and Python"),
+    "export": Place(13, 20, 140, "models for others"),
+    "report": Place(13, 150, 700, "pages and figures out of results"),
+    "layers": Place(12, 20, 300, "from a simulation to the arm"),
+    "mismatch": Place(11, 20, 280, "what physics was left out"),
+    "results": Place(11, 310, 520, "files of a result folder"),
+    "identification": Place(10, 20, 300, "fit, structure, validation, verdict"),
+    "bayes": Place(9, 20, 300, "a model as the prior of another"),
+    "environment": Place(8, 20, 200, "gravity, temperature, base"),
+    "estimate": Place(7, 20, 110, "the result"),
+    "solvers": Place(6, 20, 110, "PSO-LM"),
+    "noise": Place(6, 210, 300, "weights, errors"),
+    "simulation": Place(6, 720, 1000, "the arm and its drives, apart"),
+    "regression": Place(5, 20, 110, "rows, prior"),
+    "tracking": Place(5, 120, 200, "on line"),
+    "simulations": Place(5, 310, 410, "MJCF, SDF"),
+    "conventions": Place(5, 420, 520, "signs, units"),
+    "logs": Place(5, 530, 600, "columns"),
+    "excitation": Place(5, 610, 700, "motions, limits"),
+    "driver": Place(5, 720, 1000, "safety, set-points, 1 kHz loop"),
+    "dynamics": Place(4, 20, 800, "arm, regressor, friction, effects: the terms of the torque"),
+    "signals": Place(3, 20, 700, "motions out of recordings: periods, bandwidth, filters"),
+    "recording": Place(2, 20, 700, "bags in and out"),
+    "canbus": Place(2, 820, 1000, "CANopen, CiA 402"),
+    "documents": Place(1, 20, 700, "files that others wrote, read safely"),
+    "config": Place(1, 1020, 1160, "where config/ is"),
+    "errors": Place(0, 20, 450, "the one line a user sees"),
+    "arrays": Place(0, 460, 800, "types of arrays"),
+    "blas_threads": Place(0, 820, 1160, "one thread for BLAS"),
 }
 FLOORS = 1 + max(place.floor for place in PLACES.values())
-STEP, HEIGHT, WIDTH = 68, 44, 1080
+STEP, HEIGHT, WIDTH = 68, 44, 1180
 LOWEST = {name for name, place in PLACES.items() if place.floor == 0}
 
 
@@ -128,7 +132,14 @@ def svg() -> str:
         '<path d="M0 0L8 4L0 8z" fill="#57606a"/></marker></defs>',
         f'<rect width="{WIDTH}" height="{height}" fill="#fff"/>',
     ]
-    for upper, lower in shown(imports()):
+    table = imports()
+    for upper, lowers in table.items():
+        for lower in sorted(lowers):
+            if PLACES[upper].floor <= PLACES[lower].floor:
+                raise ValueError(
+                    f"{upper} imports {lower} and does not stand above it: move them in PLACES, or the code"
+                )
+    for upper, lower in shown(table):
         way = _way(upper, lower)
         parts.append(f'<path d="{way}" fill="none" stroke="#57606a" stroke-width="1.5" marker-end="url(#tip)"/>')
     for name, place in PLACES.items():
@@ -150,8 +161,6 @@ def _top(place: Place) -> int:
 def _way(upper: str, lower: str) -> str:
     """An arrow's path from one box down to another past all between: straight, or with one bend between two floors."""
     one, other = PLACES[upper], PLACES[lower]
-    if one.floor <= other.floor:
-        raise ValueError(f"{upper} imports {lower} and does not stand above it: move them in PLACES, or the code")
     start, end = _top(one) + HEIGHT, _top(other)
     ways = [
         (abs(x - y), x, y, floor)

@@ -18,20 +18,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .bag_session import Options
+from .arrays import FloatArray
 from .cli.main import parser
-from .dynamics.arm import Arm, FloatArray
+from .dynamics.arm import Arm
 from .errors import UserError
+from .estimate.identified import Identified, Validation
 from .excitation.trajectory import Trajectory
 from .excitation.trajectory_file import load_trajectory
 from .export.motion import steady
 from .export.write import export_model
 from .identification.effort import in_newton_metres
-from .identification.identified import Identified, Validation
 from .mismatch.finding import Explanation
-from .mismatch_session import explain_session
 from .recording import Recording
-from .session import find_arm, identify_session, read_bags
+from .sessions.bags import Options
+from .sessions.identification import find_arm, identify_session, read_bags
+from .sessions.mismatch import explain_session
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -176,7 +177,7 @@ def identify(
         validate: To validate on; none: the last third of the last run is held out.
         out: Result folder; None: a temporary one, there as long as the result is.
         options: `friction`, `cutoff_hz`, `structure`, `solver`, `seed`, `temperature`, `estimate_gravity`, as
-            `spacearm_ident.bag_session.Options` has them.
+            `spacearm_ident.sessions.bags.Options` has them.
 
     Raises:
         UnfitDataError: The data cannot carry it.
@@ -279,7 +280,7 @@ def load(folder: PathLike) -> Result:
     Raises:
         UserError: It is none.
     """
-    from .report.store import load_result
+    from .results.store import load_result
 
     result = load_result(Path(folder))
     return Result(result.identified, result.validation, Path(folder))

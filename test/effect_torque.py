@@ -10,7 +10,7 @@ from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.dynamics.background import Background
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.signals.motion import Motion
 
 RATE = 250.0
 PENDULUM = (Link("hip", mass=2.0, com=(0.0, 0.0, -0.5), inertia=(0.03, 0, 0, 0.03, 0, 0.01)),)

@@ -13,7 +13,7 @@ import pinocchio as pin
 from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.dynamics.base_parameters import base_parameters
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel
-from spacearm_ident.identification.identified import (
+from spacearm_ident.estimate.identified import (
     Choice,
     Determination,
     Estimate,
@@ -24,10 +24,10 @@ from spacearm_ident.identification.identified import (
     Trace,
     Validation,
 )
-from spacearm_ident.recording.bandwidth import Bandwidth
 from spacearm_ident.recording.recording import Recording, Source
 from spacearm_ident.report.html import report_html
-from spacearm_ident.report.store import Result
+from spacearm_ident.results.store import Result
+from spacearm_ident.signals.bandwidth import Bandwidth
 
 FILES = {
     *("model.yaml", "parameters.csv", "base_parameters.csv", "identified.urdf"),

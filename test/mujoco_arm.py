@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from spacearm_ident.recording import Recording
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.signals.motion import Motion
 
 JOINTS = ("base_turn", "shoulder", "elbow")
 LENGTHS = (0.3, 0.25)

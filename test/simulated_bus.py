@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from spacearm_ident.canbus.local_bus import LocalBus
 from spacearm_ident.canbus.realtime import prepare_process, prepare_thread
 from spacearm_ident.canbus.scaling import JointScale
-from spacearm_ident.simulation.drives import DriveConfig
-from spacearm_ident.simulation.drives_mechanics import FirstOrderArm
-from spacearm_ident.simulation.drives_network import DriveNetwork
+from spacearm_ident.simulation.drives.drive import DriveConfig
+from spacearm_ident.simulation.drives.mechanics import FirstOrderArm
+from spacearm_ident.simulation.drives.network import DriveNetwork
 
 SCALE = JointScale(counts_per_turn=65536, gear_ratio=100.0, torque_constant=0.1, rated=5.0)
 FORK = multiprocessing.get_context("fork")

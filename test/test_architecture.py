@@ -61,7 +61,7 @@ def test_an_import_against_the_arrows_cannot_be_drawn(monkeypatch):
 
 def test_relative_imports_are_read_as_what_they_name():
     found = draw_architecture.imported_modules(PACKAGE / "dynamics" / "effects" / "effect.py")
-    assert {"spacearm_ident.errors", "spacearm_ident.recording.motion", "spacearm_ident.dynamics.term"} <= found
+    assert {"spacearm_ident.errors", "spacearm_ident.signals.motion", "spacearm_ident.dynamics.term"} <= found
 
 
 def test_ros_is_known_to_the_nodes_alone():

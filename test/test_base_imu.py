@@ -19,7 +19,7 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
 from spacearm_ident.excitation.trajectory_file import save_trajectory
 from spacearm_ident.recording import read_recording
-from spacearm_ident.recording.base_motion import BaseMotion
+from spacearm_ident.signals.base_motion import BaseMotion
 from spacearm_ident.simulation.closed_loop import SensorNoise, measure, simulate_truth
 from spacearm_ident.simulation.concealed import Concealment
 from spacearm_ident.simulation.concealed.file import make_effect

@@ -13,9 +13,9 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.base_link import base_link, base_notes, placed
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import RecordingWriter, cdr, copy_messages, messages, read_recording, write_recording
-from spacearm_ident.recording.base_motion import moves
 from spacearm_ident.recording.recording import BaseSensor
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.base_motion import moves
+from spacearm_ident.signals.prepare import prepare
 
 ARM = arm_from_urdf(floating_arm.URDF)
 NOTHING = (0.0,) * 9

@@ -13,7 +13,7 @@ from scipy.linalg import null_space
 from spacearm_ident.dynamics.arm import Coupling, arm_from_urdf
 from spacearm_ident.dynamics.base_parameters import base_parameters
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.signals.motion import Motion
 
 RIGID = {"rigid_body": {}, "rotor_inertia": {}}
 

@@ -18,14 +18,14 @@ import small_arm
 from made_result import Page
 from test_index import text_of
 
-from spacearm_ident.bag_session import Options
-from spacearm_ident.batch_session import Task, find_bags, perform, up_to_date
 from spacearm_ident.cli.main import main
 from spacearm_ident.recording import Series, write_recording
-from spacearm_ident.report.store import load_result
 from spacearm_ident.report.summary import write_summary
-from spacearm_ident.report.trends import line
-from spacearm_ident.side_by_side import Lost, on_cluster, on_cores
+from spacearm_ident.results.store import load_result
+from spacearm_ident.results.trends import line
+from spacearm_ident.sessions.bags import Options
+from spacearm_ident.sessions.batch import Task, find_bags, perform, up_to_date
+from spacearm_ident.sessions.side_by_side import Lost, on_cluster, on_cores
 
 QUICK = ("--friction", "coulomb-viscous", "--bandwidth", "5")
 DAY_NS = 86_400 * 10**9
@@ -159,7 +159,7 @@ def test_a_result_is_up_to_date_for_the_same_bag_options_and_versions_only(bags,
     assert not up_to_date(replace(task, bag=moved))
     for changed in (Options(), replace(quick, cutoff_hz=6.0), replace(quick, gravity=(0.0, 0.0, -9.8))):
         assert not up_to_date(replace(task, options=changed))
-    monkeypatch.setattr("spacearm_ident.batch_session.versions", lambda: {"spacearm_ident": "9"})
+    monkeypatch.setattr("spacearm_ident.sessions.batch.versions", lambda: {"spacearm_ident": "9"})
     assert not up_to_date(task)
 
 
@@ -252,7 +252,7 @@ def test_a_cluster_does_the_same(bags, done, tmp_path, monkeypatch, capsys):
         assert batch(*words) == 1
     assert (tmp_path / "a" / "parameters.csv").read_bytes() == (done / "a" / "parameters.csv").read_bytes()
     assert rows_of(tmp_path)["text"]["reason"] == rows_of(done)["text"]["reason"]
-    monkeypatch.setattr("spacearm_ident.side_by_side.CONNECT_S", 0.5)
+    monkeypatch.setattr("spacearm_ident.sessions.side_by_side.CONNECT_S", 0.5)
     assert batch(*words) == 2
     assert "no Dask scheduler at" in capsys.readouterr().err
 

@@ -10,9 +10,9 @@ from planted_arm import Friction, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import structure_of
-from spacearm_ident.identification import between
-from spacearm_ident.identification.identified import Identified
+from spacearm_ident.estimate.identified import Identified
 from spacearm_ident.identification.identify import Settings, identify
+from spacearm_ident.noise import between
 
 SPREAD = 0.1
 """Planted relative standard deviation of friction between recordings."""

@@ -12,15 +12,15 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import IdentifiedModel, Plain, TorqueModel, Unbounded, structure_of
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
+from spacearm_ident.estimate.identified import Identified
 from spacearm_ident.identification.fit import fit_model
-from spacearm_ident.identification.identified import Identified
 from spacearm_ident.identification.identify import PSO_LM, Settings, identify
 from spacearm_ident.identification.plain import plain_fit, plain_structure
-from spacearm_ident.identification.solution_columns import residuals_of
-from spacearm_ident.identification.solvers import SEPARABLE, search_of
 from spacearm_ident.identification.validation import validate
 from spacearm_ident.recording import Recording
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.solvers.choice import SEPARABLE, search_of
+from spacearm_ident.solvers.solution_columns import residuals_of
 
 LAWS = (Friction(k_v2=0.0, k_v3=0.0, f_b=1.0, f_c=1.0), Friction(k_v2=0.0, k_v3=0.0, f_b=1.0, f_c=1.0))
 IMPOSSIBLE = (LAWS[0], replace(LAWS[1], J_m=-0.4))

@@ -12,7 +12,7 @@ from planted_arm import THREE_LINKS, real, urdf_of
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.base_parameters import base_parameters
 from spacearm_ident.dynamics.model import FRICTION_LAWS, TorqueModel
-from spacearm_ident.identification.consistency import is_consistent, link_parameters, make_consistent, pseudo_inertia
+from spacearm_ident.estimate.consistency import is_consistent, link_parameters, make_consistent, pseudo_inertia
 
 STRUCTURE = {"rigid_body": {}, "rotor_inertia": {}, **FRICTION_LAWS["coulomb-viscous"]}
 MODEL = TorqueModel(arm_from_urdf(urdf_of(THREE_LINKS)), STRUCTURE)

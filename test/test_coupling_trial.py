@@ -12,7 +12,7 @@ from spacearm_ident.identification.coupling_trial import PLAIN_LAW, CouplingTria
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.validation import split, validate
 from spacearm_ident.recording import read_recording
-from spacearm_ident.session import settings_for
+from spacearm_ident.sessions.identification import settings_for
 
 REAL = Path(__file__).parent.parent.parent / "shared" / "recordings" / "real"
 

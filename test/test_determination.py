@@ -11,7 +11,7 @@ from planted_arm import THREE_LINKS, Friction, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import structure_of
-from spacearm_ident.identification.identified import Determination, Estimate
+from spacearm_ident.estimate.identified import Determination, Estimate
 from spacearm_ident.identification.identify import Settings, identify
 
 RATE_HZ = 250.0

@@ -13,11 +13,11 @@ from spacearm_ident.dynamics.base_parameters import base_parameters
 from spacearm_ident.dynamics.model import TorqueModel, over_temperature, structure_of, temperature_joints
 from spacearm_ident.dynamics.term import Parameter
 from spacearm_ident.errors import UserError
-from spacearm_ident.identification.environment import Environment, HighOrder, VacuumTest, holm, judge_vacuum, wald
-from spacearm_ident.identification.identified import Determination
+from spacearm_ident.estimate.environment import Environment, HighOrder, VacuumTest, holm, judge_vacuum, wald
+from spacearm_ident.estimate.identified import Determination
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.recording.recording import Recording, Series
-from spacearm_ident.session import settings_for
+from spacearm_ident.sessions.identification import settings_for
 
 ARM = arm_from_urdf(urdf_of(TWO_LINKS))
 BARE = Friction(f_c=0.0, k_v1=0.0, k_v2=0.0, k_v3=0.0)

@@ -12,7 +12,6 @@ from planted_arm import two_link_run
 from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.effects import EFFECTS
-from spacearm_ident.identification.prior import make_prior
 from spacearm_ident.mismatch.evidence import NEARER
 from spacearm_ident.mismatch.preparation import banded, prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
@@ -35,7 +34,8 @@ from spacearm_ident.mismatch.scene import (
 from spacearm_ident.mismatch.scored import BEST, PARTS, penalty, throughout
 from spacearm_ident.mismatch.stacked import NUISANCE, base_columns, nuisance_scale, stacked_effect
 from spacearm_ident.recording.recording import Recording
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.regression.prior import make_prior
+from spacearm_ident.signals.prepare import prepare
 
 # --- rows -----------------------------------------------------------------------------------------------------------
 

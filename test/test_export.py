@@ -33,8 +33,8 @@ from spacearm_ident.export.mjcf import mjcf
 from spacearm_ident.export.motion import motions_of, sweep
 from spacearm_ident.export.write import FORMATS, export_model
 from spacearm_ident.recording import read_recording
-from spacearm_ident.recording.signals import prepare
-from spacearm_ident.report.formats import MJCF
+from spacearm_ident.results.formats import MJCF
+from spacearm_ident.signals.prepare import prepare
 
 UR10E = Path(__file__).parents[2] / "shared" / "recordings" / "real" / "ur10e" / "commissioning_validation.mcap"
 

@@ -10,7 +10,6 @@ import small_arm
 from planted_arm import Friction, two_link_run
 from simulated_arm import CONFIG, paper_drives, paper_limits
 
-from spacearm_ident.bag_session import Options
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, structure_of
@@ -20,8 +19,9 @@ from spacearm_ident.excitation.trajectory import FourierTrajectory, random_feasi
 from spacearm_ident.excitation.trajectory_file import save_trajectory
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.nodes.jobs import IdentifyJob
-from spacearm_ident.recording.motion import Motion
-from spacearm_ident.session import settings_for
+from spacearm_ident.sessions.bags import Options
+from spacearm_ident.sessions.identification import settings_for
+from spacearm_ident.signals.motion import Motion
 from spacearm_ident.simulation.closed_loop import Truth, simulate_truth
 from spacearm_ident.simulation.concealed import Concealment
 from spacearm_ident.simulation.concealed.effect import State

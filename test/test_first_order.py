@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from spacearm_ident.identification.first_order import DECAYS, FirstOrder
-from spacearm_ident.identification.weights import residual_noise
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.noise.first_order import DECAYS, FirstOrder
+from spacearm_ident.noise.weights import residual_noise
+from spacearm_ident.signals.motion import Motion
 
 RATE, CUTOFF = 200.0, 10.0
 

@@ -10,7 +10,7 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.friction import STRIBECK_GRID, bristle_state
 from spacearm_ident.dynamics.model import FRICTION_LAWS, TorqueModel, structure_of
 from spacearm_ident.errors import UserError
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.signals.motion import Motion
 
 ARM = arm_from_urdf(urdf_of(TWO_LINKS))
 RATE = 100.0

@@ -9,13 +9,13 @@ import pytest
 from planted_arm import TWO_LINKS, Friction, incommensurate, two_link_run, urdf_of
 from scipy.signal import lfilter
 
+from spacearm_ident.bayes.from_prior import CHANGES, GroundPrior, update
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
 from spacearm_ident.errors import UnfitDataError
-from spacearm_ident.identification.from_prior import CHANGES, GroundPrior, update
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.recording.motion import Motion
 from spacearm_ident.recording.recording import Recording
+from spacearm_ident.signals.motion import Motion
 
 V_B = 0.05
 

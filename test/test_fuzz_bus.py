@@ -20,7 +20,7 @@ from spacearm_ident.canbus.cycle import Cycle
 from spacearm_ident.canbus.eds import eds_path
 from spacearm_ident.errors import LONGEST, UserError
 from spacearm_ident.report.markup import element
-from spacearm_ident.simulation.drives import DriveConfig, SimulatedDrive
+from spacearm_ident.simulation.drives.drive import DriveConfig, SimulatedDrive
 
 # --- the bus ------------------------------------------------------------------------------------------------
 

@@ -8,9 +8,7 @@ from planted_arm import THREE_LINKS, TWO_LINKS, Friction, incommensurate, plant,
 
 from spacearm_ident.dynamics.arm import EARTH, arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel
-from spacearm_ident.errors import UserError
-from spacearm_ident.identification.environment import Environment, GravityEstimate
-from spacearm_ident.identification.gravity import (
+from spacearm_ident.environment.gravity import (
     DIRECTION,
     VECTOR,
     estimate_gravity,
@@ -19,12 +17,14 @@ from spacearm_ident.identification.gravity import (
     tangents,
     weight_columns,
 )
+from spacearm_ident.errors import UserError
+from spacearm_ident.estimate.environment import Environment, GravityEstimate
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.identification.prior import make_prior
-from spacearm_ident.identification.regression import Regression
-from spacearm_ident.identification.separable import Solution, solve_linear
 from spacearm_ident.recording.recording import Recording
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.regression.prior import make_prior
+from spacearm_ident.regression.regression import Regression
+from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.solvers.separable import Solution, solve_linear
 
 ARM = arm_from_urdf(urdf_of(THREE_LINKS))
 STRUCTURE = {

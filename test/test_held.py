@@ -8,12 +8,12 @@ from planted_arm import Friction, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
-from spacearm_ident.identification.held import held_columns, hidden_shifts
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.identification.prior import make_prior
-from spacearm_ident.identification.regression import Regression
-from spacearm_ident.identification.separable import without_constants
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.noise.held import held_columns, hidden_shifts
+from spacearm_ident.regression.prior import make_prior
+from spacearm_ident.regression.regression import Regression
+from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.solvers.separable import without_constants
 
 LAWS = (Friction(k_1=0.8), Friction(f_c=3.0))
 

@@ -13,8 +13,8 @@ from made_result import STRUCTURE, URDF, arm, identified_model, parsed
 
 from spacearm_ident.dynamics.model import TorqueModel
 from spacearm_ident.errors import UserError
-from spacearm_ident.recording.motion import Motion
-from spacearm_ident.report.urdf import identified_urdf
+from spacearm_ident.results.urdf import identified_urdf
+from spacearm_ident.signals.motion import Motion
 
 
 @settings(max_examples=15, deadline=None)

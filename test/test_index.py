@@ -16,12 +16,12 @@ from made_result import Page, arm, identification, identified_model, validation
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.errors import UserError
-from spacearm_ident.identification.identified import Determination, Identified
+from spacearm_ident.estimate.identified import Determination, Identified
 from spacearm_ident.report import folder
 from spacearm_ident.report.comparison import base_differences, comparison_html, differences, moved
 from spacearm_ident.report.folder import write_result
 from spacearm_ident.report.index import find_results, write_comparison, write_index
-from spacearm_ident.report.store import Result
+from spacearm_ident.results.store import Result
 
 WRITTEN = "2025-01-31T12:05:00+00:00"
 

@@ -11,8 +11,8 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.base_parameters import base_parameters
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.errors import UnfitDataError
+from spacearm_ident.estimate.identified import Identified
 from spacearm_ident.identification.comparison import compare
-from spacearm_ident.identification.identified import Identified
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.instrumental import halves, split_motions
 from spacearm_ident.recording.recording import Recording

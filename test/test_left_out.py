@@ -13,8 +13,6 @@ from scipy.stats import t as student
 
 from spacearm_ident.dynamics.arm import load_arm
 from spacearm_ident.dynamics.effects import EFFECTS
-from spacearm_ident.identification.held_out import t_of_all
-from spacearm_ident.identification.prior import make_prior
 from spacearm_ident.mismatch.constants import grid_points
 from spacearm_ident.mismatch.evidence import NEARER, Evidence
 from spacearm_ident.mismatch.healthy import UNNAMED, Healthy, healthy_levels
@@ -28,6 +26,8 @@ from spacearm_ident.mismatch.scene import Scene
 from spacearm_ident.mismatch.stacked import base_columns, nuisance_scale
 from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.recording.recording import Series
+from spacearm_ident.regression.held_out import t_of_all
+from spacearm_ident.regression.prior import make_prior
 
 REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
 

@@ -11,9 +11,10 @@ from scipy.special import betainc
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
-from spacearm_ident.identification.live import LiveResidual, Residuals, derivative_taps
 from spacearm_ident.recording import Recording
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.signals.stream import derivative_taps
+from spacearm_ident.tracking.live_residual import LiveResidual, Residuals
 
 CUTOFF_HZ = 5.0
 
@@ -80,9 +81,9 @@ def test_rows_come_evenly_and_within_the_stated_delay(model):
             newest = rows.time[-1]
         if newest > -np.inf:
             latest = max(latest, run.time[part][-1] - newest)
-    assert live.row_rate_hz == pytest.approx(50.0)
-    assert latest <= live.delay_s + 0.02 + 0.010  # a row's spacing and the piece handed over
-    assert live.delay_s < 2.3 / CUTOFF_HZ
+    assert live.stream.row_rate_hz == pytest.approx(50.0)
+    assert latest <= live.stream.delay_s + 0.02 + 0.010  # a row's spacing and the piece handed over
+    assert live.stream.delay_s < 2.3 / CUTOFF_HZ
 
 
 def test_uneven_stamps_cost_nothing(model):
@@ -103,8 +104,8 @@ def test_a_gap_starts_the_filters_anew_and_spoils_no_row(model):
     broken = replace(run, time=run.time[keep], position=run.position[keep], effort=run.effort[keep])
     live = LiveResidual(model, 500.0)
     rows = stream(live, broken, 50)
-    assert live.restarts == 1
-    assert not ((rows.time > 6.0 - live.delay_s / 2) & (rows.time < 6.5 + live.delay_s / 2)).any()
+    assert live.stream.restarts == 1
+    assert not ((rows.time > 6.0 - live.stream.delay_s / 2) & (rows.time < 6.5 + live.stream.delay_s / 2)).any()
     inner = ((rows.time > 1.0) & (rows.time < 6.0)) | ((rows.time > 7.5) & (rows.time < 13.0))
     whole = stream(LiveResidual(model, 500.0), run, 50)
     expected = np.stack([np.interp(rows.time[inner], whole.time, column) for column in whole.residual.T], axis=1)
@@ -116,7 +117,7 @@ def test_a_clock_set_back_does_not_silence_it(model):
     live = LiveResidual(model, 500.0)
     stream(live, replace(run, time=run.time + 1000.0), 50)
     rows = stream(live, run, 50)
-    assert live.restarts == 1
+    assert live.stream.restarts == 1
     assert rows.time.min() > 0.0 and rows.time.max() > 4.0
 
 

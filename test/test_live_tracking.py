@@ -12,14 +12,14 @@ from live_nodes import wait_for
 
 pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
 
-from spacearm_ident.identification.tracking import Change, TrackingState
-from spacearm_ident.identification.tracking_layout import TrackedValue
 from spacearm_ident.nodes import live_tracking
 from spacearm_ident.nodes.identifier_messages import tracked_statuses
 from spacearm_ident.nodes.live_tracking import ChangeWindow, LiveTracking
 from spacearm_ident.nodes.runtime import Level
 from spacearm_ident.nodes.tracking_stream import TrackingChoice
 from spacearm_ident.nodes.tracking_thread import Broken, Followed
+from spacearm_ident.tracking.layout import TrackedValue
+from spacearm_ident.tracking.tracker import Change, TrackingState
 
 T0 = 1_700_000_000.0
 CHANGE = Change(T0 + 25.0, T0 + 24.9, T0 + 26.1, "elbow", "f_c", 0.5, 0.04, "N m", 9.3, ("load",))

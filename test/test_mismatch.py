@@ -21,7 +21,7 @@ from spacearm_ident.mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH
 from spacearm_ident.mismatch.integrity import faults
 from spacearm_ident.mismatch.rivals import UNKNOWN
 from spacearm_ident.mismatch.scene import one_way
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.prepare import prepare
 
 SLOW_ONES = ("joint_elasticity", "backlash", "link_flexibility", "base_flexibility", "floating_base")
 """Left out where they are not the point, to be quick."""

@@ -22,11 +22,11 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.constraints import limits_for_excitation
 from spacearm_ident.excitation.trajectory_file import load_trajectory
 from spacearm_ident.mismatch.finding import unfit
-from spacearm_ident.mismatch_session import mistakes
 from spacearm_ident.recording import read_recording, write_recording
-from spacearm_ident.recording.signals import prepare
-from spacearm_ident.report.mismatch_folder import next_run, write_mismatch
-from spacearm_ident.session import find_arm
+from spacearm_ident.report.mismatch_folder import write_mismatch
+from spacearm_ident.sessions.identification import find_arm
+from spacearm_ident.sessions.mismatch import mistakes, next_run
+from spacearm_ident.signals.prepare import prepare
 
 LAWS = (Friction(k_v2=0.0, k_v3=0.0), Friction(f_c=1.5, k_v1=0.8, k_v2=0.0, k_v3=0.0, J_m=0.1))
 FEW = ["--without", *(kind for kind in EFFECTS if kind not in ("torque_ripple", "friction_drift", "current_offset"))]
@@ -151,9 +151,9 @@ def test_the_next_experiment_is_a_motion_that_the_arm_can_make(bags, tmp_path):
     np.testing.assert_allclose(motion.q[[0, -1]], field.position[[0, 0]])
     assert limits.usage(motion).max() <= 1.0
     assert np.ptp(motion.q[:, 1]) > 1.0 and np.ptp(motion.q[:, 0]) < np.ptp(motion.q[:, 1])
-    write_mismatch(doubt, arm, [field], [], [], tmp_path / "why")
+    write_mismatch(doubt, arm, [field], [], [], run, tmp_path / "why")
     assert load_trajectory(tmp_path / "why" / "next_experiment.yaml").duration_s == pytest.approx(run.duration_s)
-    write_mismatch(nothing, arm, [field], [], [], tmp_path / "why")
+    write_mismatch(nothing, arm, [field], [], [], None, tmp_path / "why")
     assert not (tmp_path / "why" / "next_experiment.yaml").exists()
 
 
@@ -230,7 +230,7 @@ def test_a_mistake_counts_where_it_is_certain_or_the_reference_has_it_not(monkey
     def check(recordings, arm, progress):
         return ConventionReport(tuple(in_field if recordings is field else in_reference), (), ("bag",))
 
-    monkeypatch.setattr("spacearm_ident.mismatch_session.check_conventions", check)
+    monkeypatch.setattr("spacearm_ident.sessions.mismatch.check_conventions", check)
     reasons = mistakes(field, healthy, ARM)
     assert len(reasons) == refused and all(text.startswith("bag: ") and "-> mend it" in text for text in reasons)
 

@@ -14,7 +14,7 @@ from spacearm_ident.dynamics.arm import Coupling, arm_from_urdf
 from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel, structure_of
 from spacearm_ident.dynamics.model_file import MODEL_SCHEMA, load_model, save_model
 from spacearm_ident.errors import UserError
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.signals.motion import Motion
 
 PLAIN = arm_from_urdf(urdf_of(TWO_LINKS))
 COUPLED = replace(PLAIN, couplings=(Coupling("wrist", {"shoulder": 1.0, "elbow": -1.5}),))

@@ -15,13 +15,13 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.base_link import placed
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, structure_of
-from spacearm_ident.identification.identified import Determination
+from spacearm_ident.environment.momentum import base_body
+from spacearm_ident.estimate.identified import Determination
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.identification.momentum import base_body
 from spacearm_ident.identification.validation import validate
 from spacearm_ident.mismatch.explain import explain
 from spacearm_ident.recording import write_recording
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.prepare import prepare
 
 ARM = arm_from_urdf(floating_arm.URDF)
 ORBIT = ARM.with_gravity(np.zeros(3))

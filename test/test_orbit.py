@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from planted_arm import TWO_LINKS, Friction, incommensurate, plant, urdf_of
 
+from spacearm_ident.bayes.adaptation import adapt
+from spacearm_ident.bayes.adaptation_causes import causes
+from spacearm_ident.bayes.from_prior import GroundPrior
 from spacearm_ident.cli import demo_orbit
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, structure_of
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.errors import UserError
-from spacearm_ident.identification.adaptation import adapt
-from spacearm_ident.identification.adaptation_causes import causes
-from spacearm_ident.identification.from_prior import GroundPrior
-from spacearm_ident.identification.identified import Identified
+from spacearm_ident.estimate.identified import Identified
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.orbit_session import OrbitSession, orbit_session
 from spacearm_ident.recording import Recording, read_recording, write_recording
 from spacearm_ident.recording.recording import Series
+from spacearm_ident.sessions.orbit import OrbitSession, orbit_session
 
 JOINTS = ("shoulder", "elbow")
 RATE = 250.0

@@ -10,22 +10,23 @@ import numpy as np
 import pytest
 from planted_arm import Friction, incommensurate, two_link_run
 
-from spacearm_ident.dynamics.arm import FloatArray, arm_from_urdf
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.errors import UserError
+from spacearm_ident.estimate.identified import Identified
 from spacearm_ident.identification import output_error
-from spacearm_ident.identification.identified import Identified
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.identification.prior import make_prior
-from spacearm_ident.identification.regression import Regression
-from spacearm_ident.identification.separable import solve
 from spacearm_ident.identification.simulated_loop import follow, sampled
-from spacearm_ident.recording.motion import Motion
 from spacearm_ident.recording.recording import Recording, Series
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.regression.prior import make_prior
+from spacearm_ident.regression.regression import Regression
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.simulation.closed_loop import SensorNoise, simulate_run
 from spacearm_ident.simulation.parameters import PlantParameters
 from spacearm_ident.simulation.plant import Plant
+from spacearm_ident.solvers.separable import solve
 
 PLANTED = two_link_run([Friction(f_c=f_c, J_m=J_m, k_v2=0.0, k_v3=0.0) for f_c, J_m in ((5.0, 0.5), (3.0, 0.2))])
 ARM = arm_from_urdf(PLANTED.urdf)

@@ -13,12 +13,12 @@ import pytest
 import small_arm
 
 from spacearm_ident.cli.main import main
-from spacearm_ident.identification.identified import Determination
+from spacearm_ident.estimate.identified import Determination
 from spacearm_ident.identification.residual_spectrum import residual_spectrum, share_above
 from spacearm_ident.identification.validation import validate
 from spacearm_ident.recording import write_recording
-from spacearm_ident.recording.motion import Motion
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.simulation.own_arm import default_model, torque_scale
 
 SIGMA = 0.5

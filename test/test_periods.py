@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from planted_arm import incommensurate, multisine
 from scipy.interpolate import BPoly
 
-from spacearm_ident.recording.periods import Period, find_period, fold, project
+from spacearm_ident.signals.periods import Period, find_period, fold, project
 
 ENCODER = 2e-6
 

@@ -25,7 +25,7 @@ from spacearm_ident.driver.playback import (
 from spacearm_ident.driver.safety import TOLERANCE, Limits, Margins, MotionMonitor, Rule
 from spacearm_ident.driver.set_points import SetPointStream
 from spacearm_ident.excitation.trajectory import random_feasible
-from spacearm_ident.simulation.drives_motion import Motion
+from spacearm_ident.simulation.drives.motion import Motion
 from spacearm_ident.simulation.live_arm import LiveArm
 
 MS = 1_000_000

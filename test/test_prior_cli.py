@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from planted_arm import TWO_LINKS, Friction, incommensurate, plant, two_link_run
 
-from spacearm_ident.bag_session import Options
+from spacearm_ident.bayes.from_prior import update
+from spacearm_ident.bayes.updated import identify_from_prior
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.model import IdentifiedModel
-from spacearm_ident.identification.from_prior import update
-from spacearm_ident.identification.identified import Determination
+from spacearm_ident.estimate.identified import Determination
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.identification.updated import identify_from_prior
 from spacearm_ident.identification.validation import validate
 from spacearm_ident.nodes.jobs import IdentifyJob
 from spacearm_ident.recording import Recording, read_recording, write_recording
-from spacearm_ident.report.store import load_prior, load_result
+from spacearm_ident.results.store import load_prior, load_result
+from spacearm_ident.sessions.bags import Options
 
 ON_EARTH = (
     Friction(f_c=5.0, f_b=5.0, k_v1=4.0, k_v2=1.0, k_v3=0.5),

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spacearm_ident.errors import UserError
-from spacearm_ident.identification.pso import SwarmSettings, minimise
+from spacearm_ident.solvers.pso import SwarmSettings, minimise
 
 
 def box(dimension: int, size: float = 5.0) -> tuple[np.ndarray, np.ndarray]:

@@ -9,9 +9,11 @@ from planted_arm import Friction, two_link_run
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.errors import UserError
-from spacearm_ident.identification.prior import make_prior
-from spacearm_ident.identification.pso import SwarmSettings
-from spacearm_ident.identification.pso_lm import (
+from spacearm_ident.regression.prior import make_prior
+from spacearm_ident.regression.regression import Regression
+from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.solvers.pso import SwarmSettings
+from spacearm_ident.solvers.pso_lm import (
     CONVERGED,
     EXHAUSTED,
     HANDED_BACK,
@@ -25,9 +27,7 @@ from spacearm_ident.identification.pso_lm import (
     refine,
     solve,
 )
-from spacearm_ident.identification.regression import Regression
-from spacearm_ident.identification.swarm_cost import SwarmCost, Unknowns
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.solvers.swarm_cost import SwarmCost, Unknowns
 
 FEW = PsoLmSettings(SwarmSettings(20, 10), LmSettings(10), 1)
 

@@ -9,7 +9,7 @@ import pytest
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import structure_of
-from spacearm_ident.identification.identified import Identified, Validation
+from spacearm_ident.estimate.identified import Identified, Validation
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.validation import validate
 from spacearm_ident.recording import Recording, read_recording

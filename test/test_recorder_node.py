@@ -24,7 +24,7 @@ from rosbags.rosbag2 import Reader
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.nodes.runtime import LATCHED, STREAM
 from spacearm_ident.recording import cdr, read_recording, write_recording
-from spacearm_ident.recording.background import BackgroundWriter, Topic
+from spacearm_ident.recording.background_writer import BackgroundWriter, Topic
 from spacearm_ident.recording.definitions import definition_text
 from spacearm_ident.recording.messages import JOINT_STATE, STRING, MessageType
 

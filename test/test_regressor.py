@@ -9,7 +9,7 @@ from planted_arm import THREE_LINKS, Link, real, trees, urdf_of
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.regressor import BASE_LINK, BASE_ROWS, regressor, rigid_body_blocks, rigid_body_torque
-from spacearm_ident.recording.base_motion import BaseMotion
+from spacearm_ident.signals.base_motion import BaseMotion
 
 SAMPLES = 4
 

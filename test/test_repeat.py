@@ -27,7 +27,7 @@ from spacearm_ident.excitation.trajectory_file import load_trajectory
 from spacearm_ident.recording import read_recording, write_recording
 from spacearm_ident.report import folder
 from spacearm_ident.report.folder import replacing, rewrite_report
-from spacearm_ident.report.store import load_result
+from spacearm_ident.results.store import load_result
 
 SAME = ("model.yaml", "parameters.csv", "base_parameters.csv", "validation.json", "covariance.json", "identified.urdf")
 

@@ -30,7 +30,7 @@ from made_result import (
 from spacearm_ident.dynamics.arm import Coupling
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.errors import UserError
-from spacearm_ident.identification.identified import (
+from spacearm_ident.estimate.identified import (
     Choice,
     Determination,
     Fit,
@@ -42,10 +42,10 @@ from spacearm_ident.identification.identified import (
 from spacearm_ident.report import folder
 from spacearm_ident.report.folder import rewrite_report, write_result
 from spacearm_ident.report.opening import opening
-from spacearm_ident.report.provenance import provenance
-from spacearm_ident.report.store import Result, load_result, save_result
-from spacearm_ident.report.tables import PAPER_SYMBOLS
-from spacearm_ident.report.urdf import identified_urdf
+from spacearm_ident.results.provenance import provenance
+from spacearm_ident.results.store import Result, load_result, save_result
+from spacearm_ident.results.tables import PAPER_SYMBOLS
+from spacearm_ident.results.urdf import identified_urdf
 
 
 @pytest.fixture(scope="module")
@@ -393,7 +393,7 @@ def test_the_page_offers_every_export_with_a_command_that_runs_and_what_it_does_
     from spacearm_ident.export.law import nearest
     from spacearm_ident.export.motion import motions_of
     from spacearm_ident.export.write import FORMATS
-    from spacearm_ident.report.formats import MJCF, SDF
+    from spacearm_ident.results.formats import MJCF, SDF
 
     identified, figures = subject
     text = page_of(identified, replace(figures, held_out=True))

@@ -17,7 +17,7 @@ from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import load_arm
 from spacearm_ident.nodes.main import NODES
 from spacearm_ident.recording import read_recording
-from spacearm_ident.report.store import load_result
+from spacearm_ident.results.store import load_result
 
 pytestmark = [*LIVE, NEEDED]
 LAUNCH = ("ros2", "launch", "spacearm_ident", "spacearm.launch.py")

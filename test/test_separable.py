@@ -12,10 +12,10 @@ from planted_arm import Friction, two_link_run
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.identification.identify import identify
-from spacearm_ident.identification.prior import Prior, make_prior
-from spacearm_ident.identification.regression import NARROWEST_SHARE, Regression
-from spacearm_ident.identification.separable import grid_search, levenberg_marquardt, solve, solve_linear, system
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.regression.prior import Prior, make_prior
+from spacearm_ident.regression.regression import NARROWEST_SHARE, Regression
+from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.solvers.separable import grid_search, levenberg_marquardt, solve, solve_linear, system
 
 LAWS = (Friction(f_c=5.0, f_b=8.0, v_b=0.1), Friction(f_c=3.0, J_m=0.2))
 

@@ -12,7 +12,7 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.errors import UnfitDataError, UserError
 from spacearm_ident.recording import read_recording, write_recording
-from spacearm_ident.session import find_arm, identify_session, settings_for
+from spacearm_ident.sessions.identification import find_arm, identify_session, settings_for
 
 ARM = arm_from_urdf(small_arm.URDF)
 QUICK = settings_for(ARM, "coulomb-viscous", 5.0)

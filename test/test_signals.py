@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from planted_arm import incommensurate, multisine
 
 from spacearm_ident.errors import UnfitDataError, UserError
-from spacearm_ident.recording.bandwidth import choose_bandwidth
-from spacearm_ident.recording.motion import Motion
 from spacearm_ident.recording.recording import Recording, Series, Source
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.bandwidth import choose_bandwidth
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.signals.prepare import prepare
 
 JOINTS = ("one", "two")
 

@@ -8,8 +8,8 @@ from simulated_arm import CONFIG, paper_arm, paper_drives, paper_limits
 
 from spacearm_ident.dynamics.arm import load_arm
 from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.estimate.identified import Determination, Identified
 from spacearm_ident.excitation.trajectory import random_feasible
-from spacearm_ident.identification.identified import Determination, Identified
 from spacearm_ident.identification.identify import identify
 from spacearm_ident.simulation.closed_loop import SensorNoise, measure, simulate_truth
 

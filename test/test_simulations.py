@@ -14,8 +14,8 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.export.law import nearest
 from spacearm_ident.export.mended import mend
 from spacearm_ident.export.sdf import sdf
-from spacearm_ident.recording.signals import prepare
-from spacearm_ident.report.formats import SDF
+from spacearm_ident.results.formats import SDF
+from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.simulations import Simulation, read_simulation
 from spacearm_ident.simulations.noise_free import noise_free
 from spacearm_ident.simulations.simulation import without

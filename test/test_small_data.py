@@ -15,7 +15,7 @@ from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.errors import UnfitDataError
 from spacearm_ident.recording import Recording, write_recording
-from spacearm_ident.session import identify_session, settings_for
+from spacearm_ident.sessions.identification import identify_session, settings_for
 
 LAWS = [Friction(k_v2=0.0, k_v3=0.0)] * len(THREE_LINKS)
 

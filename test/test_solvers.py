@@ -10,24 +10,24 @@ import pytest
 import small_arm
 from planted_arm import Friction, two_link_run
 
-from spacearm_ident.bag_session import Options
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.errors import UserError
-from spacearm_ident.identification.identified import Determination, Identified
+from spacearm_ident.estimate.identified import Determination, Identified
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.identification.prior import make_prior
-from spacearm_ident.identification.pso import SwarmSettings
-from spacearm_ident.identification.pso_separable import search
-from spacearm_ident.identification.regression import Regression
-from spacearm_ident.identification.separable import levenberg_marquardt, solve
-from spacearm_ident.identification.solvers import SOLVERS
 from spacearm_ident.nodes.jobs import IdentifyJob
 from spacearm_ident.recording import write_recording
-from spacearm_ident.recording.signals import prepare
-from spacearm_ident.report.covariance_file import covariance_dict
-from spacearm_ident.session import settings_for
+from spacearm_ident.regression.prior import make_prior
+from spacearm_ident.regression.regression import Regression
+from spacearm_ident.results.covariance_file import covariance_dict
+from spacearm_ident.sessions.bags import Options
+from spacearm_ident.sessions.identification import settings_for
+from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.solvers.choice import SOLVERS
+from spacearm_ident.solvers.pso import SwarmSettings
+from spacearm_ident.solvers.pso_separable import search
+from spacearm_ident.solvers.separable import levenberg_marquardt, solve
 
 ARM = arm_from_urdf(small_arm.URDF)
 PLANTED = two_link_run((Friction(f_c=5.0, f_b=8.0, v_b=0.1), Friction(f_c=3.0, J_m=0.2)))

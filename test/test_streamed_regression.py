@@ -16,9 +16,9 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import CATALOGUE, TorqueModel, structure_of
 from spacearm_ident.dynamics.term import Term
 from spacearm_ident.identification.identify import identify
-from spacearm_ident.identification.regression import Regression
-from spacearm_ident.recording.motion import PART_SAMPLES, Motion
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.regression.regression import Regression
+from spacearm_ident.signals.motion import PART_SAMPLES, Motion
+from spacearm_ident.signals.prepare import prepare
 
 LAWS = (Friction(f_c=5.0, f_b=8.0, v_b=0.15, k_v1=4.0), Friction(f_c=3.0, J_m=0.2), Friction(f_c=1.0, k_v2=0.3))
 RATE_HZ = 1000.0

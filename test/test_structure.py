@@ -10,19 +10,23 @@ from planted_arm import Friction, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import structure_of
+from spacearm_ident.estimate.identified import Determination, Identified, OptionalTerm
 from spacearm_ident.identification import structure
-from spacearm_ident.identification.identified import Determination, Identified
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.identification.joint_terms import WORDS, JointTerms, structure_with
+from spacearm_ident.identification.joint_terms import JointTerms, structure_with
 
 LAWS = (Friction(), Friction(f_c=3.0, k_v1=2.0, J_m=0.2))
 PLAIN = tuple(replace(law, k_v2=0.0, k_v3=0.0, f_b=law.f_c) for law in LAWS)
 SEEDS = range(4)
 
 
-def found(result: Identified) -> set[str]:
-    """Terms beyond the plain law."""
-    return {choice.term for choice in result.choices if choice.accepted and "offset" not in choice.term}
+def found(result: Identified) -> set[tuple[OptionalTerm, str]]:
+    """Terms beyond the plain law, and their joints."""
+    return {
+        (choice.kind, choice.joint)
+        for choice in result.choices
+        if choice.accepted and choice.kind is not OptionalTerm.OFFSET
+    }
 
 
 def run(shoulder: Friction, elbow: Friction, seed: int = 0, speed: float = 2.0, seconds: float = 40.0) -> Identified:
@@ -38,8 +42,8 @@ def test_plain_friction_gets_at_most_one_further_term_in_four_arms():
 @pytest.mark.parametrize("seed", SEEDS)
 def test_load_friction_is_found_at_its_joint(seed):
     result = run(replace(PLAIN[0], mu=0.08), PLAIN[1], seed=seed)
-    assert WORDS["load"].format("shoulder") in found(result)
-    assert WORDS["load"].format("elbow") not in found(result)
+    assert (OptionalTerm.LOAD, "shoulder") in found(result)
+    assert (OptionalTerm.LOAD, "elbow") not in found(result)
     assert result.model.value("mu", "shoulder") == pytest.approx(0.08, rel=0.2)
 
 
@@ -53,8 +57,8 @@ def test_offset_is_estimated_where_it_is_planted(seed):
 def test_quadratic_friction_is_found_in_its_own_form(seed):
     odd, even = replace(PLAIN[0], k_v2=2.0, odd=True), replace(PLAIN[1], k_v2=1.0)
     result = run(odd, even, seed=seed)
-    assert WORDS["odd"].format("shoulder") in found(result)
-    assert WORDS["even"].format("elbow") in found(result)
+    assert (OptionalTerm.ODD, "shoulder") in found(result)
+    assert (OptionalTerm.EVEN, "elbow") in found(result)
     assert result.model.value("k_v2", "shoulder") == pytest.approx(2.0, rel=0.2)
 
 
@@ -65,8 +69,8 @@ def test_recording_too_short_to_hold_out_blocks_gets_the_plain_law():
 
 def test_terms_that_are_not_chosen_are_zero_and_marked():
     result = run(*PLAIN, seed=0)
-    absent = {name for name in WORDS if WORDS[name].format("elbow") not in found(result)}
-    assert "cubic" in absent
+    absent = {name for name in OptionalTerm if (name, "elbow") not in found(result)}
+    assert OptionalTerm.CUBIC in absent
     estimate = next(one for one in result.estimates if one.name == "k_v3[elbow]")
     assert estimate.value == 0.0
     assert estimate.determination is Determination.FIXED
@@ -82,7 +86,8 @@ def test_recording_with_a_gap_in_its_speed_range_gets_no_curvature():
     arm = arm_from_urdf(planted.urdf)
     slow = replace(arm, joints=tuple(replace(joint, velocity_limit=50.0) for joint in arm.joints))
     result = identify([planted.recording(noise=0.02, seed=0)], slow)
-    assert not any("quadratic" in term or "cubic" in term for term in found(result))
+    polynomial = {OptionalTerm.EVEN, OptionalTerm.ODD, OptionalTerm.CUBIC}
+    assert not polynomial & {kind for kind, _ in found(result)}
 
 
 def test_higher_orders_grow_linearly_beyond_the_identified_speed():

@@ -13,9 +13,9 @@ from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
 from spacearm_ident.dynamics.model_file import load_model, save_model
+from spacearm_ident.environment.plateaus import find_plateaus
+from spacearm_ident.environment.temperature import calibrate_temperature, with_temperature
 from spacearm_ident.errors import UnfitDataError
-from spacearm_ident.identification.plateaus import find_plateaus
-from spacearm_ident.identification.temperature import calibrate_temperature, with_temperature
 from spacearm_ident.recording import write_recording
 from spacearm_ident.recording.recording import Recording, Series
 

@@ -23,7 +23,7 @@ from spacearm_ident.export.motion import sweep
 from spacearm_ident.export.thresholds import Rate, _excursions, contact_thresholds
 from spacearm_ident.export.write import export_model, read_result
 from spacearm_ident.recording import write_recording
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.signals.motion import Motion
 
 MODEL = small_arm.identified()
 LAW = control_law(MODEL)

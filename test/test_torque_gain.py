@@ -13,14 +13,14 @@ from planted_arm import Friction, Planted, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
+from spacearm_ident.estimate.identified import GAIN_DEVIATION, Determination
 from spacearm_ident.identification.fit import fit_model
-from spacearm_ident.identification.identified import GAIN_DEVIATION, Determination
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.identification.separable import system
-from spacearm_ident.identification.solvers import SEPARABLE, search_of
 from spacearm_ident.identification.torque_gain import gain_shifts
-from spacearm_ident.recording.signals import prepare
-from spacearm_ident.report.tables import parameters_csv
+from spacearm_ident.results.tables import parameters_csv
+from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.solvers.choice import SEPARABLE, search_of
+from spacearm_ident.solvers.separable import system
 
 LAW = Friction(f_c=5.0, k_v1=4.0, k_v2=0.0, k_v3=0.0)
 

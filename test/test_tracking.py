@@ -15,11 +15,11 @@ from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
-from spacearm_ident.identification.tracking import Tracker, TrackingSettings
-from spacearm_ident.identification.tracking_filter import InformationFilter
-from spacearm_ident.identification.tracking_noise import InnovationNoise
-from spacearm_ident.identification.tracking_rows import Rows, RowStream, TrackedModel, rows_of
-from spacearm_ident.recording.motion import Motion
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.tracking.information_filter import InformationFilter
+from spacearm_ident.tracking.innovation_noise import InnovationNoise
+from spacearm_ident.tracking.rows import Rows, RowStream, TrackedModel, rows_of
+from spacearm_ident.tracking.tracker import Tracker, TrackingSettings
 
 RATE = 200.0
 LEVELS = {"f_c": (6.0, 5.0, 3.0), "f_b": (8.0, 6.5, 4.0), "k_v1": (4.0, 3.0, 2.0), "J_m": (0.5, 0.4, 0.2)}
@@ -373,5 +373,5 @@ class TestStream:
         for rows in parts:
             assert np.isfinite(rows.residual).all()
             tracker.add(rows)
-        assert len(parts) == 2 and stream.restarts == 1
+        assert len(parts) == 2 and stream.stream.restarts == 1
         assert all(np.isfinite(item.standard_error) for item in tracker.state().parameters)

@@ -11,10 +11,10 @@ import pytest
 import small_arm
 from live_nodes import wait_for
 
-from spacearm_ident.identification.tracking import Change
 from spacearm_ident.nodes.tracking_stream import TrackingChoice, TrackingStream
 from spacearm_ident.nodes.tracking_thread import LONGEST_WAITING, Broken, TrackingThread
 from spacearm_ident.recording import Recording, cdr
+from spacearm_ident.tracking.tracker import Change
 
 STEP_S = 25.0
 

@@ -13,9 +13,9 @@ from scipy.stats import kstest
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
 from spacearm_ident.errors import UnfitDataError
-from spacearm_ident.identification.identified import Validation
+from spacearm_ident.estimate.identified import Validation
 from spacearm_ident.identification.validation import fit_figures, split, validate
-from spacearm_ident.recording.signals import prepare
+from spacearm_ident.signals.prepare import prepare
 
 LAWS = (Friction(k_v2=0.0, k_v3=0.0), Friction(f_c=3.0, k_v2=0.0, k_v3=0.0, J_m=0.2))
 

@@ -22,11 +22,11 @@ from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.friction_curve import friction_curve, friction_error, viscosity
 from spacearm_ident.errors import UserError
-from spacearm_ident.identification.identified import Identified, JointValidation, Validation
+from spacearm_ident.estimate.identified import Identified, JointValidation, Validation
 from spacearm_ident.identification.verdict import HELD, IMPOSSIBLE, Level, judge_result
 from spacearm_ident.recording import Recording, write_recording
-from spacearm_ident.report.tables import validation_dict
-from spacearm_ident.session import Session, identify_session, settings_for
+from spacearm_ident.results.tables import validation_dict
+from spacearm_ident.sessions.identification import Session, identify_session, settings_for
 
 
 @pytest.fixture(scope="module")

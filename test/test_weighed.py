@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from test_payload import ARM, MASS, run
 
-from spacearm_ident.bag_session import Options
 from spacearm_ident.cli.main import main
 from spacearm_ident.errors import UnfitDataError, UserError
-from spacearm_ident.identification.identified import GAIN_DEVIATION
+from spacearm_ident.estimate.identified import GAIN_DEVIATION
 from spacearm_ident.identification.weighed import Weight, calibrate_gains, parse_weight
 from spacearm_ident.recording import write_recording
+from spacearm_ident.sessions.bags import Options
 
 REAL = Path(__file__).resolve().parents[1] / "../shared/recordings/real/ur10e"
 

@@ -22,6 +22,7 @@ import can
 import canopen
 import numpy as np
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.canbus.arm_bus import INTERPOLATED_MODE, ArmBus
 from spacearm_ident.canbus.cia402 import Command, Goal, State, controlword_toward, state_of
 from spacearm_ident.canbus.events import Event, EventKind
@@ -35,7 +36,6 @@ from spacearm_ident.canbus.pdo import (
     Feedback,
     SetPoints,
 )
-from spacearm_ident.canbus.scaling import FloatArray
 
 HEARTBEAT: Final = 0x700
 SDO_ANSWER: Final = 0x580

@@ -14,7 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spacearm_ident.canbus.scaling import FloatArray, JointScale, Scaling
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.canbus.scaling import JointScale, Scaling
 
 #: COB-IDs of the predefined connection set (CiA 301), and the bit that switches a PDO off.
 TPDO1: Final = 0x180

@@ -14,9 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.errors import UserError
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ..batch_session import identify_batch
 from ..report.index import INDEX
-from ..report.provenance import EPOCH
 from ..report.summary import IDENTIFIED
+from ..results.provenance import EPOCH
+from ..sessions.batch import identify_batch
 from . import common, identify
 
 DESCRIPTION = """

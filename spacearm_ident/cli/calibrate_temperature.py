@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from ..dynamics.model_file import load_model, save_model
-from ..errors import UserError
-from ..identification.effort import in_newton_metres
-from ..identification.temperature import (
+from ..environment.temperature import (
     WANTED_SHARE,
     TemperatureCalibration,
     calibrate_temperature,
     calibration_dict,
     with_temperature,
 )
+from ..errors import UserError
+from ..identification.effort import in_newton_metres
 from ..report.folder import refuse_to_replace, replacing
-from ..report.provenance import provenance
+from ..results.provenance import provenance
 from . import common
 
 DESCRIPTION = """

@@ -24,7 +24,7 @@ from ..conventions.finding import Level as Weight
 from ..errors import UserError
 from ..recording.ros_bags import is_ros_bag
 from ..recording.tables import is_log
-from ..session import corrected, locked_words, within
+from ..sessions.identification import corrected, locked_words, within
 from . import common
 
 DESCRIPTION = """

@@ -20,10 +20,10 @@ from ..dynamics.arm import Arm
 from ..errors import one_line
 from ..recording import Recording, describe
 from ..recording.messages import STATES_TOPIC
-from ..report.provenance import versions
-from ..session import find_arm
-from ..session import read_bags as read_bags
-from ..session import within as within
+from ..results.provenance import versions
+from ..sessions.identification import find_arm
+from ..sessions.identification import read_bags as read_bags
+from ..sessions.identification import within as within
 
 Report = Callable[[float, str], None]
 

@@ -20,7 +20,7 @@ from ..errors import UserError
 from ..excitation.trajectory import MotionLimits, Trajectory, random_feasible
 from ..excitation.trajectory_file import save_trajectory
 from ..report.folder import REPORT
-from ..report.store import MODEL, load_result
+from ..results.store import MODEL, load_result
 from . import common, demo_orbit
 from .identify import summary
 

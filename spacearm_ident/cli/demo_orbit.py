@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from ..bayes.adaptation_causes import causes, reason, with_error
 from ..config import config_path
 from ..dynamics.arm import Arm, load_arm
 from ..dynamics.model_file import load_model
 from ..errors import UnfitDataError
 from ..excitation.trajectory import MotionLimits, random_feasible
 from ..excitation.trajectory_file import save_trajectory
-from ..identification.adaptation_causes import causes, reason, with_error
-from ..orbit_session import OrbitSession, orbit_session
 from ..recording import Recording, read_recording, write_recording
+from ..sessions.orbit import OrbitSession, orbit_session
 from ..simulation.concealed import load_concealed
 from ..simulation.concealed.from_model import simulated_arm
 from . import common

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..canbus.arm_bus import EXTRAPOLATION
 from ..driver.playback import BRIDGED_ACCELERATION, EASED_ACCELERATION, acceleration_for_stalls
 from ..driver.safety import Margins
@@ -26,12 +27,12 @@ from ..excitation.joint_trajectory import PATH_RATE_HZ, save_joint_trajectory
 from ..excitation.nominal import nominal_model
 from ..excitation.optimise import GENTLE, Excitation, gentle, optimise, optimise_harmonics
 from ..excitation.problem import Problem
-from ..excitation.segments import FloatArray, MotionLimits
+from ..excitation.segments import MotionLimits
 from ..excitation.start_posture import possible_start, room_of
 from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import save_trajectory
 from ..report.excitation_html import excitation_html, write_page
-from ..session import within
+from ..sessions.identification import within
 from . import common
 
 DESCRIPTION = """

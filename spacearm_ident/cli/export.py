@@ -9,13 +9,13 @@ from typing import Any
 from ..dynamics.arm import load_arm
 from ..dynamics.model import IdentifiedModel
 from ..errors import UserError
+from ..estimate.identified import Validation
 from ..export.thresholds import PER_HOUR
 from ..export.write import FORMATS, export_model, read_result, summary, with_drives
 from ..identification.effort import in_newton_metres
-from ..identification.identified import Validation
 from ..identification.validation import validate
-from ..report.provenance import FITTED
-from ..session import ON_OTHERS, corrected
+from ..results.provenance import FITTED
+from ..sessions.identification import ON_OTHERS, corrected
 from . import common
 
 DESCRIPTION = """

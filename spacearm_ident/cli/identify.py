@@ -7,17 +7,16 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ..bag_session import Options, identify_bags
 from ..dynamics.model import FRICTION_LAWS
-from ..identification.counts import counts
+from ..environment.gravity import GRAVITY_CHOICES, VECTOR
+from ..estimate.counts import counts
+from ..estimate.identified import GAIN_DEVIATION, Identified, OptionalTerm, Validation
 from ..identification.coupling_trial import CouplingTrial
-from ..identification.gravity import GRAVITY_CHOICES, VECTOR
-from ..identification.identified import GAIN_DEVIATION, Identified, Validation
-from ..identification.joint_terms import OFFSET
-from ..identification.solvers import SEPARABLE, SOLVERS
 from ..identification.verdict import judge_result
-from ..report.tables import validation_dict
-from ..session import AUTO
+from ..results.tables import validation_dict
+from ..sessions.bags import Options, identify_bags
+from ..sessions.identification import AUTO
+from ..solvers.choice import SEPARABLE, SOLVERS
 from . import common
 
 DESCRIPTION = """
@@ -186,11 +185,10 @@ def _beyond_the_plain_law(identified: Identified) -> list[str]:
     """Lines on the terms that predict held-out data better than Coulomb and viscous friction, the joints of each."""
     joints: dict[str, list[str]] = {}
     for choice in identified.choices:
-        if choice.accepted and not choice.term.startswith(OFFSET):
-            term, _, joint = choice.term.partition(" at ")
-            joints.setdefault(term, []).extend([joint] if joint else [])
+        if choice.accepted and choice.kind not in (None, OptionalTerm.OFFSET):
+            joints.setdefault(choice.kind.words, []).append(choice.joint)
     return [
-        f"in the model, because it predicts held-out data better: {term}" + (f" at {', '.join(at)}" if at else "")
+        f"in the model, because it predicts held-out data better: {term} at {', '.join(at)}"
         for term, at in joints.items()
     ]
 

@@ -15,9 +15,9 @@ from ..layers.document import comparison_document, verdict
 from ..layers.item import REST, Item, Mended
 from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN, to_document
 from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Explanation, Finding
-from ..mismatch_session import explain_session
-from ..session import locked_words
-from ..simulation_session import compare_session, written_by_simulator
+from ..sessions.identification import locked_words
+from ..sessions.mismatch import explain_session
+from ..sessions.simulation import compare_session, written_by_simulator
 from . import common
 
 DESCRIPTION = """

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..commissioning.starter import ARM_FILE, CAN_FILE, NODES_FILE, DataSheet, completed, starter_files
-from ..dynamics.arm import Arm, FloatArray, arm_from_urdf
+from ..dynamics.arm import Arm, arm_from_urdf
 from ..dynamics.meshes import package_folders, resolve_meshes
 from ..dynamics.urdf_chain import Selection, choose_joints, locked
 from ..errors import UserError

@@ -12,7 +12,7 @@ from ..export.payload import Held, find_payload
 from ..export.payload_calls import CALLS, GAIN_CAVEAT
 from ..export.write import read_result
 from ..identification.effort import in_newton_metres
-from ..session import corrected
+from ..sessions.identification import corrected
 from . import common
 
 DESCRIPTION = """

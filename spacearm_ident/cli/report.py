@@ -8,7 +8,7 @@ from typing import Any
 
 from ..report.folder import rewrite_report
 from ..report.index import write_comparison, write_index
-from ..report.store import FIGURES
+from ..results.store import FIGURES
 from . import common
 
 DESCRIPTION = """

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray, load_arm
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm, load_arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..dynamics.rigid_body import RigidBody

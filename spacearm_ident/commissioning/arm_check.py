@@ -11,7 +11,7 @@ import numpy as np
 from ..dynamics.arm import DRIVE_KEYS, Arm, arm_from_description, load_arm
 from ..dynamics.demand import drawn_postures, gravity_torques
 from ..errors import UserError
-from ..identification.consistency import pseudo_inertia
+from ..estimate.consistency import pseudo_inertia
 from .result import CheckResult, fail, ok, warn
 from .yaml_file import empty_keys, read_yaml, to_fill_in
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from .setup import Setup
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
-from ..recording.signals import prepare, require_joints
+from ..signals.prepare import prepare, require_joints
 from .change import Kind
 from .description import compare_description
 from .finding import Alternative, ConventionReport, Finding, Level, merged

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 from scipy.special import log_ndtr
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.regressor import regressor
 
 CAD_SCALES = (0.05, 0.15, 0.5, 1.5)

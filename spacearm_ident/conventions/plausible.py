@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from .rows import Rows
 from .setup import Setup
 

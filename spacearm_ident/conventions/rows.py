@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..errors import UnfitDataError
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 
 MOST_ROWS = 500
 """Rows that a hypothesis is judged on; neighbours at four rows a period of the cut-off tell little beyond these."""

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.regressor import rigid_body_torque
 from .change import PRIOR, Change, Kind, discrete_changes
 from .evidence import (

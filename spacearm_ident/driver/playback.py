@@ -20,7 +20,8 @@ from typing import Final
 
 import numpy as np
 
-from spacearm_ident.driver.safety import TOLERANCE, Fault, FloatArray, Rule
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.driver.safety import TOLERANCE, Fault, Rule
 from spacearm_ident.driver.set_points import SetPointStream
 
 #: Cycles from one target to the next beyond which it is a stall. The arm hardly feels fewer: to set off from rest

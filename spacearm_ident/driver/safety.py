@@ -15,13 +15,10 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spacearm_ident.arrays import BoolArray, FloatArray
 from spacearm_ident.canbus.events import Event, EventKind
 from spacearm_ident.dynamics.arm import Arm
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 #: Share by which set-points may exceed the limits: rounding of differences.
 TOLERANCE: Final = 0.02

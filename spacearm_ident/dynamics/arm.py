@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..documents import parse_yaml, read_text
 from ..errors import UserError
 from ..recording.corrections import Corrections, read_corrections
 from .urdf_chain import locked, mimicking
 
-FloatArray = NDArray[np.float64]
 ARM_SCHEMA = "spacearm_ident/arm/1"
 EARTH = (0.0, 0.0, -9.81)
 

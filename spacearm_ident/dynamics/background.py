@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .arm import Arm, FloatArray
+from ..arrays import FloatArray
+from .arm import Arm
 
 
 @dataclass(frozen=True)

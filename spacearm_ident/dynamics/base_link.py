@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
+from ..arrays import FloatArray
 from ..errors import UserError
-from ..recording.base_motion import moves
 from ..recording.recording import BaseSensor, Recording
-from .arm import Arm, FloatArray
+from ..signals.base_motion import moves
+from .arm import Arm
 
 DISAGREEMENT = 0.3
 """m/s^2 by which an accelerometer at rest may differ from what gravity would make it read."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording.base_motion import BaseMotion
-from ..recording.motion import Motion
-from .arm import FloatArray
+from ..arrays import FloatArray
+from ..signals.base_motion import BaseMotion
+from ..signals.motion import Motion
 from .background import Background
 from .model import TorqueModel
 from .term import Parameter

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 from .arm import Arm, Coupling
 from .background import Background
 from .term import Columns, Parameter, Term, Values

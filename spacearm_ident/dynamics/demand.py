@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from .arm import Arm, FloatArray
+from ..arrays import FloatArray
+from .arm import Arm
 from .urdf_chain import bounded
 
 POSTURES = 300

@@ -24,9 +24,10 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
+from ..arrays import FloatArray
 from ..errors import UserError
-from ..recording.motion import Motion
-from .arm import Arm, FloatArray
+from ..signals.motion import Motion
+from .arm import Arm
 from .background import Background
 from .term import Columns, Constant, Parameter, Term, Values, chosen_joints
 

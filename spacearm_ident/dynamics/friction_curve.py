@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..recording.motion import Motion
-from .arm import FloatArray
+from ..arrays import FloatArray
+from ..signals.motion import Motion
 from .friction import ViscousFriction
 from .model import IdentifiedModel
 

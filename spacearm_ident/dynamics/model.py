@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..errors import UserError
-from ..recording.motion import Motion
-from .arm import Arm, FloatArray
+from ..signals.motion import Motion
+from .arm import Arm
 from .background import Background
 from .coupling import CoupledMotor
 from .effects import EFFECTS, Effect

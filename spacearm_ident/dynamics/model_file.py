@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from ..arrays import FloatArray
 from ..documents import read_text, read_yaml
 from ..errors import UserError
-from .arm import JOINT_KEYS, Arm, FloatArray, arm_from_description
+from .arm import JOINT_KEYS, Arm, arm_from_description
 from .model import IdentifiedModel, Plain, Structure, TorqueModel, Unbounded
 
 MODEL_SCHEMA = "spacearm_ident/model/1"

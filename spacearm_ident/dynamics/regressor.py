@@ -21,8 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording.base_motion import BaseMotion
-from .arm import Arm, FloatArray, Joint
+from ..arrays import FloatArray
+from ..signals.base_motion import BaseMotion
+from .arm import Arm, Joint
 
 INERTIAL_SYMBOLS = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 

@@ -8,8 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..recording.motion import Motion
-from .arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..signals.motion import Motion
+from .arm import Arm
 from .background import Background
 from .regressor import INERTIAL_SYMBOLS, rigid_body_blocks, rigid_body_torque
 from .term import Columns, Parameter, Term, Values, chosen_joints

@@ -14,9 +14,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..errors import UserError
-from ..recording.motion import Motion
-from .arm import Arm, FloatArray
+from ..signals.motion import Motion
+from .arm import Arm
 from .background import Background
 
 Columns = dict[int, tuple[list[int], FloatArray]]
@@ -57,6 +58,11 @@ class Parameter:
     def name(self) -> str:
         """Unique name in a model: `f_c[joint_1]`."""
         return f"{self.symbol}[{self.joint}]"
+
+    @property
+    def held(self) -> bool:
+        """Whether it is held at its prior, not estimated."""
+        return self.scale == 0.0
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.meshes import resolve_meshes
 from ..dynamics.regressor import cross, joint_rotation
 

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..errors import UserError
-from ..recording.motion import Motion as SampledMotion
+from ..signals.motion import Motion as SampledMotion
 from .clearance import Clearance
 from .run import limits_of
 from .segments import Motion, MotionLimits

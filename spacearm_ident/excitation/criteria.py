@@ -19,10 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.base_parameters import base_parameters
 from ..dynamics.model import IdentifiedModel
-from ..recording.motion import Motion as SampledMotion
+from ..signals.motion import Motion as SampledMotion
 from .segments import Motion
 
 CONDITION, SCALED_CONDITION, D_OPTIMAL, PREDICTION = CRITERIA = (
@@ -209,7 +209,7 @@ class Question:
     def of(cls, identified: IdentifiedModel, noise_Nm: FloatArray | None = None) -> Question:
         """Find the base parameters; noise from the torque limits unless given."""
         model = identified.model
-        leads = tuple(k for k in base_parameters(model).independent if model.parameters[k].scale != 0.0)
+        leads = tuple(k for k in base_parameters(model).independent if not model.parameters[k].held)
         if noise_Nm is None:
             limits = np.array([joint.effort_limit for joint in model.arm.joints])
             known = limits[np.isfinite(limits)]

@@ -15,7 +15,7 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 
 Function = Callable[[FloatArray], tuple[float, FloatArray]]
 """z (n, m) -> value (may be infinite) and gradient (n, m)."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .descent import Function
 from .optimise import SHRINK, STAGES, Excitation, Progress, check_start, draw_feasible, finish, known_point
 from .problem import Problem

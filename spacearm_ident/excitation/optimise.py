@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..errors import UserError
 from .constraints import Margin, broken, check, require
 from .criteria import CRITERIA, D_OPTIMAL, PREDICTION, Information

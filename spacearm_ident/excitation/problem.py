@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .constraints import Requirements
 from .criteria import CONDITION, PREDICTION, SCALED_CONDITION, Information, Question, smooth_criterion
 from .descent import Function

@@ -21,7 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray, Joint
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm, Joint
 from ..dynamics.regressor import cross
 from .segments import Motion
 

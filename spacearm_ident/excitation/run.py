@@ -18,16 +18,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..errors import UserError
-from .trajectory import (
-    FloatArray,
-    FourierTrajectory,
-    Motion,
-    MotionLimits,
-    Quintic,
-    Trajectory,
-)
+from .trajectory import FourierTrajectory, Motion, MotionLimits, Quintic, Trajectory
 
 State = Literal["approach", "running", "returning", "stopping", "done"]
 

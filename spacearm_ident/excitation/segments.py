@@ -15,9 +15,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.errors import UserError
-
-FloatArray = NDArray[np.float64]
 
 _LONGEST_MOVE_S = 120.0
 _MOVE_POINTS = 401

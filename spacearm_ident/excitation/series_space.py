@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .segments import Motion, MotionLimits
 from .trajectory import FourierTrajectory
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.rigid_body import RigidBody
 from .criteria import Question
@@ -51,9 +51,9 @@ class SmoothColumns:
         first = next((first for term, first, _ in model.numbered() if isinstance(term, RigidBody)), None)
         numbers = np.empty((0, 10), int) if first is None else first + np.arange(10 * len(links)).reshape(-1, 10)
         self._leading = [int(k) for k in numbers.ravel() if k in question.leads]
-        self._inertials = np.zeros((len(links), 10)) if first is None else question.identified.parameters[numbers]
+        self.inertials = np.zeros((len(links), 10)) if first is None else question.identified.parameters[numbers]
         self._numbers = numbers
-        self._own, self.leads = _own_columns(question, softness, self._leading)
+        self.own_columns, self.leads = _own_columns(question, softness, self._leading)
         self.size = len(self.leads)
 
     def at(self, motion: Motion, counted: int | None = None) -> Evaluated:
@@ -63,12 +63,12 @@ class SmoothColumns:
         counted = counted or samples
         block = regressor.columns()
         columns = np.zeros((self.size, joints, counted))
-        taken, put = self._places(regressor)
+        taken, put = self.places(regressor)
         columns.reshape(-1, counted)[put] = block.reshape(-1, samples)[taken, :counted]
-        by_pair = np.einsum("pkt,kp->kt", block, self._inertials[regressor.links])
+        by_pair = np.einsum("pkt,kp->kt", block, self.inertials[regressor.links])
         torque = (np.arange(joints)[:, None] == regressor.rows).astype(float) @ by_pair
         slopes = []
-        for own in self._own:
+        for own in self.own_columns:
             column, slope = own.shape(getattr(motion, own.signal)[:, own.joint])
             if own.slot is not None:
                 columns[own.slot, own.joint] = column[:counted]
@@ -76,7 +76,7 @@ class SmoothColumns:
             slopes.append(slope)
         return Evaluated(self, regressor, columns, torque.T, slopes)
 
-    def _places(self, regressor: DifferentiableRegressor) -> tuple[np.ndarray, np.ndarray]:
+    def places(self, regressor: DifferentiableRegressor) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the regressor's columns (10 K, T) that lead, and their rows in `Evaluated.columns` (b n, T)."""
         if self._placed is None:
             joints, pairs = len(self._arm.joints), len(regressor.rows)
@@ -122,11 +122,11 @@ class Evaluated:
         rows, links = self.regressor.rows, self.regressor.links
         adjoint = np.zeros((10, len(rows), samples))
         if by_torque is not None:
-            np.multiply(self.source._inertials[links].T[:, :, None], by_torque.T[rows], out=adjoint)
-        taken, put = self.source._places(self.regressor)
+            np.multiply(self.source.inertials[links].T[:, :, None], by_torque.T[rows], out=adjoint)
+        taken, put = self.source.places(self.regressor)
         adjoint.reshape(-1, samples)[taken, :counted] += bars.reshape(-1, counted)[put]
         out = self.regressor.back(adjoint)
-        for own, own_slope in zip(self.source._own, self.slopes):
+        for own, own_slope in zip(self.source.own_columns, self.slopes):
             change = np.zeros(samples) if by_torque is None else own.value * by_torque[:, own.joint]
             if own.slot is not None:
                 change[:counted] += bars[own.slot, own.joint]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.demand import drawn_postures
 from .constraints import Requirements, model_torque
 from .segments import Motion

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 
 from spacearm_ident.errors import UserError
 
-from .segments import FloatArray, Motion, MotionLimits, Quintic, Rest, Segment, still
+from ..arrays import FloatArray
+from .segments import Motion, MotionLimits, Quintic, Rest, Segment, still
 
 __all__ = [
     "FloatArray",

@@ -28,9 +28,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.documents import read_yaml, write_whole
 from spacearm_ident.errors import UserError, one_line
-from spacearm_ident.excitation.segments import Chirp, Cruise, FloatArray, Motion, Quintic, Rest, Segment
+from spacearm_ident.excitation.segments import Chirp, Cruise, Motion, Quintic, Rest, Segment
 from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
 
 SCHEMA = "spacearm_ident/trajectory/1"

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..layers.item import Strayed
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 
 BANDWIDTH_HZ = 2.0
 """Of the feedback, critically damped for a joint's own inertia: an arm whose gravity is wrong stays near its motion."""

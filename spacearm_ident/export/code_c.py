@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .controller import JOINT_NUMBERS, ZERO_SPEED, ControlLaw
 from .template import filled, identifier
 from .thresholds import Thresholds

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.coupling import CoupledMotor
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
-from ..recording.motion import Motion
-from ..report.formats import CODE, lost_in_code
+from ..results.formats import CODE, lost_in_code
+from ..signals.motion import Motion
 from .law import SIMPLE_TERMS, SLOW_SHARE, Nearest, possible
 
 JOINT_NUMBERS = ("J_m", "k_1", "offset", "f_c", "f_b", "v_b", "mu", "k_v1", "k_v2_even", "k_v2_odd", "k_v3", "fastest")

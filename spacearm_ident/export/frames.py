@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..dynamics.arm import Arm, FloatArray, Joint
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm, Joint
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..errors import UserError

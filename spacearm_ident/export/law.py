@@ -18,12 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.coupling import CoupledMotor
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.rigid_body import JointSpring, RotorInertia, TorqueOffset
-from ..recording.motion import Motion
-from ..report.formats import ARMATURE, DAMPING, FRICTION, PARTS, RIGID, STIFFNESS, Format, lost_words
+from ..results.formats import ARMATURE, DAMPING, FRICTION, PARTS, RIGID, STIFFNESS, Format, lost_words
+from ..signals.motion import Motion
 
 SLOW_SHARE = 0.02
 """Rows slower than this share of a joint's top speed stand still: friction there is whatever balances the rest, and no

@@ -15,9 +15,9 @@ import numpy as np
 
 from ..dynamics.model import IdentifiedModel
 from ..layers.item import Mended
-from ..recording.motion import Motion
-from ..report.formats import ARMATURE, DAMPING, FRICTION, MJCF, SDF, STIFFNESS, URDF
-from ..report.urdf import identified_urdf
+from ..results.formats import ARMATURE, DAMPING, FRICTION, MJCF, SDF, STIFFNESS, URDF
+from ..results.urdf import identified_urdf
+from ..signals.motion import Motion
 from ..simulations import Simulation
 from ..simulations.mjcf import mujoco_or_error
 from .closed_loop import follow

@@ -7,7 +7,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
-from ..report.formats import ARMATURE, DAMPING, FRICTION, STIFFNESS
+from ..results.formats import ARMATURE, DAMPING, FRICTION, STIFFNESS
 from .frames import Body, bodies_of, children_of, quaternion, words
 from .law import Nearest
 

@@ -6,11 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.friction_curve import STEADY_HZ
 from ..dynamics.model import IdentifiedModel
-from ..identification.identified import Trace, Validation
-from ..recording.motion import Motion
+from ..estimate.identified import Trace, Validation
+from ..signals.motion import Motion
 
 SWEEP_S, SWEEP_HZ = 40.0, 100.0
 """Length and rate of the sweep that stands in for a recorded motion, s and Hz."""

@@ -16,15 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import rigid_body_blocks
 from ..errors import UnfitDataError, UserError
-from ..identification.consistency import pseudo_inertia
-from ..identification.weights import residual_noise
-from ..recording.motion import Motion
+from ..estimate.consistency import pseudo_inertia
+from ..noise.weights import residual_noise
 from ..recording.recording import Recording
-from ..recording.signals import prepare
+from ..signals.motion import Motion
+from ..signals.prepare import prepare
 from .frames import inertia_about_centre
 
 INERTIA_SD = 0.2

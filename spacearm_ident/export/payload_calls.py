@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .payload import Held
 
 GAIN_CAVEAT = (

@@ -7,7 +7,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
-from ..report.formats import DAMPING, FRICTION, STIFFNESS
+from ..results.formats import DAMPING, FRICTION, STIFFNESS
 from .frames import Body, bodies_of, rpy, words
 from .law import Nearest
 

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .controller import JOINT_NUMBERS, ZERO_SPEED, ControlLaw
 
 

@@ -26,9 +26,9 @@ import numpy as np
 import yaml
 from scipy.stats import chi2
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..errors import UnfitDataError
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 from .controller import ControlLaw
 from .law import SLOW_SHARE
 

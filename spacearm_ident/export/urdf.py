@@ -5,8 +5,8 @@ from __future__ import annotations
 from xml.sax.saxutils import quoteattr
 
 from ..dynamics.model import IdentifiedModel
-from ..report.formats import DAMPING, FRICTION
-from ..report.urdf import identified_urdf
+from ..results.formats import DAMPING, FRICTION
+from ..results.urdf import identified_urdf
 from .law import Nearest
 
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..recording.tables.optional import optional
-from ..report.formats import ARMATURE, DAMPING, FRICTION
+from ..results.formats import ARMATURE, DAMPING, FRICTION
 from .frames import Body, bodies_of, quaternion
 from .law import Nearest
 

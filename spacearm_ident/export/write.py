@@ -11,10 +11,10 @@ from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..errors import UnfitDataError, UserError
-from ..identification.identified import Validation
-from ..recording.motion import Motion
-from ..report.formats import MJCF, SDF, URDF, USD, Format
-from ..report.store import FIGURES, MODEL, load_result
+from ..estimate.identified import Validation
+from ..results.formats import MJCF, SDF, URDF, USD, Format
+from ..results.store import FIGURES, MODEL, load_result
+from ..signals.motion import Motion
 from .code_c import c_code
 from .code_casadi import casadi_code
 from .code_numpy import numpy_code

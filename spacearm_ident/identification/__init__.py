@@ -1,1 +1,1 @@
-"""From prepared motions to parameters: solver, weights, uncertainty, physical consistency, validation."""
+"""From prepared motions to an identified model: fit, structure, cross-checks, validation, verdict."""

@@ -16,16 +16,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, Plain, Unbounded
+from ..estimate.consistency import make_consistent
+from ..regression.held_out import BEYOND, FEWEST_BLOCKS, folds_of, t_of_drop, time_blocks
+from ..regression.prior import Prior
+from ..regression.regression import Regression
+from ..solvers.solution_columns import columns_at
 from .block_grams import BlockGrams
-from .consistency import make_consistent
 from .fit import Fit
-from .held_out import BEYOND, FEWEST_BLOCKS, folds_of, t_of_drop, time_blocks
 from .plain import plain_fit
-from .prior import Prior
-from .regression import Regression
-from .solution_columns import columns_at
 
 CONSISTENT, UNBOUNDED, PLAIN = range(3)
 """Numbers of the three candidates in every array of this module."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
 
-from ..dynamics.arm import FloatArray
-from .held_out import time_blocks
-from .prior import Prior
-from .regression import Regression
-from .solution_columns import columns_at
+from ..arrays import FloatArray
+from ..regression.held_out import time_blocks
+from ..regression.prior import Prior
+from ..regression.regression import Regression
+from ..solvers.solution_columns import columns_at
 
 
 class BlockGrams:

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from ..dynamics.arm import Arm, Coupling
 from ..dynamics.model import structure_of
 from ..errors import UserError
+from ..estimate.identified import JointValidation, Validation
 from ..recording.recording import Recording
-from .identified import JointValidation, Validation
 from .identify import Settings, identify
 from .validation import validate
 from .verdict import GOOD

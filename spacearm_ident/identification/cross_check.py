@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..recording.recording import Recording
-from ..recording.signals import prepare
+from ..regression.regression import Regression
+from ..signals.prepare import prepare
+from ..solvers.solution_columns import residuals_of
 from . import instrumental, output_error
 from .comparison import compare
 from .fit import Fit, covariance_of, refitted, revealed
-from .regression import Regression
-from .solution_columns import residuals_of
 
 
 def fit_instrumental(known: Fit, recordings: Sequence[Recording], cutoff_hz: float) -> Fit:

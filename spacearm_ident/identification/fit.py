@@ -10,21 +10,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.base_parameters import BaseParameters, base_parameters
 from ..dynamics.model import TorqueModel
-from ..recording.motion import Motion
-from ..recording.signals import require_torque
-from . import pso_lm
-from .between import friction_shifts
-from .environment import GRAVITY_SCALE
-from .prior import Prior, make_prior
-from .regression import Regression
-from .separable import PRESENCE_GATE, Solution, solve, system, without_constants
-from .solution_columns import all_columns, residuals_of
-from .solvers import Search
-from .uncertainty import covariance
-from .weights import Noise, reweight
+from ..estimate.environment import GRAVITY_SCALE
+from ..noise.between import friction_shifts
+from ..noise.uncertainty import covariance
+from ..noise.weights import Noise, reweight
+from ..regression.prior import Prior, make_prior
+from ..regression.regression import Regression
+from ..signals.motion import Motion
+from ..signals.prepare import require_torque
+from ..solvers import pso_lm
+from ..solvers.choice import Search
+from ..solvers.separable import PRESENCE_GATE, Solution, solve, system, without_constants
+from ..solvers.solution_columns import all_columns, residuals_of
 
 REWEIGHTINGS = 2
 

@@ -13,7 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..bayes.from_prior import GroundPrior
+from ..bayes.updated import identify_from_prior
+from ..dynamics.arm import Arm
 from ..dynamics.base_link import base_notes, placed
 from ..dynamics.model import (
     IdentifiedModel,
@@ -22,28 +25,27 @@ from ..dynamics.model import (
     over_temperature,
     structure_of,
 )
+from ..environment.gravity import require_gravity_choice
+from ..environment.momentum import base_body
+from ..environment.weighing import Weighing
 from ..errors import UnfitDataError, UserError
-from ..recording.motion import Motion
+from ..estimate.consistency import make_consistent
+from ..estimate.determination import judge, open_ended
+from ..estimate.environment import Environment, GravityEstimate, judge_vacuum, without_temperature
+from ..estimate.identified import Choice, Identified
 from ..recording.recording import Recording
-from ..recording.signals import prepare, require_joints
-from . import output_error, pso_lm
+from ..signals.motion import Motion
+from ..signals.prepare import prepare, require_joints
+from ..solvers import pso_lm
+from ..solvers.choice import CLOE, IDIM_IV, LEAST_SQUARES, PSO_LM, SEEDED, SEPARABLE, require_solver, search_of
+from ..solvers.separable import Solution, system
+from . import output_error
 from .blend import blend_notes, blended
-from .consistency import make_consistent
 from .cross_check import fit_instrumental, fit_output_error
-from .determination import judge, open_ended
-from .environment import Environment, GravityEstimate, judge_vacuum, without_temperature
 from .fit import Fit, covariance_of, fit_as_published, fit_model, freedom, revealed
-from .from_prior import GroundPrior
-from .gravity import require_gravity_choice
-from .identified import Choice, Identified
-from .momentum import base_body
-from .separable import Solution, system
-from .solvers import CLOE, IDIM_IV, LEAST_SQUARES, PSO_LM, SEEDED, SEPARABLE, require_solver, search_of
 from .structure import choose_structure
 from .torque_gain import assumed_covariance, gain_shifts, with_gain
-from .updated import identify_from_prior
 from .weighed import TorqueGains
-from .weighing import Weighing
 
 Progress = Callable[[float, str], None]
 
@@ -262,7 +264,7 @@ def static_as_coulomb(model: TorqueModel, parameters: FloatArray) -> FloatArray:
     """Parameters (p,) with f_b = f_c at every joint whose friction has no Stribeck term; it changes no torque."""
     filled, places = parameters.copy(), {parameter.name: k for k, parameter in enumerate(model.parameters)}
     for k, parameter in enumerate(model.parameters):
-        if parameter.symbol == "f_b" and parameter.scale == 0.0:
+        if parameter.symbol == "f_b" and parameter.held:
             filled[k] = parameters[places[f"f_c[{parameter.joint}]"]]
     return filled
 

@@ -23,15 +23,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..errors import UnfitDataError
-from ..recording.motion import Motion
 from ..recording.recording import Recording
-from ..recording.signals import prepare
-from .prior import Prior
-from .regression import Regression
-from .separable import Solution
-from .solution_columns import all_columns
+from ..regression.prior import Prior
+from ..regression.regression import Regression
+from ..signals.motion import Motion
+from ..signals.prepare import prepare
+from ..solvers.separable import Solution
+from ..solvers.solution_columns import all_columns
 
 
 def halves(recording: Recording) -> tuple[Recording, Recording]:

@@ -13,17 +13,6 @@ from typing import Any
 from ..dynamics.friction import StribeckFriction, ViscousFriction
 from ..dynamics.model import Structure
 
-OFFSET = "constant torque offset"
-WORDS = {
-    "offset": f"{OFFSET} at {{}}",
-    "stribeck": "Stribeck friction (f_b, v_b) at {}",
-    "presliding": "presliding friction (d_s) at {}",
-    "load": "friction that grows with the load at {}",
-    "even": "quadratic friction k_v2 qd^2 at {}",
-    "odd": "quadratic friction k_v2 qd |qd| at {}",
-    "cubic": "cubic friction k_v3 qd^3 at {}",
-}
-
 
 @dataclass(frozen=True)
 class JointTerms:
@@ -72,7 +61,7 @@ class JointTerms:
 
     @property
     def terms(self) -> frozenset[str]:
-        """Names of its terms, keys of `WORDS`."""
+        """Names of its terms, values of `OptionalTerm`."""
         flags = {name for name in ("offset", "stribeck", "presliding", "load", "cubic") if getattr(self, name)}
         return frozenset(flags | ({self.quadratic} if self.quadratic else set()))
 

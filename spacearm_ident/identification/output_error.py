@@ -21,18 +21,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.model import Structure
 from ..errors import UserError
-from ..recording.motion import Motion
+from ..estimate.consistency import make_consistent
 from ..recording.recording import Recording
-from ..recording.signals import prepare
-from .consistency import make_consistent
-from .prior import Prior
+from ..regression.prior import Prior
+from ..regression.regression import Regression
+from ..signals.motion import Motion
+from ..signals.prepare import prepare
+from ..solvers.separable import Solution, solve_linear, system
 from .recorded_loop import RECORDED_SHARE, RecordedLoop
-from .regression import Regression
-from .separable import Solution, solve_linear, system
 
 FIRST_BANDWIDTH_HZ = 20.0
 """Of all loops, before they are matched; position loops of arms have 2 to 50 Hz."""
@@ -139,11 +139,7 @@ def _alike(motions: Sequence[Motion], known: Sequence[Motion]) -> list[Motion]:
 
 def _on_rows(regression: Regression, motions: Sequence[Motion], moving: Sequence[np.ndarray]) -> Regression:
     """A regression on other motions and fewer rows, each with the weight it has in the known one."""
-    fewer = []
-    for motion, rows in zip(motions, moving):
-        made = replace(motion)
-        made.__dict__["moving"] = rows  # where a cached property keeps its value
-        fewer.append(made)
+    fewer = [replace(motion, given_moving=rows) for motion, rows in zip(motions, moving)]
     result = Regression(regression.model, fewer)
     for joint, known in enumerate(regression.rows):
         kept = np.concatenate([rows[own.moving[:, joint], joint] for rows, own in zip(moving, regression.motions)])

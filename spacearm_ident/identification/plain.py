@@ -14,13 +14,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.model import FRICTION_LAWS, Structure, TorqueModel
+from ..regression.prior import Prior, make_prior
+from ..regression.regression import Regression
+from ..solvers.separable import Solution, solve_linear
+from ..solvers.solution_columns import residuals_of
 from .fit import Fit
-from .prior import Prior, make_prior
-from .regression import Regression
-from .separable import Solution, solve_linear
-from .solution_columns import residuals_of
 
 WEIGHTINGS = 3
 """Solutions in turn, each under the weights that the residual of the one before shows; the change from the third to the

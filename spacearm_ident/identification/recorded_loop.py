@@ -23,7 +23,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.friction import StribeckFriction
 from ..dynamics.model import TorqueModel
 from ..recording.recording import Recording

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import welch
 
-from ..dynamics.arm import FloatArray
-from ..recording.motion import Motion
-from .identified import Spectrum
+from ..arrays import FloatArray
+from ..estimate.identified import Spectrum
+from ..signals.motion import Motion
 
 WINDOW_S = 4.0
 """Length of Welch's windows, s: resolves 0.25 Hz, a twentieth of the lowest bandwidth of a fit."""

@@ -25,12 +25,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.coupling import CoupledMotor
 from ..dynamics.friction import StribeckFriction
 from ..dynamics.model import TorqueModel
 from ..dynamics.rigid_body import RigidBody, RotorInertia
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 
 INERTIA_EVERY_S = 0.02
 """How often along the reference the inertia is computed."""

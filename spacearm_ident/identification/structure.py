@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.friction import LARGEST_LOAD_SHARE
 from ..dynamics.model import Structure
+from ..estimate.identified import Choice, OptionalTerm
+from ..regression.held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, gain, predicts_better, t_of_all, t_of_drop
 from .fit import Fit
-from .held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, gain, predicts_better, t_of_all, t_of_drop
-from .identified import Choice
-from .joint_terms import WORDS, JointTerms, structure_with
+from .joint_terms import JointTerms, structure_with
 from .trials import Trials
 
 ROUNDS = 12
@@ -76,9 +76,15 @@ def choose_structure(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
         if possible and predicts_better(trials.held_out(laws), trials.held_out(reduced)):
             laws, evidence = reduced, against
     choices = tuple(
-        Choice(WORDS[name].format(joint), float(evidence.get((number, name), 0.0)), name in laws[number].terms)
+        Choice(
+            term=f"{name.words} at {joint}",
+            gain=float(evidence.get((number, name), 0.0)),
+            accepted=name in laws[number].terms,
+            kind=name,
+            joint=joint,
+        )
         for number, joint in enumerate(joints)
-        for name in WORDS
+        for name in OptionalTerm
         if name in laws[number].terms or (number, name) in evidence
     )
     return structure_with(fit.regression.model.structure, joints, laws, fastest.tolist()), choices

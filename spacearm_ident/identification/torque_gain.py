@@ -20,10 +20,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
+from ..estimate.identified import GAIN_DEVIATION, Determination, Estimate
+from ..solvers.solution_columns import all_columns
 from .fit import Fit
-from .identified import GAIN_DEVIATION, Determination, Estimate
-from .solution_columns import all_columns
 
 
 def gain_shifts(fit: Fit, matrix: FloatArray) -> FloatArray:

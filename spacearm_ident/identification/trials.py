@@ -13,15 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.friction import StribeckFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
+from ..noise.weights import common_correlation
+from ..regression.held_out import folds_of, time_blocks
+from ..regression.prior import make_prior
+from ..regression.regression import Regression
 from .fit import Fit
-from .held_out import folds_of, time_blocks
 from .joint_terms import JointTerms
-from .prior import make_prior
-from .regression import Regression
-from .weights import common_correlation
 
 SETTLING = 3
 """Rounds in which the weights of the joints follow their residuals."""

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.base_link import placed
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
-from ..recording.motion import Motion
+from ..estimate.identified import Fit, JointValidation, LackOfFit, Trace, Validation
+from ..noise.weights import residual_noise
 from ..recording.recording import Recording
-from ..recording.signals import prepare
-from .identified import Fit, JointValidation, LackOfFit, Trace, Validation
+from ..signals.motion import Motion
+from ..signals.prepare import prepare
 from .residual_spectrum import residual_spectrum
-from .weights import residual_noise
 
 HOLD_OUT = 1.0 / 3.0
 SHORTEST_HOLD_OUT_S = 2.0

@@ -17,9 +17,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.friction_curve import friction_curve, friction_error, viscosity
-from .identified import Determination, Estimate, Identified, JointValidation, Trace, Validation
+from ..estimate.identified import Determination, Estimate, Identified, JointValidation, Trace, Validation
 
 GOOD, FAIR = 0.10, 0.25
 """Residual RMS over torque RMS of a moving joint up to which its fit is good, or fair; ratio. Ours: a tenth is what

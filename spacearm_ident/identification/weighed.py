@@ -23,20 +23,21 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import least_squares
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.model import TorqueModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..errors import UnfitDataError, UserError
-from ..recording.motion import Motion
+from ..estimate.identified import GAIN_DEVIATION
+from ..noise.weights import common_correlation, residual_noise
 from ..recording.recording import Recording
-from ..recording.signals import prepare
-from .identified import GAIN_DEVIATION
+from ..regression.prior import make_prior
+from ..regression.regression import Regression
+from ..signals.motion import Motion
+from ..signals.prepare import prepare
+from ..solvers.solution_columns import columns_at
 from .plain import plain_structure
-from .prior import make_prior
-from .regression import Regression
-from .solution_columns import columns_at
 from .torque_gain import assumed_covariance
-from .weights import common_correlation, residual_noise
 
 GAIN_BEFORE = 0.5
 """Standard deviation of a gain about 1 before the data: factors of 0.5 to 2 have been seen (AIRBOT 0.5 and 0.56)."""

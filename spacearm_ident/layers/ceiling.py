@@ -14,9 +14,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
-from ..dynamics.arm import FloatArray
-from ..identification.held_out import FOLDS
-from ..recording.motion import Motion
+from ..arrays import FloatArray
+from ..regression.held_out import FOLDS
+from ..signals.motion import Motion
 
 MOST_ROWS = 1200
 """Rows that the regression is fitted to, evenly spaced: its cost grows with their cube."""

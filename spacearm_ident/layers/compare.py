@@ -19,7 +19,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import norm
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
 from ..errors import UnfitDataError
 from ..identification.identify import Settings, identify
@@ -29,8 +30,8 @@ from ..mismatch.happened import voided
 from ..mismatch.integrity import faults
 from ..mismatch.preparation import banded, cut_offs
 from ..mismatch.rivals import UNKNOWN
-from ..recording.motion import Motion
 from ..recording.recording import Recording
+from ..signals.motion import Motion
 from ..simulations import Simulation
 from .comparison import Comparison
 from .conventions import Suspicion, find_wiring, without_columns

@@ -20,14 +20,14 @@ import numpy as np
 from scipy.special import expit, logsumexp
 from scipy.stats import chi2
 
+from ..arrays import FloatArray
 from ..conventions.evidence import CAD_SCALES, inertial_belief
 from ..conventions.evidence import GAIN_SD as ORDINARY_GAIN_SD
-from ..dynamics.arm import FloatArray
 from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..mismatch.noise import weighted
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 from .linear import Linear, Prior, Solution, weak_prior
 from .parameters import OFF, ROTOR_SHARE
 from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint

@@ -14,15 +14,16 @@ from typing import Final
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..conventions.change import Change, Kind
 from ..conventions.rows import MOST_ROWS, rows_of
 from ..conventions.search import Court, search
 from ..conventions.setup import Setup
 from ..conventions.words import joint_names, statement
-from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.arm import Arm
 from ..recording.corrections import Corrections, JointCorrection
 from ..recording.recording import Recording
-from ..recording.signals import prepare
+from ..signals.prepare import prepare
 from ..simulations.simulation import ARMATURE, DAMPING, FRICTION, Simulation
 
 DISCRETE = frozenset(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..mismatch.document import EXTENDED_MODEL, smallest_size, to_document
 from ..mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH, unfit
 from .comparison import Comparison

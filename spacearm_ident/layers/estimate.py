@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .linear import Linear, Prior, Solution
 
 LEVEL = 0.05

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 
 CONVENTIONS, PARAMETERS, PHYSICS, REST = "conventions", "parameters", "physics", "rest"
 """The layers, in the order in which an engineer would look."""

@@ -12,15 +12,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import norm
 
+from ..arrays import FloatArray
 from ..conventions.evidence import inertial_belief
-from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel, TorqueModel
-from ..identification.consistency import make_consistent
-from ..identification.held_out import folds_of, predicts_better
-from ..identification.prior import make_prior
+from ..estimate.consistency import make_consistent
 from ..mismatch.noise import weighted
 from ..mismatch.scene import Whitener, one_way
-from ..recording.motion import Motion
+from ..regression.held_out import folds_of, predicts_better
+from ..regression.prior import make_prior
+from ..signals.motion import Motion
 from ..simulations import Simulation
 from .ceiling import black_box, inputs_of
 from .comparison import Trace

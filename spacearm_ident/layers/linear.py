@@ -18,15 +18,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.regressor import rigid_body_torque
 from ..dynamics.term import Columns
-from ..identification.held_out import time_blocks
-from ..identification.prior import make_prior
 from ..mismatch.noise import Noise
 from ..mismatch.scene import Scene, Whitener
-from ..recording.motion import Motion
+from ..regression.held_out import time_blocks
+from ..regression.prior import make_prior
+from ..signals.motion import Motion
 from .wiring import Wiring, column_names, gravity_torque
 
 STATE_GROUPS = 6

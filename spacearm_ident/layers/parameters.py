@@ -19,7 +19,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.stats import chi2, norm
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.base_parameters import base_parameters
 from ..dynamics.model import TorqueModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
@@ -154,7 +155,7 @@ def _own(linear: Linear, simulation: Simulation) -> list[Change]:
     """Damping, friction and stiffness, joint by joint."""
     was, found = simulation.values, []
     for number, parameter in enumerate(linear.model.model.parameters):
-        if parameter.symbol in OWN and parameter.name in was and parameter.scale != 0.0:
+        if parameter.symbol in OWN and parameter.name in was and not parameter.held:
             vector = np.zeros(linear.count)
             vector[number] = 1.0
             word = simulation.word(parameter.symbol)

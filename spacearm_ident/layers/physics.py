@@ -17,8 +17,8 @@ from ..dynamics.arm import Arm
 from ..dynamics.effects import Effect
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..dynamics.term import Parameter
+from ..estimate.identified import Choice
 from ..identification.fit import Fit
-from ..identification.identified import Choice
 from ..mismatch.explain import explain
 from ..mismatch.finding import Explanation, Finding
 from ..mismatch.rivals import UNKNOWN
@@ -202,4 +202,4 @@ def _free(model: TorqueModel) -> list[tuple[Parameter, bool]]:
     """Parameters, and whether each may have a value of its own; the static level only where there is a v_b."""
     stribeck = model.structure.get("stribeck_friction", {}).get("stribeck", True)
     joints = model.arm.joint_names if stribeck is True else stribeck or ()
-    return [(p, p.scale != 0.0 and (p.symbol != "f_b" or p.joint in joints)) for p in model.parameters]
+    return [(p, not p.held and (p.symbol != "f_b" or p.joint in joints)) for p in model.parameters]

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import rigid_body_torque
 from ..recording.corrections import Corrections, JointCorrection
-from ..recording.motion import Motion
 from ..recording.recording import Recording
+from ..signals.motion import Motion
 
 GAIN, ZERO, DELAY, TILT = "gain", "zero", "delay", "tilt"
 """Kinds of what may be off; a column is called `gain[JOINT]`, `zero[JOINT]`, `delay` or `tilt[AXIS]`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..errors import UserError
 from ..recording.log_mapping import TIME_UNITS
 from .groups import Clock

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.effort_limit import BEYOND_TORQUE
 from ..errors import UserError
 from ..recording.log_mapping import CURRENT_UNITS, TORQUE_UNITS, UNITS

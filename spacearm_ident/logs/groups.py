@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..recording.tables import Table
 from .signals import steps_s
 from .words import INDEX, OTHER, TIME, Meaning, meaning_of

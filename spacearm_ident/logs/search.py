@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..errors import UnfitDataError, UserError
 from ..recording.log_mapping import UNITS, LogMapping
 from ..recording.tables import Table

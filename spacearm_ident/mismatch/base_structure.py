@@ -15,14 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lstsq
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
+from ..estimate.identified import Choice, OptionalTerm
 from ..identification.fit import Fit
-from ..identification.identified import Choice
-from ..identification.prior import make_prior
-from ..identification.regression import Regression
-from ..identification.separable import Solution, system
+from ..regression.prior import make_prior
+from ..regression.regression import Regression
+from ..solvers.separable import Solution, system
 
 RESISTS = "quadratic friction that resists in both directions (qd |qd| instead of qd^2)"
 GATE = 30.0
@@ -34,10 +34,16 @@ a column too many costs more on other motions than one too few."""
 class _Option:
     """One thing that may join the model: its columns, those it replaces, and how the structure says so."""
 
-    words: str
+    kind: OptionalTerm
+    joint: str
     adds: frozenset[str]
     drops: frozenset[str]
     apply: Callable[[Structure], Structure]
+
+    def judged(self, gain: float, accepted: bool) -> Choice:
+        """As a decision with its evidence."""
+        words = f"{self.kind.words} at {self.joint}" if self.joint else RESISTS
+        return Choice(words, gain, accepted, self.kind, self.joint)
 
 
 def choose_base(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
@@ -73,10 +79,10 @@ def choose_base(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
         gains = [current - cost((active - option.drops) | option.adds, option.adds) for option in pending]
         best = int(np.argmax(gains))
         if gains[best] < GATE:
-            choices += [Choice(option.words, gain, False) for option, gain in zip(pending, gains)]
+            choices += [option.judged(gain, False) for option, gain in zip(pending, gains)]
             break
         option = pending.pop(best)
-        choices.append(Choice(option.words, gains[best], True))
+        choices.append(option.judged(gains[best], True))
         active = (active - option.drops) | option.adds
         structure, current = option.apply(structure), current - gains[best]
     return structure, tuple(choices)
@@ -86,7 +92,8 @@ def _options(model: TorqueModel) -> list[_Option]:
     joints = model.arm.joint_names
     options = [
         _Option(
-            f"friction that grows with the load at {joint}",
+            OptionalTerm.LOAD,
+            joint,
             frozenset({f"mu[{joint}]"}),
             frozenset(),
             _joint_adder("stribeck_friction", "load", joint),
@@ -95,7 +102,8 @@ def _options(model: TorqueModel) -> list[_Option]:
     ]
     options += [
         _Option(
-            f"constant torque offset at {joint}",
+            OptionalTerm.OFFSET,
+            joint,
             frozenset({f"offset[{joint}]"}),
             frozenset(),
             _joint_adder("torque_offset", "joints", joint),
@@ -105,7 +113,8 @@ def _options(model: TorqueModel) -> list[_Option]:
     even, odd = ({f"{symbol}[{joint}]" for joint in joints} for symbol in ("k_v2", ViscousFriction.ODD))
     options.append(
         _Option(
-            RESISTS,
+            OptionalTerm.ODD,
+            "",
             frozenset(odd),
             frozenset(even),
             lambda structure: {**structure, "viscous_friction": {"quadratic": "odd"}},

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .competition import Outcome
 from .evidence import Evidence
 from .finding import Alternative, Finding, Quantity

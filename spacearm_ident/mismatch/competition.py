@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from .constants import grid_points, polish, refine, search

@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from ..dynamics.term import Values
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 from .evidence import Candidate, Evidence
 
 REFINEMENTS, REACHES = 10, 6

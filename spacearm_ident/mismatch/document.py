@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .finding import Detectable, Explanation, Finding
 
 SCHEMA = "spacearm_ident/mismatch/1"

@@ -15,12 +15,12 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Values
-from ..identification.prior import make_prior
-from ..recording.motion import Motion
+from ..regression.prior import make_prior
+from ..signals.motion import Motion
 from .scene import Scene, quiet
 from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, sharpness, stacked_effect
 from .turning import learnt
@@ -63,7 +63,7 @@ class Candidate:
     @property
     def held(self) -> np.ndarray:
         """(k,) whether a parameter is held at its prior."""
-        return np.array([parameter.scale == 0.0 for parameter in self.effect.parameters])
+        return np.array([parameter.held for parameter in self.effect.parameters])
 
     @cached_property
     def energy(self) -> FloatArray:
@@ -168,7 +168,7 @@ class Evidence:
         """
         model, fitted = self.base.model, self.healthy.base_parameters([], np.zeros(0))
         count = len(model.parameters)
-        held = np.array([parameter.scale == 0.0 for parameter in model.parameters])
+        held = np.array([parameter.held for parameter in model.parameters])
         parameters = np.where(held, self.base.parameters, fitted[:count])
         nuisance = fitted[count : count + self.nuisance].reshape(-1, NUISANCE)
 

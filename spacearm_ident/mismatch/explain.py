@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from ..dynamics.effects.friction import VacuumFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
-from ..identification.consistency import make_consistent
-from ..identification.prior import make_prior
+from ..estimate.consistency import make_consistent
+from ..regression.prior import make_prior
 from .evidence import Candidate, Evidence
 from .rivals import UNKNOWN
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
 
 MISMATCH, NO_MISMATCH, DATA_UNFIT = "mismatch", "no_mismatch", "data_unfit"

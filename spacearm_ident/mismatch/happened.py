@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 from .constants import grid_points
 from .evidence import Candidate, Unseen
 from .finding import Happened

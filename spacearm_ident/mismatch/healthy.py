@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from ..dynamics.arm import FloatArray
-from ..identification.between import PSEUDO_RECORDINGS
+from ..arrays import FloatArray
+from ..noise.between import PSEUDO_RECORDINGS
 from .evidence import Evidence
 from .left_out import LEVEL, LeftOut
 from .preparation import Prepared

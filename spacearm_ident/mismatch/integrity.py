@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..recording.recording import Recording
-from ..recording.signals import require_joints
+from ..signals.prepare import require_joints
 
 SATURATED_SHARE = 0.02
 """A joint whose torque stands at its extreme for this share of the samples is clipped."""

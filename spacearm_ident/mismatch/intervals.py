@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import norm, t
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .evidence import Candidate, Evidence, inverse_among, with_own
 from .scored import PARTS
 from .stacked import stacked_effect

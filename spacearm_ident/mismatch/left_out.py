@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import t as student
 
-from ..dynamics.arm import FloatArray
-from ..identification.held_out import FEWEST_BLOCKS, folds_of, time_blocks
+from ..arrays import FloatArray
+from ..regression.held_out import FEWEST_BLOCKS, folds_of, time_blocks
 from .evidence import Evidence
 from .residuals import Residuals
 from .scene import Scene

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
-from ..identification.weights import common_correlation, residual_noise, white_correlation_time
-from ..recording.motion import Motion
+from ..noise.weights import common_correlation, residual_noise, white_correlation_time
+from ..signals.motion import Motion
 from .evidence import Evidence
 from .rivals import Rival, rivals
 from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, louder

@@ -13,7 +13,7 @@ from itertools import chain
 import numpy as np
 from scipy.stats import f as fisher
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .constants import grid_points
 from .evidence import Candidate, Evidence
 from .left_out import LEVEL, LeftOut

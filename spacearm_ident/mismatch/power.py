@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .evidence import INVISIBLE, UNDERFLOW, Candidate, Evidence
 from .finding import Detectable, Finding
 from .healthy import Healthy

@@ -18,19 +18,20 @@ from functools import cached_property
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.base_link import placed
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
+from ..estimate.identified import Choice, OptionalTerm
 from ..identification.fit import Fit
-from ..identification.held_out import LEVEL, bound, t_of_all
-from ..identification.identified import Choice
 from ..identification.identify import Settings, identify
 from ..identification.structure import choose_structure
-from ..recording.motion import Motion
 from ..recording.recording import Recording
-from ..recording.signals import prepare
-from .base_structure import GATE, RESISTS, choose_base
+from ..regression.held_out import LEVEL, bound, t_of_all
+from ..signals.motion import Motion
+from ..signals.prepare import prepare
+from .base_structure import GATE, choose_base
 from .evidence import Candidate, Evidence, Unseen
 from .left_out import LeftOut
 from .noise import Noise, NoiseModel, coloured, floor_in_field, of_field, weighted
@@ -267,7 +268,10 @@ def banded(
 
 def _form_is_open(choices: Sequence[Choice]) -> bool:
     """Whether the healthy arm's friction may as well be odd in its quadratic term as even."""
-    return any(choice.term == RESISTS and not choice.accepted and choice.gain > -GATE for choice in choices)
+    return any(
+        choice.kind is OptionalTerm.ODD and not choice.joint and not choice.accepted and choice.gain > -GATE
+        for choice in choices
+    )
 
 
 def _resisting(base: IdentifiedModel) -> IdentifiedModel:

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, TorqueModel
-from ..identification.between import friction_kinds
+from ..noise.between import friction_kinds
 from .evidence import Candidate, Evidence, without_effects
 from .finding import Trace
 from .scene import FEWEST_ROWS, Scene, Whitener

@@ -14,11 +14,12 @@ from typing import ClassVar
 import numpy as np
 from scipy.interpolate import BSpline
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.background import Background
 from ..dynamics.effects.effect import Effect, Options, direction, known_joint, nothing, own
 from ..dynamics.term import Columns, Constant, Parameter, Values
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 
 UNKNOWN = "unknown"
 DEGREE = 3

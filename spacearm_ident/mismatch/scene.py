@@ -13,12 +13,12 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.background import Background
 from ..dynamics.effects.effect import direction
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Columns
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 
 COARSE_HZ = 250.0
 """Effects are computed at about this rate: far above the bandwidth, and several times faster than at 1 kHz."""

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect, direction
 from ..dynamics.friction import bristle_state
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Columns, Values
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 from .scene import Scene
 
 SHARP_DISTANCE = 2e-4
@@ -121,7 +121,7 @@ def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Eff
         constants = base.constants[first : first + len(term.constants)]
         columns = [term.columns(motion, constants, b) for motion, b in zip(scene.motions, scene.backgrounds)]
         block = scene.stack(columns, len(term.parameters))
-        block[:, [parameter.scale == 0.0 for parameter in term.parameters]] = 0.0
+        block[:, [parameter.held for parameter in term.parameters]] = 0.0
         blocks.append(block)
     nuisance = [sharpness(motion) for motion in scene.motions]
     blocks.append(scene.stack(nuisance, NUISANCE * len(base.model.arm.joints)))

@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.effects.effect import direction
 from ..dynamics.friction import bristle_state
-from ..recording.motion import Motion
+from ..signals.motion import Motion
 from .scene import since_reversal
 
 POWERS = (1.0, 1.5, 2.0)

@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
-from ..recording.background import Topic
+from ..recording.background_writer import Topic
 from ..recording.definitions import definition_text
 from ..recording.messages import MessageType
 from ..recording.qos import Qos

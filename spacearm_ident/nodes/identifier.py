@@ -28,7 +28,7 @@ from std_msgs.msg import String
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..errors import UserError
-from ..identification.identified import Identified
+from ..estimate.identified import Identified
 from ..layers.document import verdict
 from ..mismatch.finding import NO_MISMATCH
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ..dynamics.model import OVER_TEMPERATURE
+from ..environment.gravity import GRAVITY_CHOICES
 from ..errors import UserError
-from ..identification.gravity import GRAVITY_CHOICES
 
 
 def surroundings_of(parameter: Callable[..., Any]) -> dict[str, Any]:

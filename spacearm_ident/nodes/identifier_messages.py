@@ -9,14 +9,14 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Constant, Parameter
-from ..identification.identified import Identified, Validation
-from ..identification.tracking import TrackingState
+from ..estimate.identified import Identified, Validation
 from ..layers.comparison import Comparison
 from ..layers.document import verdict
 from ..mismatch.finding import Explanation
+from ..tracking.tracker import TrackingState
 
 FROM_FILE = "from a model file"
 TRACKED = "tracked"

@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..bag_session import Options
 from ..dynamics.model import FRICTION_LAWS
 from ..errors import UserError
-from ..identification.solvers import SEPARABLE, require_solver
-from ..session import AUTO
+from ..sessions.bags import Options
+from ..sessions.identification import AUTO
+from ..solvers.choice import SEPARABLE, require_solver
 from .identifier_environment import surroundings_of
 from .runtime import LiveNode
 from .tracking_stream import TrackingChoice

@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from ..bag_session import Options, arm_words, identify_bags
-from ..identification.identified import Identified
+from ..estimate.identified import Identified
 from ..identification.identify import Progress
 from ..layers.comparison import Comparison
 from ..mismatch.finding import Explanation
-from ..mismatch_session import explain_session
-from ..session import Session, within
-from ..simulation_session import compare_session
+from ..sessions.bags import Options, arm_words, identify_bags
+from ..sessions.identification import Session, within
+from ..sessions.mismatch import explain_session
+from ..sessions.simulation import compare_session
 from .message_buffer import Capture, write_captures
 
 

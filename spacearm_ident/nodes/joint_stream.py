@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
+from ..arrays import FloatArray
 from ..errors import UserError
 from ..recording.cdr import encode_joint_states
 
-FloatArray = NDArray[np.float64]
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
 _BEHIND_STAMP = 12

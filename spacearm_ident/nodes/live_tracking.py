@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from ..dynamics.model import IdentifiedModel
-from ..identification.tracking import Change, TrackingState
+from ..tracking.tracker import Change, TrackingState
 from .runtime import Level, Status
 from .tracking_stream import TrackingChoice, TrackingStream
 from .tracking_thread import Broken, TrackingThread

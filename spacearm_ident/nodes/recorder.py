@@ -16,7 +16,7 @@ from datetime import datetime
 from pathlib import Path
 
 from ..errors import UserError
-from ..recording.background import BackgroundWriter, Topic
+from ..recording.background_writer import BackgroundWriter, Topic
 from .graph_reader import GraphReader, Sink
 from .runtime import Level, LiveNode, Status, run
 

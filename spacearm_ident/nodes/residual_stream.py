@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
-from ..identification.live import LiveResidual
+from ..tracking.live_residual import LiveResidual
 from .joint_samples import JointSamples
 
 RECENT_S = 10.0
@@ -58,7 +58,7 @@ class ResidualStream:
             for moment, residual, predicted in zip(part.time.tolist(), part.residual, part.predicted)
         ]
         if rows:
-            keep = int(RECENT_S * self._live.row_rate_hz)
+            keep = int(RECENT_S * self._live.stream.row_rate_hz)
             self._recent = np.concatenate([self._recent, *(part.residual for part in parts)])[-keep:]
         return rows
 
@@ -67,10 +67,10 @@ class ResidualStream:
         if self._live is None:
             return {}
         values: dict[str, object] = {
-            "rate_Hz": self._live.row_rate_hz,
-            "delay_s": self._live.delay_s,
-            "bandwidth_Hz": self._live.cutoff_hz,
-            "restarts": self._live.restarts,
+            "rate_Hz": self._live.stream.row_rate_hz,
+            "delay_s": self._live.stream.delay_s,
+            "bandwidth_Hz": self._live.stream.cutoff_hz,
+            "restarts": self._live.stream.restarts,
             "messages_left_out": self._samples.left_out,
         }
         if len(self._recent):

@@ -17,10 +17,11 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray
 
+from ..arrays import FloatArray
 from ..canbus.realtime import Pacer, prepare_thread
 from ..driver.set_points import PAUSE
 from ..excitation.run import Brake, Phase, Run
-from ..excitation.trajectory import FloatArray, Motion, MotionLimits
+from ..excitation.trajectory import Motion, MotionLimits
 from ..recording import cdr
 
 HOLD_S = 1.0

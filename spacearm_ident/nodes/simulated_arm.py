@@ -1,7 +1,7 @@
 """`simulated_arm`: six CiA 402 drives and the paper's arm behind them, on the CAN buses of the configuration.
 
 Everything happens on the buses, in a thread of its own; the graph only sees `/diagnostics` (1 Hz). For tests,
-any participant of a bus can make a drive fail through its object 0x2F00 (see `simulation.drives_faults`).
+any participant of a bus can make a drive fail through its object 0x2F00 (see `simulation.drives.faults`).
 """
 
 from __future__ import annotations

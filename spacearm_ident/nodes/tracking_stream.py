@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
-from ..identification.tracking import Change, Tracker, TrackingSettings, TrackingState
-from ..identification.tracking_rows import RowStream, TrackedModel
 from ..recording import cdr
+from ..tracking.rows import RowStream, TrackedModel
+from ..tracking.tracker import Change, Tracker, TrackingSettings, TrackingState
 from .joint_samples import JointSamples
 
 
@@ -105,9 +105,9 @@ class TrackingStream:
         known = int(np.isfinite(self._temperature).sum())
         return {
             "rate_Hz": self._samples.rate_hz,
-            "row_rate_Hz": self._rows.row_rate_hz,
-            "delay_s": self._rows.delay_s,
-            "restarts": self._rows.restarts,
+            "row_rate_Hz": self._rows.stream.row_rate_hz,
+            "delay_s": self._rows.stream.delay_s,
+            "restarts": self._rows.stream.restarts,
             "messages_left_out": self._samples.left_out,
             "temperatures": f"{known} of {len(self._temperature)}",
         }

@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ..identification.tracking import Change, TrackingState
+from ..tracking.tracker import Change, TrackingState
 from .tracking_stream import TrackingStream
 
 LONGEST_WAITING = 64

@@ -15,8 +15,8 @@ import numpy as np
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from ..arrays import FloatArray
 from ..errors import UserError
-from ..excitation.trajectory import FloatArray
 from ..recording import cdr
 from .runtime import LiveNode
 

@@ -14,9 +14,10 @@ import numpy as np
 from builtin_interfaces.msg import Duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from ..arrays import FloatArray
 from ..excitation.joint_trajectory import PATH_RATE_HZ, SETTLE_S
 from ..excitation.run import Brake, Phase, Run
-from ..excitation.trajectory import FloatArray, Motion, MotionLimits
+from ..excitation.trajectory import Motion, MotionLimits
 
 REPLACE_S = 0.2
 """Time between a stop's message and the point of the path it takes over at: a controller that leads from the measured

@@ -1,13 +1,12 @@
-"""Bags in and out, and the signals in them: files to arrays (`Recording`) and back."""
+"""Bags and tables in and out: files to arrays (`Recording`) and back."""
 
 from spacearm_ident.recording.bag import recordings_in
 from spacearm_ident.recording.reader import describe, read_recording
-from spacearm_ident.recording.recording import BaseSensor, FloatArray, Issue, Recording, Series, Source
+from spacearm_ident.recording.recording import BaseSensor, Issue, Recording, Series, Source
 from spacearm_ident.recording.writer import RecordingWriter, copy_messages, write_recording
 
 __all__ = [
     "BaseSensor",
-    "FloatArray",
     "Issue",
     "Recording",
     "RecordingWriter",

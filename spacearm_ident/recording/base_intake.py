@@ -12,10 +12,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from spacearm_ident.arrays import BoolArray, FloatArray, IntArray
 from spacearm_ident.recording import cdr, messages
 from spacearm_ident.recording.bag import Bag, Stream
-from spacearm_ident.recording.intake import BoolArray, Finding, Intake, IntArray, gap_threshold_s, increasing, int64_ns
-from spacearm_ident.recording.recording import BaseSensor, FloatArray
+from spacearm_ident.recording.intake import Finding, Intake, gap_threshold_s, increasing, int64_ns
+from spacearm_ident.recording.recording import BaseSensor
 
 FEWEST = 16
 """Samples that a motion can be made of."""

@@ -21,14 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spacearm_ident.recording.recording import FloatArray
+from ..arrays import FloatArray, IntArray
 
 _HEADER_BYTES = 4
 _STAMP = slice(4, 12)
 _VECTOR_ATTEMPTS = 12  # layouts compared over all messages before going message by message
 _COMPARED_TOGETHER = 4096  # messages compared in one go: the temporaries stay in the cache
-
-IntArray = NDArray[np.int64]
 
 
 class CdrError(ValueError):

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.errors import UserError
-from spacearm_ident.recording.recording import FloatArray, Recording, Series
+from spacearm_ident.recording.recording import Recording, Series
 
 CLOCKS = ("recorded", "even", "reversed")
 """As stamped; samples evenly spaced between first and last stamp of every segment; counting backwards."""

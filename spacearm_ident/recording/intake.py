@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spacearm_ident.arrays import BoolArray, FloatArray, IntArray
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import cdr, messages
 from spacearm_ident.recording.bag import Stream
-from spacearm_ident.recording.recording import FloatArray, Issue
+from spacearm_ident.recording.recording import Issue
 
 _VELOCITY_LOSS = 0.01  # share of samples without velocity above which velocity is given up, not the samples
 _EPOCH_NS = 10**17  # a clock beyond this (1973) counts from 1970: a stamp of zero is then an unset one
@@ -25,9 +25,6 @@ _EPOCH_NS = 10**17  # a clock beyond this (1973) counts from 1970: a stamp of ze
 GAP_MEDIANS = 5.0
 """How many median intervals make a gap."""
 _LATEST_NS = 2**62
-
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from spacearm_ident.arrays import FloatArray, IntArray
 from spacearm_ident.documents import read_yaml, write_whole
 from spacearm_ident.errors import UserError
-from spacearm_ident.recording.intake import IntArray, Samples, listing
-from spacearm_ident.recording.recording import FloatArray
+from spacearm_ident.recording.intake import Samples, listing
 from spacearm_ident.recording.tables import Table
 from spacearm_ident.recording.tables.table import Column
 

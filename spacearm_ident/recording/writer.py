@@ -19,13 +19,14 @@ import numpy as np
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from spacearm_ident.arrays import FloatArray, IntArray
 from spacearm_ident.documents import parse_yaml
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import bag, cdr, messages
 from spacearm_ident.recording.mcap_reader import Channel
 from spacearm_ident.recording.messages import MessageType
 from spacearm_ident.recording.qos import LATCHED, STREAMED, Qos, offered
-from spacearm_ident.recording.recording import BaseSensor, FloatArray, Recording, Series
+from spacearm_ident.recording.recording import BaseSensor, Recording, Series
 
 _NOTHING = 2**63 - 1
 
@@ -242,7 +243,7 @@ def write_recording(path: str | Path, recording: Recording, origin: Sequence[str
             writer.write(channel, log_time, payload)
 
 
-def _stamps_ns(recording: Recording, time: FloatArray) -> cdr.IntArray:
+def _stamps_ns(recording: Recording, time: FloatArray) -> IntArray:
     """Header stamps, ns since 1970, of times in seconds from the recording's start."""
     return recording.start_ns + np.rint(np.asarray(time) * 1e9).astype(np.int64)
 

@@ -1,1 +1,1 @@
-"""Figures, pages and files out of result objects; nothing here knows how they were computed."""
+"""Pages and figures out of results; nothing here knows how they were computed."""

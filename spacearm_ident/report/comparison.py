@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from typing import Final
 
 from ..errors import UserError
-from ..identification.identified import Estimate, Identified
+from ..estimate.identified import Estimate, Identified
 from ..identification.verdict import judge_result
+from ..results.store import Result
+from ..results.tables import base, by_joint
 from .html import page
 from .markup import NOTHING, Markup, breakable, element, join, listed, measured, number, percent, unit_text
 from .parameter_tables import MARK
-from .store import Result
-from .tables import base, by_joint
 
 FAR: Final = 3.0
 """Standard errors beyond which a parameter is said to have moved."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from ..identification.identified import Identified
-from ..identification.updated import TOLD
+from ..bayes.updated import TOLD
+from ..estimate.identified import Identified
+from ..results.provenance import EPOCH, FITTED, OPTIONS, RECORDED, VALIDATED
 from .markup import Markup, element, join, measured, number, unit_text
-from .provenance import EPOCH, FITTED, OPTIONS, RECORDED, VALIDATED
 
 
 def structure(identified: Identified) -> Markup:

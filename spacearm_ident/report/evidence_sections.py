@@ -6,12 +6,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..identification.identified import Determination, Identified
+from ..estimate.identified import Determination, Identified
 from ..identification.residual_spectrum import share_above
+from ..results.recorded_runs import RecordedRun
+from ..results.store import Result
 from . import result_figures as figures
 from .markup import Markup, element, join, measured, number, percent
-from .recorded_runs import RecordedRun
-from .store import Result
 
 MOST_PAIRS = 12
 """Pairs of correlated parameters in the table; count."""

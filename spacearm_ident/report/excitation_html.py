@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from ..arrays import FloatArray
 from ..documents import write_whole
-from ..dynamics.arm import Arm, FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.urdf_chain import bounded
 from ..errors import UserError
 from ..excitation.constraints import Margin, Requirements, model_torque

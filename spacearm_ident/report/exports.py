@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ..dynamics.model import IdentifiedModel
-from ..identification.identified import Validation
-from .formats import MJCF, SDF, URDF, USD, lost_in_code, lost_words
+from ..estimate.identified import Validation
+from ..results.formats import MJCF, SDF, URDF, USD, lost_in_code, lost_words
 from .markup import Markup, element, join
 
 SIMULATORS = (

@@ -10,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..dynamics.friction_curve import friction_curve
 from ..dynamics.model import IdentifiedModel
-from ..identification.identified import Determination, Estimate, Identified, Trace
+from ..estimate.identified import Determination, Estimate, Identified, Trace
+from ..results.tables import by_joint, shown_value
 from .markup import MINUS, Markup, unit_text
 from .plotting import CLOUD_MOVING, CLOUD_STANDING, COLOUR, decimated, grid, stacked, thinned, to_svg
-from .tables import by_joint, shown_value
 
 BINS, FEWEST_IN_BIN = 30, 5
 JOIN_SHARE = 0.015

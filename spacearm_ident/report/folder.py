@@ -14,14 +14,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ..errors import UserError
-from ..identification.identified import Identified, Validation
+from ..estimate.identified import Identified, Validation
 from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN
-from .covariance_file import covariance_dict
+from ..results.covariance_file import covariance_dict
+from ..results.recorded_runs import RecordedRun
+from ..results.store import ARRAYS, FIGURES, MODEL, Result, load_result, save_result
+from ..results.tables import base_parameters_csv, parameters_csv, torque_csv, validation_dict
+from ..results.urdf import identified_urdf
 from .html import report_html
-from .recorded_runs import RecordedRun
-from .store import ARRAYS, FIGURES, MODEL, Result, load_result, save_result
-from .tables import base_parameters_csv, parameters_csv, torque_csv, validation_dict
-from .urdf import identified_urdf
 
 REPORT = "report.html"
 TORQUE = "torque.csv"

@@ -7,13 +7,17 @@ how it was obtained.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
+from importlib import resources
 
 import numpy as np
 
 from ..dynamics.arm import Arm
-from ..identification.counts import DEFINITION
-from ..identification.identified import Fit, Identified, JointValidation
+from ..estimate.counts import DEFINITION
+from ..estimate.identified import Fit, Identified, JointValidation
 from ..identification.verdict import FAIR, GOOD
+from ..results.store import Result
+from ..results.tables import base, by_joint
 from . import figures
 from .details import obtained, since_the_prior, structure
 from .evidence_sections import correlated, masses_on_the_arm, recordings, spectrum, why_two_bandwidths
@@ -21,9 +25,6 @@ from .exports import exports
 from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent
 from .opening import Opening, opening
 from .parameter_tables import base_table, determination_key, matrix, whole_list
-from .store import Result
-from .stylesheet import STYLESHEET
-from .tables import base, by_joint
 
 LEAST_P = 0.001
 """Probability under which only that bound is printed; ratio."""
@@ -60,10 +61,15 @@ def page(title: str, body: Markup) -> str:
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
         element("meta", http_equiv="Content-Security-Policy", content=SECURITY),
         element("title", title),
-        element("style", Markup(STYLESHEET)),
+        element("style", Markup(_style_sheet())),
     )
     whole = element("html", element("head", head), element("body", element("main", body)), lang="en")
     return f"<!DOCTYPE html>\n{whole}\n"
+
+
+@cache
+def _style_sheet() -> str:
+    return resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
 
 
 def _date(written: str) -> str:

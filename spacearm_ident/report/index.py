@@ -15,17 +15,17 @@ from typing import Final
 from urllib.parse import quote
 
 from ..errors import UserError
-from ..identification.identified import Validation
+from ..estimate.identified import Validation
 from ..identification.verdict import judge_result
+from ..results.provenance import EPOCH, moment
+from ..results.store import FIGURES, Result, load_result
+from ..results.trends import arm_of, date_text, runs_by_arm
 from .comparison import FAR, comparison_html, differences, moved
 from .folder import REPORT, replacing
 from .html import page
 from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent
 from .mismatch_folder import DOCUMENT
-from .provenance import EPOCH, moment
-from .store import FIGURES, Result, load_result
 from .trend_figures import arm_section
-from .trends import arm_of, date_text, runs_by_arm
 
 INDEX: Final = "index.html"
 SUMMARY: Final = "summary.json"

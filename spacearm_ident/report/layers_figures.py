@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from ..layers.comparison import Comparison, Trace
 from .figures import short
 from .markup import Markup

@@ -14,11 +14,11 @@ from ..layers.document import comparison_document
 from ..layers.item import Mended
 from ..mismatch.document import EXTENDED_MODEL
 from ..recording.recording import Recording
+from ..results.provenance import provenance
 from ..simulations import Simulation
 from .folder import REPORT, replacing
 from .layers_html import comparison_html
 from .mismatch_folder import DOCUMENT
-from .provenance import provenance
 
 
 def write_comparison(

@@ -11,6 +11,7 @@ import numpy as np
 from ..layers.comparison import Comparison
 from ..layers.document import replicated_share
 from ..layers.item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer, Mended, Strayed
+from ..results.provenance import FITTED, RECORDED, VALIDATED
 from ..simulations import Simulation
 from . import layers_figures as figures
 from . import mismatch_figures
@@ -18,7 +19,6 @@ from .details import fact, recorded, source_table
 from .html import captioned, page
 from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent, unit_text
 from .mismatch_html import card_id, finding_cards, smallest_sizes
-from .provenance import FITTED, RECORDED, VALIDATED
 
 TITLES = {
     CONVENTIONS: "Conventions and wiring",

@@ -14,7 +14,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..mismatch.finding import Explanation, Finding, Trace
 from .figures import cloud, joined, name_axes, short
 from .markup import Markup, number

@@ -10,16 +10,14 @@ from pathlib import Path
 from ..dynamics.arm import Arm
 from ..dynamics.model_file import save_model
 from ..errors import UserError
-from ..excitation.composite import experiment_for
-from ..excitation.constraints import limits_for_excitation
 from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import save_trajectory
 from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN, to_document
 from ..mismatch.finding import Explanation
 from ..recording.recording import Recording
+from ..results.provenance import FITTED, provenance
 from .folder import REPORT, replacing
 from .mismatch_html import mismatch_html
-from .provenance import FITTED, provenance
 
 DOCUMENT = "mismatch.json"
 
@@ -30,6 +28,7 @@ def write_mismatch(
     field: Sequence[Recording],
     judged: Sequence[Recording],
     reference: Sequence[Recording],
+    planned: Trajectory | None,
     directory: Path,
     command: str | None = None,
 ) -> Path:
@@ -38,9 +37,10 @@ def write_mismatch(
     Args:
         explanation: The analysis.
         arm: The arm that was analysed.
-        field: Recordings that were explained; the first says where the proposed run starts.
+        field: Recordings that were explained, for the provenance.
         judged: Held-out recordings, for the provenance.
         reference: Recordings of the healthy arm, for the provenance; empty: there are none.
+        planned: The experiment that would tell; None: none is proposed.
         directory: Folder of the result; made where it does not exist. An earlier result in it is replaced.
         command: Command line that produces the result again; None: not stated.
 
@@ -55,27 +55,9 @@ def write_mismatch(
             (part / DOCUMENT).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
             if explanation.model is not None:
                 save_model(replace(explanation.model, provenance=sources), part / EXTENDED_MODEL)
-            if (run := next_run(explanation, arm, field[0])) is not None:
-                save_trajectory(run, part / NEXT_RUN)
+            if planned is not None:
+                save_trajectory(planned, part / NEXT_RUN)
             (part / REPORT).write_text(page, encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write {directory}: {error}") from error
     return directory / REPORT
-
-
-def next_run(explanation: Explanation, arm: Arm, field: Recording) -> Trajectory | None:
-    """Trajectory of the next experiment; None where none is proposed or none keeps the limits.
-
-    Args:
-        explanation: The analysis; `next_effect` and `next_joints` say what the experiment is for.
-        arm: The arm, with its motion limits.
-        field: Recording whose first position the run starts from.
-    """
-    if not explanation.next_effect:
-        return None
-    start = field.in_order(arm.joint_names).position[0]
-    try:
-        limits, _ = limits_for_excitation(arm, start)
-        return experiment_for(explanation.next_effect, arm, limits, start=start, joints=explanation.next_joints or None)
-    except UserError:
-        return None

@@ -13,11 +13,11 @@ from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
 from ..mismatch.document import EXTENDED_MODEL
 from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Alternative, Detectable, Explanation, Finding, Quantity
+from ..results.provenance import FITTED, RECORDED, VALIDATED
 from . import mismatch_figures as figures
 from .details import fact, recorded, source_table
 from .html import captioned, page
 from .markup import MINUS, NOTHING, Markup, breakable, element, join, listed, number, unit_text
-from .provenance import FITTED, RECORDED, VALIDATED
 
 UNKNOWN = "unknown"
 SURE = ((0.95, "almost certainly"), (0.8, "probably"), (0.5, "perhaps"), (0.0, "possibly"))

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..identification.counts import counts
-from ..identification.identified import Identified, JointValidation, Validation
+from ..estimate.counts import counts
+from ..estimate.identified import Identified, JointValidation, Validation
 from ..identification.verdict import FAIR, LACKING_P, Verdict, judge_result, relative_rms
 from .markup import listed, percent
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from ..bayes.adaptation import Adaptation
 from ..dynamics.friction import WARM_FROM
-from ..identification.adaptation import Adaptation
-from ..identification.identified import Validation
+from ..estimate.identified import Validation
 from .figures import name_axes
 from .markup import Markup
 from .plotting import COLOUR, grid, to_svg

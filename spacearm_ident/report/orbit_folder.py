@@ -8,15 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..bayes.adaptation import Adaptation
+from ..bayes.adaptation_causes import causes, reason
 from ..dynamics.model_file import save_model
-from ..identification.adaptation import Adaptation
-from ..identification.adaptation_causes import causes, reason
-from ..identification.identified import Validation
+from ..estimate.identified import Validation
 from ..recording.recording import Recording
+from ..results.provenance import provenance
+from ..results.tables import finite, fit_dict
 from .folder import REPORT, replacing
 from .orbit_html import MODELS, orbit_html, worst
-from .provenance import provenance
-from .tables import finite, fit_dict
 
 SCHEMA = "spacearm_ident/orbit/1"
 DOCUMENT = "orbit.json"

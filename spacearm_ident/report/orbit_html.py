@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from ..identification.adaptation import Adaptation, Change
-from ..identification.adaptation_causes import Cause, causes, reason
-from ..identification.identified import Validation
+from ..bayes.adaptation import Adaptation, Change
+from ..bayes.adaptation_causes import Cause, causes, reason
+from ..estimate.identified import Validation
+from ..results.provenance import FITTED, VALIDATED
 from . import orbit_figures as figures
 from .details import source_table
 from .html import captioned, page
 from .markup import NOTHING, Markup, breakable, element, join, measured, number, percent, unit_text
-from .provenance import FITTED, VALIDATED
 
 MODELS = ("ground, on the ground", "ground, in orbit", "ground, gravity set", "adapted, in orbit")
 """The four validations, in the order in which they are handed about."""

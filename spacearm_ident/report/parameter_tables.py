@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..identification.identified import GAIN_DEVIATION, Determination, Estimate, Identified
+from ..estimate.identified import GAIN_DEVIATION, Determination, Estimate, Identified
+from ..results.tables import base, by_joint, shown_value
 from .markup import Markup, breakable, element, join, measured, number, unit_text
-from .tables import base, by_joint, shown_value
 
 MARK = {
     Determination.DATA: ("data", "●"),

@@ -22,7 +22,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ..dynamics.arm import FloatArray
+from ..arrays import FloatArray
 from .markup import Markup
 
 ROLES = (

@@ -10,13 +10,14 @@ import pinocchio as pin
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.urdf_chain import bounded
-from ..identification.identified import Determination, Estimate, Identified, Spectrum
+from ..estimate.identified import Determination, Estimate, Identified, Spectrum
+from ..results.recorded_runs import RecordedRun
 from .figures import name_axes, short
 from .markup import Markup
 from .plotting import COLOUR, grid, to_svg
-from .recorded_runs import RecordedRun
 
 LARGEST_DISC_PT = 26.0
 """Diameter of the heaviest link's disc on the drawing of the arm, points."""

@@ -11,14 +11,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from ..identification.identified import Estimate
+from ..estimate.identified import Estimate
 from ..identification.verdict import judge_result
+from ..results.provenance import moment
+from ..results.store import Result
+from ..results.tables import by_joint, finite
+from ..results.trends import DATE, TEMPERATURE, runs_by_arm, trend_dict, trends
 from .folder import replacing
 from .index import INDEX, SUMMARY, Progress, find_mismatches, find_results, index_html, merit, with_failures
-from .provenance import moment
-from .store import Result
-from .tables import by_joint, finite
-from .trends import DATE, TEMPERATURE, runs_by_arm, trend_dict, trends
 
 SCHEMA: Final = "spacearm_ident/batch/1"
 TABLE: Final = "summary.csv"

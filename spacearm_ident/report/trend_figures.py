@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from ..results.trends import DATE, LEVEL, TEMPERATURE, Arm, Run, Trend, trends
 from .figures import short
 from .html import captioned
 from .markup import MINUS, Markup, element, join, listed, measured, number, unit_text
 from .plotting import COLOUR, grid, to_svg
-from .trends import DATE, LEVEL, TEMPERATURE, Arm, Run, Trend, trends
 
 FRICTION = ("f_c", "f_b", "k_v1", "v_b")
 WORDS = {DATE: "the date of recording", TEMPERATURE: "the joint's mean temperature"}

@@ -16,8 +16,8 @@ from spacearm_ident.driver.bus_lock import BusLock
 from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.closed_loop import SensorNoise
 from spacearm_ident.simulation.concealed import Concealment, Effect, load_concealed
-from spacearm_ident.simulation.drives import DriveConfig
-from spacearm_ident.simulation.drives_network import DriveNetwork
+from spacearm_ident.simulation.drives.drive import DriveConfig
+from spacearm_ident.simulation.drives.network import DriveNetwork
 from spacearm_ident.simulation.live_arm import LiveArm
 from spacearm_ident.simulation.parameters import PlantParameters
 from spacearm_ident.simulation.thermal import surroundings

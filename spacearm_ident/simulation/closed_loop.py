@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.dynamics.base_link import base_link
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording.messages import BASE_IMU_TOPIC
@@ -28,7 +29,6 @@ from spacearm_ident.simulation.plant import Plant, PlantParameters
 from spacearm_ident.simulation.servo import DriveData, Servo, ServoTuning
 from spacearm_ident.simulation.thermal import ThermalParameters
 
-FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 SETTLE_S = 0.5

@@ -9,11 +9,9 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.simulation.parameters import PlantParameters
-
-FloatArray = NDArray[np.float64]
 
 
 class JointLaw(Protocol):

@@ -9,17 +9,15 @@ delay, which identification answers with a biased viscosity.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from spacearm_ident.arrays import BoolArray, FloatArray
 from spacearm_ident.dynamics.arm import Arm
 from spacearm_ident.simulation.closed_loop import HiddenPhysics, SensorNoise, plant_of
-from spacearm_ident.simulation.drives_mechanics import BoolArray
 from spacearm_ident.simulation.joint_law import JointLaw
 from spacearm_ident.simulation.plant import PlantParameters
 from spacearm_ident.simulation.servo import DriveData, Servo, ServoTuning
 from spacearm_ident.simulation.thermal import ThermalParameters
-
-FloatArray = NDArray[np.float64]
 
 PEAK = 1.2
 """What the drives can give, as a multiple of the arm's torque limit: the limit is the arm's, not the motor's."""
@@ -55,7 +53,7 @@ class BrakedLaw:
 
 
 class LiveArm:
-    """The physics behind the drives (`drives_mechanics.Mechanics`).
+    """The physics behind the drives (`drives.mechanics.Mechanics`).
 
     Attributes:
         position: (n,) rad; true but for what is hidden in the encoders.
@@ -124,7 +122,7 @@ class LiveArm:
         self.temperature = self._plant.winding_temperature
 
     def step(self, target: FloatArray, enabled: BoolArray, brake: BoolArray, dt: float) -> None:
-        """Let `dt` seconds pass; see `drives_mechanics.Mechanics`."""
+        """Let `dt` seconds pass; see `drives.mechanics.Mechanics`."""
         plant, servo, hidden = self._plant, self._servo, self._hidden
         self._law.extra = np.where(brake, self._holding, 0.0)
         start = np.where(self._was_enabled, self._target, target)

@@ -13,11 +13,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.dynamics.urdf_chain import bounded
 from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.parameters import PlantParameters
-
-FloatArray = NDArray[np.float64]
 
 
 def rigid_body_model(parameters: PlantParameters) -> pin.Model:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm
 from ..dynamics.demand import drawn_postures, joint_inertias, torque_asked
 from ..dynamics.model import IdentifiedModel, TorqueModel, structure_of
 from ..errors import UserError

@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.errors import UserError
-
-FloatArray = NDArray[np.float64]
 
 RIGID_BODY = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Rigid-body parameters of a joint in Pinocchio's order, inertia about the joint frame's origin."""

@@ -13,15 +13,14 @@ import math
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.simulation.joint_law import JointLaw, StribeckLaw
 from spacearm_ident.simulation.mechanism import Mechanism, RigidMechanism, rigid_body_model
 from spacearm_ident.simulation.parameters import PlantParameters
 from spacearm_ident.simulation.stick_slip import solve_stick_slip
 from spacearm_ident.simulation.thermal import Thermal, ThermalParameters
-
-FloatArray = NDArray[np.float64]
 
 __all__ = ["Plant", "PlantParameters", "rigid_body_model"]
 

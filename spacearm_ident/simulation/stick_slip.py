@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from ..arrays import FloatArray
 
 _MOST_PASSES = 100
 """Every pass lowers the cost and there are finitely many patterns; six joints have needed 14."""

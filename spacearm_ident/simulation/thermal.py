@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.errors import UserError
-
-FloatArray = NDArray[np.float64]
 
 COLDEST, WARMEST = -150.0, 150.0
 """Surroundings, °C, in which linear laws of friction over temperature are not yet absurd."""

@@ -12,7 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..dynamics.arm import FloatArray, arm_from_urdf
+from ..arrays import FloatArray
+from ..dynamics.arm import arm_from_urdf
 from ..errors import UserError
 from .description import ROOT, TreeJoint, TreeLink, inertials_of, urdf_of
 from .simulation import JointDynamics, Part, Simulation, simulation_of

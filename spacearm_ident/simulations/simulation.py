@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..dynamics.arm import Arm, FloatArray, without_joints
+from ..arrays import FloatArray
+from ..dynamics.arm import Arm, without_joints
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 

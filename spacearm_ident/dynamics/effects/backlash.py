@@ -15,8 +15,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...recording.motion import Motion
-from ..arm import Arm, FloatArray
+from ...arrays import FloatArray
+from ...signals.motion import Motion
+from ..arm import Arm
 from ..background import Background
 from ..term import Constant, Parameter, Values
 from .compliance import Compliance, FloatArrays, own_signals

@@ -8,13 +8,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...recording.motion import Motion
-from ..arm import Arm, FloatArray, Joint
+from ...arrays import FloatArray
+from ...signals.motion import Motion
+from ..arm import Arm, Joint
 from ..background import Background
 from ..regressor import rigid_body_blocks
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, nothing
-from .linearised import COARSE_HZ, _interpolate, rigid_torque
+from .linearised import COARSE_HZ, interpolate, rigid_torque
 
 MASS = ("m", "mcx", "mcy", "mcz")
 HEAVIEST_KG, LONGEST_M = 50.0, 2.0
@@ -254,7 +255,7 @@ class _FreeBase:
         torque = rigid_torque(self.arm, inertials, self.q, velocity, self.qdd)
         base = -np.linalg.solve(inertia, torque[:, :6, None])[..., 0]
         free = torque[:, 6:] + np.einsum("nij,ni->nj", self.rows[:, :, 6:], base)
-        return _interpolate(free - self.fixed[:, 6:], np.arange(len(self.motion.position)) / self.step)
+        return interpolate(free - self.fixed[:, 6:], np.arange(len(self.motion.position)) / self.step)
 
 
 OUTER_LINKS = 4

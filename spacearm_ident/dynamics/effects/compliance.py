@@ -20,8 +20,9 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ...recording.motion import Motion
-from ..arm import Arm, FloatArray
+from ...arrays import FloatArray
+from ...signals.motion import Motion
+from ..arm import Arm
 from ..background import Background
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, each, known_axis, known_joint, nothing

@@ -9,8 +9,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...recording.motion import Motion
-from ..arm import Arm, FloatArray
+from ...arrays import FloatArray
+from ...signals.motion import Motion
+from ..arm import Arm
 from ..background import Background
 from ..term import Columns, Parameter, Values
 from .effect import Effect, Options, each, nothing

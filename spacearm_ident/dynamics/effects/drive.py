@@ -9,8 +9,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
-from ...recording.motion import Motion
-from ..arm import Arm, FloatArray
+from ...arrays import FloatArray
+from ...signals.motion import Motion
+from ..arm import Arm
 from ..background import Background
 from ..friction import excess_temperature
 from ..term import Columns, Constant, Parameter, Values

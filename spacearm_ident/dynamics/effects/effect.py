@@ -12,9 +12,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...arrays import FloatArray
 from ...errors import UserError
-from ...recording.motion import Motion
-from ..arm import Arm, FloatArray
+from ...signals.motion import Motion
+from ..arm import Arm
 from ..background import Background
 from ..term import Columns, Term, Values
 
@@ -143,7 +144,7 @@ class Effect(Term):
         """What a person wants to know of its values: parameters, then constants, in its own order."""
         shown = {}
         for parameter, value in zip(self.parameters, values):
-            if parameter.scale != 0.0:
+            if not parameter.held:
                 shown[parameter.symbol] = (float(value), parameter.unit)
         for constant, value in zip(self.constants, values[len(self.parameters) :]):
             shown[constant.symbol] = (float(value), constant.unit)

@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...recording.motion import Motion
-from ..arm import Arm, FloatArray
+from ...arrays import FloatArray
+from ...signals.motion import Motion
+from ..arm import Arm
 from ..background import Background
 from ..friction import bristle_state, excess_temperature
 from ..term import Columns, Constant, Parameter, Values

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...recording.motion import Motion
-from ..arm import Arm, FloatArray, Joint
+from ...arrays import FloatArray
+from ...signals.motion import Motion
+from ..arm import Arm, Joint
 from ..background import Background
 from ..regressor import rigid_body_torque
 
@@ -189,7 +190,7 @@ def _sensitivity(
     fine = np.arange(len(motion.position)) / step
 
     def spread(signal: FloatArray) -> FloatArray:
-        return _interpolate(signal, fine)
+        return interpolate(signal, fine)
 
     return Sensitivity(
         motion.rate_hz,
@@ -203,7 +204,7 @@ def _sensitivity(
     )
 
 
-def _interpolate(signal: FloatArray, at: FloatArray) -> FloatArray:
+def interpolate(signal: FloatArray, at: FloatArray) -> FloatArray:
     """(N, ...) signal at fractional rows, linear."""
     low = np.minimum(at.astype(int), len(signal) - 1)
     high = np.minimum(low + 1, len(signal) - 1)

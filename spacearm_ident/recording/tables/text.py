@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.errors import UserError
-from spacearm_ident.recording.recording import FloatArray, Issue, Source
+from spacearm_ident.recording.recording import Issue, Source
 from spacearm_ident.recording.tables.table import FEWEST_ROWS, MAX_COLUMNS, Column, Table, require_room
 
 _HEAD_BYTES = 256 * 1024

@@ -16,11 +16,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.mechanism import rigid_body_model
 from spacearm_ident.simulation.parameters import PlantParameters
 
-FloatArray = NDArray[np.float64]
 Spring = Callable[[float, float], float]
 """Torque N·m on the link from twist (motor before link) rad and its rate rad/s."""
 LEAST_ROTOR = 0.004

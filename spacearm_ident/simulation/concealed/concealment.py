@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.simulation.closed_loop import SETTLE_S, Truth
 from spacearm_ident.simulation.concealed.compliant import CompliantMechanism, Structure
 from spacearm_ident.simulation.concealed.effect import Effect, State
@@ -16,7 +16,6 @@ from spacearm_ident.simulation.parameters import PlantParameters
 from spacearm_ident.simulation.plant import Plant
 from spacearm_ident.simulation.thermal import ThermalParameters
 
-FloatArray = NDArray[np.float64]
 _DIFFERENCE = 1e-5
 """Part of a radian over which the encoder's gain is taken."""
 

@@ -12,17 +12,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spacearm_ident.arrays import FloatArray, IntArray
 from spacearm_ident.simulation.parameters import PlantParameters
 
 if TYPE_CHECKING:
     from spacearm_ident.simulation.closed_loop import Truth
     from spacearm_ident.simulation.concealed.compliant import Structure
     from spacearm_ident.simulation.plant import Plant
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.documents import read_yaml
 from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.concealed import absent, drive, friction, memory, sensor, structure
-from spacearm_ident.simulation.concealed.effect import Effect, FloatArray, Parameter
+from spacearm_ident.simulation.concealed.effect import Effect, Parameter
 
 SCHEMA = "spacearm_ident/conceal/1"
 

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from spacearm_ident.simulation.concealed.effect import Effect, FloatArray, Parameter, State
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.simulation.concealed.effect import Effect, Parameter, State
 from spacearm_ident.simulation.parameters import PlantParameters
 
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from spacearm_ident.simulation.concealed.effect import Effect, FloatArray, Parameter, State
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.simulation.concealed.effect import Effect, Parameter, State
 from spacearm_ident.simulation.parameters import PlantParameters
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
-from spacearm_ident.simulation.concealed.effect import Effect, FloatArray, Parameter
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.simulation.concealed.effect import Effect, Parameter
 
 if TYPE_CHECKING:
     from spacearm_ident.simulation.closed_loop import Truth

@@ -8,10 +8,11 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 
+from spacearm_ident.arrays import FloatArray
 from spacearm_ident.dynamics.urdf_chain import bounded
 from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.concealed.compliant import Base, Force, Hinge, Spring, Structure, joint_axes
-from spacearm_ident.simulation.concealed.effect import Effect, FloatArray, Parameter
+from spacearm_ident.simulation.concealed.effect import Effect, Parameter
 from spacearm_ident.simulation.parameters import PlantParameters
 
 

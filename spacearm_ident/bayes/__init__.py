@@ -1,0 +1,1 @@
+"""A model as the prior of another: posterior, update from seconds of data, adaptation to another place."""

@@ -1,0 +1,1 @@
+"""What an identification says: values, intervals, what determined them, physical consistency. Results only."""

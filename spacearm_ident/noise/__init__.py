@@ -1,0 +1,1 @@
+"""What residuals say of themselves: weights, autocorrelation, standard errors, what differs between recordings."""

@@ -1,0 +1,97 @@
+"""What is believed before the data, as a few more rows of the least-squares problem.
+
+Each parameter is believed near its prior (CAD value, zero, or the parameter it is anchored to), give or take its
+scale. Where the data speak, this is a drop in the sea; where they are silent it makes the answer the one nearest
+to CAD instead of an accident of rounding, and the posterior then says so: its spread stays at the scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..dynamics.model import TorqueModel
+from ..dynamics.term import Parameter
+from ..signals.motion import Motion
+
+WIDENING = 2.0
+"""Scales are rough; the prior is made this much weaker than they say."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Independent Gaussian beliefs `rows @ x ~ N(target, 1)` about the free parameters.
+
+    Attributes:
+        rows: (f, p), one row a free parameter, in units of its scale.
+        target: (f,).
+        scale: (p,) standard deviation of each parameter before the data; 0 where held.
+        held: (p,) values of the parameters that are not estimated (and prior means of the others).
+        free: (f,) numbers of the parameters to estimate.
+    """
+
+    rows: FloatArray
+    target: FloatArray
+    scale: FloatArray
+    held: FloatArray
+    free: np.ndarray
+
+    @cached_property
+    def _fixed(self) -> np.ndarray:
+        """Numbers of the parameters that are not estimated."""
+        return np.setdiff1d(np.arange(len(self.held)), self.free)
+
+    def fixed_part(self, matrix: FloatArray) -> FloatArray:
+        """(r,) what the parameters that are not estimated contribute to a system's rows (r, p or more)."""
+        return np.asarray(matrix[:, self._fixed] @ self.held[self._fixed])
+
+
+def make_prior(model: TorqueModel, motions: Sequence[Motion]) -> Prior:
+    """The prior of a model for data of this size."""
+    size = _Sizes(motions)
+    parameters = model.parameters
+    scale = np.array([WIDENING * size.scale(parameter) for parameter in parameters])
+    numbers = {parameter.name: k for k, parameter in enumerate(parameters)}
+    free = np.flatnonzero(scale > 0)
+    rows = np.zeros((len(free), len(parameters)))
+    target = np.empty(len(free))
+    for row, k in enumerate(free):
+        parameter = parameters[k]
+        rows[row, k] = 1.0 / scale[k]
+        target[row] = parameter.prior / scale[k]
+        if parameter.anchor is not None:
+            rows[row, numbers[f"{parameter.anchor}[{parameter.joint}]"]] = -1.0 / scale[k]
+    held = np.array([parameter.prior for parameter in parameters])
+    return Prior(rows, target, scale, held, free)
+
+
+class _Sizes:
+    """How large torque and motion are in the data, per joint."""
+
+    def __init__(self, motions: Sequence[Motion]) -> None:
+        self.joints = motions[0].joints
+        self.torque = _largest_rms([motion.torque_rows for motion in motions])
+        self.torque = np.maximum(self.torque, 1e-3 * self.torque.max())
+        self.position = _largest_rms([motion.position for motion in motions])
+        self.velocity = np.max([np.abs(motion.velocity).max(axis=0) for motion in motions], axis=0)
+        self.acceleration = _largest_rms([motion.acceleration for motion in motions])
+
+    def scale(self, parameter: Parameter) -> float:
+        if parameter.scale is not None:
+            return parameter.scale
+        known = parameter.joint in self.joints
+        which = self.joints.index(parameter.joint) if known else slice(None)
+        size = float(np.mean(self.torque[which]))
+        for power, signal in zip(parameter.dimension, (self.position, self.velocity, self.acceleration)):
+            if power:
+                size /= max(float(np.mean(signal[which])), 1e-3 * float(signal.max()), 1e-12) ** power
+        return size
+
+
+def _largest_rms(signals: Sequence[FloatArray]) -> FloatArray:
+    """(n,) largest RMS of each column over several recordings."""
+    return np.asarray(np.max([np.sqrt(np.mean(signal**2, axis=0)) for signal in signals], axis=0))

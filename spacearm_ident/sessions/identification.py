@@ -1,0 +1,330 @@
+"""An identification session: recordings in, a validated model and its result folder out.
+
+The one pass behind `spacearm identify`, the identifier node and its `replay`: whatever asks, the numbers are the
+same because the code is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..bayes.from_prior import GroundPrior
+from ..conventions.check import check_conventions
+from ..conventions.finding import ConventionReport
+from ..dynamics.arm import Arm, arm_from_urdf, load_arm, without_joints
+from ..dynamics.effects import Effect
+from ..dynamics.model import Structure, TorqueModel, over_temperature, structure_of
+from ..dynamics.model_file import load_model
+from ..dynamics.urdf_chain import JointTree
+from ..environment.gravity import require_gravity_choice
+from ..errors import UnfitDataError, UserError
+from ..estimate.identified import Identified, Validation
+from ..identification.coupling_trial import CouplingTrial, try_coupling
+from ..identification.identify import Progress, Settings, identify, with_provenance
+from ..identification.validation import split, validate
+from ..logs.read import read_log
+from ..recording import Recording, read_recording, recordings_in
+from ..recording.tables import is_log
+from ..report.folder import write_result
+from ..results.provenance import OPTIONS, provenance
+from ..results.recorded_runs import recorded_runs
+from ..solvers.choice import SEPARABLE, require_solver
+
+AUTO, VACUUM = "auto", "vacuum"
+LEAST_RATE_HZ = 25.0
+"""Slowest sampling that can be differentiated: five samples in a period of the lowest bandwidth a fit uses, 5 Hz."""
+USUAL_RATE_HZ = 100.0
+"""What any driver of an arm publishes, Hz."""
+ON_OTHERS = "on other recordings than the fit"
+ON_THE_FITTED = "on recordings of the fit itself"
+ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fit"
+
+
+@dataclass(frozen=True)
+class Session:
+    """What came out: model, validation, report, what is wrong with the data, and a coupling where one was tried."""
+
+    identified: Identified
+    validation: Validation
+    page: Path
+    conventions: ConventionReport
+    coupling: CouplingTrial | None = None
+
+
+def identify_session(
+    fitted: Sequence[Recording],
+    validated: Sequence[Recording] | None,
+    arm: Arm,
+    settings: Settings,
+    directory: Path,
+    *,
+    command: str | None = None,
+    asked: Mapping[str, Any] | None = None,
+    known: Identified | None = None,
+    progress: Progress | None = None,
+) -> Session:
+    """Identify, validate, write the result folder.
+
+    Args:
+        fitted: Runs to identify the arm from.
+        validated: Runs to validate on. None or empty: the last third of the last fitted run is held out of the fit;
+            none of it where a prior is updated by what little there is, then the figures are on the fit itself.
+        arm: What is known before.
+        settings: Decisions of the user.
+        directory: Result folder.
+        command: How to do it again; kept with the result.
+        asked: What of `settings` and `arm` is not by default, as plain data; kept with the result as `OPTIONS`.
+        known: The identification of all of `fitted`, where there is one already: then it is only validated.
+        progress: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UnfitDataError: The data cannot carry an identification or a validation.
+        UserError: The recordings do not fit the arm, or the folder cannot be written.
+    """
+    report = progress or (lambda share, what: None)
+    whole, what = corrected(fitted, arm), _what(fitted, validated or ())
+    judges = whole if validated is fitted else corrected(validated or (), arm)
+    every = [*whole, *([] if judges is whole else judges)]
+    conventions = check_conventions(every, arm, gravity_known=not settings.gravity, progress=within(report, 0.0, 0.1))
+    if validated:
+        judged = judges
+    elif settings.prior is not None:
+        judged, what = whole, ON_THE_FITTED
+    elif known is None:
+        first, last = split(whole[-1])
+        whole, judged = [*whole[:-1], first], [last]
+    else:
+        raise UserError("nothing to validate the known model on: name a recording")
+    identified = known or identify(whole, arm, settings, within(report, 0.1, 0.6))
+    report(0.6, "validating")
+    validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
+    identified = with_provenance(identified, _origin(fitted, validated or fitted[-1:], command, settings, asked))
+    trial = None
+    if validation.held_out and known is None and settings.prior is None:
+        trial = try_coupling(whole, judged, arm, validation, settings)
+    if trial is not None:
+        identified = replace(identified, notes=(*identified.notes, trial.words))
+    further: dict[str, Any] = {"conventions": conventions.as_dict(), "coupling_tried": trial and trial.as_dict()}
+    if settings.gains is not None:
+        further["torque_gains"] = settings.gains.as_dict()
+    report(0.7, "writing the report")
+    runs = recorded_runs(fitted, [] if validated is fitted else (validated or ()), arm)
+    page = write_result(identified, validation, directory, further, runs)
+    report(1.0, "done")
+    return Session(identified, validation, page, conventions, trial)
+
+
+def _origin(
+    fitted: Sequence[Recording],
+    validated: Sequence[Recording],
+    command: str | None,
+    settings: Settings,
+    asked: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """Provenance of a result: recordings, versions, the command, its prior, and what was not by default."""
+    origin = provenance(fitted, validated, command)
+    if settings.prior is not None:
+        origin["prior"] = settings.prior.source
+    if asked is not None:
+        origin[OPTIONS] = dict(asked)
+    return origin
+
+
+def corrected(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:
+    """Recordings with the arm's `corrections` applied.
+
+    Raises:
+        UserError: A joint that is to be corrected is not in one of them.
+    """
+    return [arm.corrections.applied(recording) for recording in recordings]
+
+
+def _what(fitted: Sequence[Recording], validated: Sequence[Recording]) -> str:
+    """What a validation is on; a file that took part in the fit does not test it."""
+    if not validated:
+        return ON_THE_LAST_THIRD
+    seen = {source.sha256 for recording in fitted for source in recording.sources}
+    again = any(source.sha256 in seen for recording in validated for source in recording.sources)
+    return ON_THE_FITTED if again else ON_OTHERS
+
+
+def read_bags(
+    paths: Sequence[Path],
+    progress: Progress,
+    fixed_base: bool = False,
+    namespace: str | None = None,
+    arm: Path | None = None,
+    mapping: Path | None = None,
+) -> list[Recording]:
+    """Read bags and logs one after the other, all of a folder of bags.
+
+    Args:
+        paths: MCAP files, rosbag2 folders, other bags, or logs.
+        progress: Called with a share done in 0..1 and what is being done.
+        fixed_base: Read as if no base motion had been recorded.
+        namespace: Of the arm, as `read_recording`.
+        arm: URDF or arm YAML: a log says nothing of its arm, and where several arms publish on one topic its joints are
+            meant.
+        mapping: What the columns of a log are, as `read_log`.
+
+    Returns:
+        A recording each.
+
+    Raises:
+        UserError: One cannot be read, or holds no joint states.
+        UnfitDataError: One is sampled slower than `LEAST_RATE_HZ`.
+    """
+    recordings = []
+    preferred = () if arm is None else load_arm(arm).joint_names
+    paths = [bag for path in paths for bag in recordings_in(Path(path))]
+    for number, path in enumerate(paths):
+        progress(number / len(paths), f"reading {path.name}")
+        recording = (
+            read_log(path, arm, mapping).recording
+            if is_log(path)
+            else read_recording(path, preferred=preferred, namespace=namespace)
+        )
+        if recording.rate_hz < LEAST_RATE_HZ:
+            raise UnfitDataError(
+                f"{path}: {recording.rate_hz:.3g} Hz is too slow: friction reverses, inertia acts between the samples; "
+                f"record joint states at {USUAL_RATE_HZ:g} Hz or more, {LEAST_RATE_HZ:g} Hz at the very least"
+            )
+        recordings.append(replace(recording, base=None) if fixed_base else recording)
+    return recordings
+
+
+def find_arm(
+    file: Path | None,
+    gravity: Sequence[float] | None,
+    recordings: Sequence[Recording],
+    prior: GroundPrior | None = None,
+) -> Arm:
+    """The arm of a file, or else the one that the recordings describe; with a prior its own, under the file's gravity.
+
+    Args:
+        file: URDF or arm YAML.
+        gravity: (3,) m/s^2 in the base frame, instead of the arm's own.
+        recordings: Whose `/robot_description` is taken where there is no file.
+        prior: Ground model to update.
+
+    Raises:
+        UserError: There is neither, or it cannot be read.
+    """
+    if prior is not None:
+        arm = prior.model.model.arm
+        if file is not None:
+            arm = arm.with_gravity(load_arm(file).gravity)
+    elif file is not None:
+        arm = load_arm(file)
+    else:
+        urdf = next((recording.urdf for recording in recordings if recording.urdf), None)
+        if urdf is None:
+            raise UserError("no bag holds a /robot_description: name the arm's URDF or arm YAML as 'arm' (--arm FILE)")
+        arm = arm_from_urdf(urdf)
+    if prior is None:
+        arm = _as_recorded(arm, recordings)
+    return arm if gravity is None else arm.with_gravity(np.array(gravity, dtype=float))
+
+
+def _as_recorded(arm: Arm, recordings: Sequence[Recording]) -> Arm:
+    """The arm with those joints fixed that a recording lacks.
+
+    Where a recording has joints that the description does not know, a joint may only have another name there: then the
+    arm stays, and is refused for it.
+    """
+    lacking = {joint for joint in arm.joint_names for recording in recordings if joint not in recording.joints}
+    strange = {joint for recording in recordings for joint in recording.joints} - set(JointTree(arm.urdf).by_name)
+    if not lacking or strange or len(lacking) == len(arm.joints):
+        return arm
+    return without_joints(arm, lacking)
+
+
+def locked_words(arm: Arm) -> list[str]:
+    """A line on the joints that were fixed since the recordings lack them; none where there are none."""
+    if not arm.locked:
+        return []
+    return [f"not in the recordings, and taken as fixed: {', '.join(arm.locked)} (elsewhere than at 0: new-arm --lock)"]
+
+
+def settings_for(
+    arm: Arm,
+    friction: str = AUTO,
+    cutoff_hz: float | None = None,
+    structure: Path | None = None,
+    solver: str = SEPARABLE,
+    seed: int = 0,
+    temperature: Sequence[str] = (),
+    estimate_gravity: str = "",
+    prior: GroundPrior | None = None,
+) -> Settings:
+    """Settings from the words of a user.
+
+    Args:
+        arm: The arm.
+        friction: `auto` (the terms that predict held-out data best, joint by joint), or one of `FRICTION_LAWS`.
+        cutoff_hz: Bandwidth; None: chosen from the data.
+        structure: Model file whose terms are identified, effects included; its values do not count.
+        solver: One of `SOLVERS`.
+        seed: Of its particle swarm, where it has one.
+        temperature: What of friction follows the joints' temperatures, some of `OVER_TEMPERATURE`.
+        estimate_gravity: One of `GRAVITY_CHOICES`; empty: gravity is the arm's.
+        prior: Ground model to update, in its own structure; with friction `vacuum`, its k_v2 and k_v3 are gone.
+
+    Raises:
+        UserError: No friction law, solver, temperature term or choice of that name, a negative seed, a law beside a
+            structure, a structure that is not of this arm, or what a prior decides beside a prior.
+    """
+    require_solver(solver)
+    if seed < 0:
+        raise UserError(f"seed {seed}: a seed is a whole number from 0 on")
+    require_gravity_choice(estimate_gravity, arm.gravity)
+    if prior is not None:
+        if friction not in (AUTO, VACUUM) or structure is not None or temperature or solver != SEPARABLE:
+            raise UserError(
+                f"a prior has its own structure and solver: beside it, friction may be {VACUUM} (k_v2 and k_v3 gone), "
+                "leave out other friction, structure, temperature and solver"
+            )
+        ground = prior.in_vacuum() if friction == VACUUM else prior
+        return Settings(cutoff_hz, gravity=estimate_gravity, prior=ground)
+    if structure is None:
+        terms = None if friction == AUTO else structure_of(arm, friction)
+        over_temperature(terms or structure_of(arm), arm, temperature)
+        return Settings(cutoff_hz, terms, solver, seed, tuple(temperature), estimate_gravity)
+    if friction != AUTO or temperature:
+        asked = f"friction {friction}" if friction != AUTO else f"temperature {','.join(temperature)}"
+        raise UserError(f"a structure has its own friction law: leave out {asked} or {structure}")
+    return Settings(cutoff_hz, structure_of_file(structure, arm), solver, seed, gravity=estimate_gravity)
+
+
+def structure_of_file(path: Path, arm: Arm) -> Structure:
+    """The terms of a model file, for an arm.
+
+    Raises:
+        UserError: It cannot be read, or names joints that the arm does not have.
+    """
+    structure = load_model(path).model.structure
+    try:
+        terms = TorqueModel(arm, structure).terms
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from error
+    for term in terms:
+        unknown = set(term.joints) - set(arm.joint_names) if isinstance(term, Effect) else set()
+        if unknown:
+            raise UserError(f"{path}: {term.kind}: the arm has no joint {min(unknown)!r}")
+    return structure
+
+
+def within(progress: Progress, start: float, stop: float) -> Progress:
+    """A progress callback for a part of the work.
+
+    Args:
+        progress: Callback of the whole work: share done in 0..1, and what is being done.
+        start: Share of the whole at which the part begins.
+        stop: Share of the whole at which it ends.
+    """
+    return lambda share, what: progress(start + (stop - start) * share, what)

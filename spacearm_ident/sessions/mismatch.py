@@ -1,0 +1,188 @@
+"""A mismatch session: bags in, an explanation and its result folder out.
+
+The one pass behind `spacearm mismatch` and the identifier node: whatever asks, the answer is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..conventions.change import Kind
+from ..conventions.check import check_conventions
+from ..conventions.finding import DECISIVE, ConventionReport, Level
+from ..conventions.finding import Finding as Mistake
+from ..dynamics.arm import Arm
+from ..dynamics.model import IdentifiedModel
+from ..dynamics.model_file import load_model
+from ..errors import UserError
+from ..excitation.composite import experiment_for
+from ..excitation.constraints import limits_for_excitation
+from ..excitation.trajectory import Trajectory
+from ..identification.effort import in_newton_metres
+from ..identification.identify import Progress
+from ..mismatch.explain import explain
+from ..mismatch.finding import Explanation, unfit
+from ..recording import Recording
+from ..report.folder import refuse_to_replace
+from ..report.mismatch_folder import write_mismatch
+from .identification import corrected, find_arm, read_bags, within
+
+MODEL_SUFFIXES = (".yaml", ".yml")
+MISTAKES = frozenset(
+    {
+        Kind.EFFORT_SIGN,
+        Kind.POSITION_SIGN,
+        Kind.AXIS_REVERSED,
+        Kind.DEGREES,
+        Kind.POSITIONS_EXCHANGED,
+        Kind.EFFORTS_EXCHANGED,
+        Kind.JOINTS_EXCHANGED,
+        Kind.EFFORT_UNIT,
+        Kind.TIME_REVERSED,
+        "robot_description",
+    }
+)
+"""Mistakes of convention that no physics looks like: a gain, a zero, gravity, a delay are effects."""
+
+
+@dataclass(frozen=True)
+class MismatchSession:
+    """What came out: the explanation, the page to open, all recordings that were read, and the arm."""
+
+    explanation: Explanation
+    page: Path
+    recordings: tuple[Recording, ...]
+    arm: Arm
+
+
+def explain_session(
+    field: Sequence[Path],
+    reference: Sequence[Path],
+    judged: Sequence[Path],
+    directory: Path,
+    *,
+    arm: Path | None = None,
+    gravity: Sequence[float] | None = None,
+    excluded: Sequence[str] = (),
+    fixed_base: bool = False,
+    namespace: str | None = None,
+    mapping: Path | None = None,
+    command: str | None = None,
+    progress: Progress | None = None,
+) -> MismatchSession:
+    """Read, explain, write the result folder.
+
+    Args:
+        field: Bags to explain.
+        reference: Bags of the healthy arm, or one model file; none: the arm's own fit is the base.
+        judged: Bags to judge on; none: the last third of each of `field` is held out.
+        directory: Result folder.
+        arm: URDF or arm YAML; None: the model's, or of the bags' `/robot_description`.
+        gravity: (3,) m/s^2 instead of the arm's.
+        excluded: Effects that are not to be considered.
+        fixed_base: Take the base for fixed though the bags hold its motion.
+        namespace: Of the arm, where a bag holds several.
+        mapping: What the columns of logs are; None: the file beside each, or what is proposed.
+        command: How to do it again; kept with the result.
+        progress: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UserError: A file cannot be read or does not fit, or the folder cannot be written.
+    """
+    report = progress or (lambda share, what: None)
+    reading = within(report, 0.0, 0.1)
+    for path in reference:
+        refuse_to_replace(path, directory)
+    how = fixed_base, namespace, arm, mapping
+    known = _reference(reference, reading, how)
+    bags, judges = (read_bags(paths, reading, *how) for paths in (field, judged))
+    healthy = [] if isinstance(known, IdentifiedModel) else known
+    its_arm = _arm(arm, gravity, known, (*bags, *healthy, *judges))
+    bags, healthy, judges = (corrected(in_newton_metres(runs, its_arm), its_arm) for runs in (bags, healthy, judges))
+    known = known if isinstance(known, IdentifiedModel) else healthy
+    recordings = (*bags, *healthy, *judges)
+    wrong = mistakes([*bags, *judges], healthy, its_arm, within(report, 0.1, 0.15))
+    if wrong:
+        explanation = unfit(its_arm.joint_names, wrong)
+    else:
+        explanation = explain(its_arm, known, bags, judges, excluded, progress=within(report, 0.15, 0.95))
+    planned = next_run(explanation, its_arm, bags[0])
+    page = write_mismatch(explanation, its_arm, bags, judges, healthy, planned, directory, command)
+    return MismatchSession(explanation, page, recordings, its_arm)
+
+
+def mistakes(
+    field: Sequence[Recording], reference: Sequence[Recording], arm: Arm, progress: Progress | None = None
+) -> tuple[str, ...]:
+    """Mistakes of convention that make recordings unfit to be compared, as reasons with what to do.
+
+    A mistake counts if `identify` calls it certain; in the field already if `check` calls the data unfit and the
+    reference does not show it: an arm's own CAD errors, for which `identify` leaves room, would show in both.
+
+    Args:
+        field: Recordings to explain, and to judge on.
+        reference: Recordings of the healthy arm; empty where there are none.
+        arm: What is known before.
+        progress: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UserError: A recording lacks a joint of the arm.
+    """
+    everything = [*field, *reference]
+    share = len(field) / max(len(everything), 1)
+    report = progress or (lambda share, what: None)
+    examined = check_conventions(field, arm, progress=within(report, 0.0, share))
+    healthy = check_conventions(reference, arm, progress=within(report, share, 1.0)) if reference else None
+    known = {(one.kind, one.joints) for one in healthy.findings} if healthy else set()
+    found = [] if healthy is None else _wrong(healthy, DECISIVE)
+    found += [one for one in _wrong(examined, 0.0 if healthy else DECISIVE) if (one.kind, one.joints) not in known]
+    return tuple(f"{', '.join(one.recordings)}: {one.statement} -> {one.remedy}" for one in found)
+
+
+def _wrong(report: ConventionReport, least: float) -> list[Mistake]:
+    """Unfit findings that no physics looks like: read off, or inferred with these log odds or more."""
+    unfit_ones = (one for one in report.findings if one.kind in MISTAKES and one.level is Level.UNFIT)
+    return [one for one in unfit_ones if one.log_odds is None or one.log_odds >= least]
+
+
+def _reference(
+    paths: Sequence[Path], progress: Progress, how: tuple[bool, str | None, Path | None, Path | None]
+) -> list[Recording] | IdentifiedModel:
+    """Bags, or the one model file."""
+    models = [path for path in paths if path.suffix in MODEL_SUFFIXES]
+    if not models:
+        return read_bags(paths, progress, *how)
+    if len(paths) > 1:
+        raise UserError("give bags of the healthy arm or one model file as reference, not both")
+    return load_model(models[0])
+
+
+def _arm(
+    file: Path | None,
+    gravity: Sequence[float] | None,
+    reference: list[Recording] | IdentifiedModel,
+    recordings: Sequence[Recording],
+) -> Arm:
+    if isinstance(reference, IdentifiedModel) and file is None and gravity is None:
+        return reference.model.arm
+    return find_arm(file, gravity, recordings)
+
+
+def next_run(explanation: Explanation, arm: Arm, field: Recording) -> Trajectory | None:
+    """Trajectory of the next experiment; None where none is proposed or none keeps the limits.
+
+    Args:
+        explanation: The analysis; `next_effect` and `next_joints` say what the experiment is for.
+        arm: The arm, with its motion limits.
+        field: Recording whose first position the run starts from.
+    """
+    if not explanation.next_effect:
+        return None
+    start = field.in_order(arm.joint_names).position[0]
+    try:
+        limits, _ = limits_for_excitation(arm, start)
+        return experiment_for(explanation.next_effect, arm, limits, start=start, joints=explanation.next_joints or None)
+    except UserError:
+        return None

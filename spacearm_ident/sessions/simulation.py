@@ -1,0 +1,180 @@
+"""A comparison with a simulation: its file and bags in, layers and their result folder out.
+
+The one pass behind `spacearm mismatch --simulation` and the identifier node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..dynamics.arm import Arm
+from ..errors import UserError
+from ..export.mended import mend
+from ..identification.effort import in_newton_metres
+from ..identification.identify import Progress, Settings, identify
+from ..layers.compare import compare
+from ..layers.comparison import Comparison
+from ..layers.discrete import Mistake, find_mistakes
+from ..layers.item import CONVENTIONS, Item, Mended
+from ..recording import Recording
+from ..report.folder import refuse_to_replace
+from ..report.layers_folder import write_comparison
+from ..signals.prepare import prepare
+from ..simulations import SIMULATION_SUFFIXES, Simulation, read_simulation
+from ..simulations.noise_free import noise_free
+from ..simulations.simulation import simulated_structure, without
+from .identification import corrected, find_arm, read_bags, within
+
+
+@dataclass(frozen=True)
+class SimulationSession:
+    """What came out: the comparison, the mended file, the page to open, all recordings, and the simulation."""
+
+    comparison: Comparison
+    mended: Mended | None
+    page: Path
+    recordings: tuple[Recording, ...]
+    simulation: Simulation
+
+
+def compare_session(
+    simulation: Sequence[Path],
+    bags: Sequence[Path],
+    judged: Sequence[Path],
+    directory: Path,
+    *,
+    arm: Path | None = None,
+    gravity: Sequence[float] | None = None,
+    excluded: Sequence[str] = (),
+    fixed_base: bool = False,
+    namespace: str | None = None,
+    mapping: Path | None = None,
+    command: str | None = None,
+    progress: Progress | None = None,
+) -> SimulationSession:
+    """Read, compare, write the result folder.
+
+    Args:
+        simulation: One file of a simulation, or bags that a simulator wrote.
+        bags: Recordings of the arm.
+        judged: Recordings to judge on; none: the last third of each of `bags` is held out.
+        directory: Result folder.
+        arm: URDF or arm YAML; for bags of a simulator that describe no arm.
+        gravity: (3,) m/s^2 instead of the simulation's.
+        excluded: Effects that are not to be considered.
+        fixed_base: Take the base for fixed though the bags hold its motion.
+        namespace: Of the arm, where a bag holds several.
+        mapping: What the columns of logs are; None: the file beside each, or what is proposed.
+        command: How to do it again; kept with the result.
+        progress: Called with a share done in 0..1 and what is being done.
+
+    Raises:
+        UserError: A file cannot be read or does not fit, or the folder cannot be written.
+    """
+    report = progress or (lambda share, what: None)
+    reading = within(report, 0.0, 0.05)
+    for path in simulation:
+        refuse_to_replace(path, directory)
+    how = fixed_base, namespace, arm, mapping
+    fitted, held = (read_bags(paths, reading, *how) for paths in (bags, judged))
+    read = _simulation(simulation, arm, gravity, [*fitted, *held], reading, how)
+    read = _of_recordings(read, [*fitted, *held])
+    fitted, held = (corrected(in_newton_metres(runs, read.arm), read.arm) for runs in (fitted, held))
+    undoing = find_mistakes(fitted, read)
+    if not np.allclose(undoing.arm.gravity, read.arm.gravity):
+        read = _under(read, undoing.arm)
+    right = [[undoing.corrections.applied(recording) for recording in runs] for runs in (fitted, held)]
+    comparison = compare(read, right[0], right[1], excluded, within(report, 0.1, 0.9))
+    comparison = _with_mistakes(comparison, undoing.mistakes)
+    mended = None
+    if comparison.model is not None and len(simulation) == 1:
+        motions, _ = prepare(right[1] or right[0], read.arm.joint_names)
+        motions = comparison.wiring.undone(motions, comparison.model)
+        mended = mend(read, simulation[0], comparison.model, motions)
+    page = write_comparison(comparison, read, mended, fitted, held, directory, command)
+    return SimulationSession(comparison, mended, page, (*fitted, *held), read)
+
+
+def is_simulation(path: Path) -> bool:
+    """Whether a path is a simulation's file, not a bag."""
+    return path.suffix.lower() in SIMULATION_SUFFIXES
+
+
+def written_by_simulator(paths: Sequence[Path], arm: Path | None, namespace: str | None, mapping: Path | None) -> bool:
+    """Whether the bags of a healthy arm come from a simulator: the torque of the first has no noise.
+
+    Args:
+        paths: Bags, of which the first is read; none, or a simulation's own file: false.
+        arm: URDF or arm YAML, for a bag or log that does not say which joints are meant; None: not given.
+        namespace: ROS namespace of the arm, as for `read_recording`; None: not given.
+        mapping: Mapping file of a log's columns, as for `read_log`; None: not given.
+
+    Raises:
+        UserError: It cannot be read.
+        UnfitDataError: It is sampled too slowly.
+    """
+    if not paths or is_simulation(paths[0]):
+        return False
+    return noise_free(read_bags(paths[:1], lambda share, what: None, False, namespace, arm, mapping)[0])
+
+
+def _simulation(
+    paths: Sequence[Path],
+    arm: Path | None,
+    gravity: Sequence[float] | None,
+    recordings: Sequence[Recording],
+    progress: Progress,
+    how: tuple[bool, str | None, Path | None, Path | None],
+) -> Simulation:
+    """The simulation that a file describes, or that wrote some bags."""
+    files = [path for path in paths if is_simulation(path)]
+    if files and len(paths) > 1:
+        raise UserError("give one file of the simulation, or bags that it wrote, not both")
+    if files:
+        read = read_simulation(files[0])
+        return read if gravity is None else _under(read, read.arm.with_gravity(np.array(gravity, dtype=float)))
+    written = read_bags(paths, progress, *how)
+    known = find_arm(arm, gravity, [*written, *recordings])
+    found = identify(written, known, Settings(structure=simulated_structure()))
+    model = found.model.possible
+    return Simulation(model, "bag", ", ".join(path.name for path in paths))
+
+
+def _under(simulation: Simulation, arm: Arm) -> Simulation:
+    """The simulation under another gravity."""
+    model = replace(simulation.model.model, arm=arm)
+    return replace(simulation, model=replace(simulation.model, model=model))
+
+
+def _of_recordings(simulation: Simulation, recordings: Sequence[Recording]) -> Simulation:
+    """The simulation of the joints that all recordings have.
+
+    Raises:
+        UserError: They share none, or a recording has joints that the simulation lacks in place of some of its own.
+    """
+    names = simulation.arm.joint_names
+    lacking = [name for name in names if any(name not in recording.joints for recording in recordings)]
+    strange = sorted({joint for recording in recordings for joint in recording.joints} - set(names))
+    if len(lacking) == len(names) or (lacking and strange):
+        raise UserError(
+            f"the simulation's joints are {', '.join(names)}, the recordings' {', '.join(recordings[0].joints)}: "
+            "give them the same names"
+        )
+    return without(simulation, lacking)
+
+
+def _with_mistakes(comparison: Comparison, mistakes: Sequence[Mistake]) -> Comparison:
+    """With the mistakes of convention that were undone before, as items of the first layer."""
+    if not mistakes or not comparison.layers:
+        return comparison
+    nothing = float("nan")
+    items = tuple(
+        Item(one.name, one.joints, one.words, nothing, nothing, nothing, nothing, "", nothing, True) for one in mistakes
+    )
+    first = comparison.layers[0]
+    assert first.name == CONVENTIONS
+    return replace(comparison, layers=(replace(first, items=(*items, *first.items)), *comparison.layers[1:]))

@@ -1,0 +1,1 @@
+"""Simulated CiA 402 drives on a bus: object dictionary, PDOs, states, motion, faults."""

@@ -1,0 +1,1 @@
+"""What minimises the least-squares problem: separable search, PSO-LM as published, and the choice between them."""

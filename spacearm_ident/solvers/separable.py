@@ -1,0 +1,298 @@
+"""The separable solver: search only what is truly nonlinear, solve the rest exactly.
+
+For given constants theta (Stribeck velocities, presliding distances) the torque is linear in the parameters x, so
+min over (x, theta) of |W (tau - A(theta) x)|^2 is a search over theta alone (variable projection, Golub and
+Pereyra 1973). Three steps:
+
+1. *Grid*: joint by joint, each constant over its grid, the joint's other columns projected out. Every joint keeps
+   its own copy of the shared inertials here, which decouples the joints and makes the search exhaustive.
+2. *Levenberg-Marquardt on all* unknowns, x and log theta together, with the exact x at every trial theta; the
+   damping halves on success (paper §4.1) and grows eightfold on failure: a failed step costs a whole solution.
+3. The step's Jacobian is the one the standard errors come from.
+
+All of it works on the compressed rows of `Regression`: its cost does not depend on the length of the recording
+beyond the few columns the constants shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lstsq
+
+from ..arrays import FloatArray
+from ..regression.prior import Prior
+from ..regression.regression import Regression
+
+SWEEPS = 2
+PRESENCE_GATE = 10.0
+"""Weighted squares that a constant which may be absent must gain before it is there."""
+ITERATIONS = 30
+STEP_TOLERANCE = 1e-3
+COST_TOLERANCE = 1e-6
+LARGEST_STEP = 1.0
+"""No constant changes by more than this, in logarithm, at once."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where the solver ended.
+
+    Attributes:
+        parameters: (p,) linear parameters.
+        constants: (c,) nonlinear constants.
+        cost: Weighted squares plus the prior's.
+        iterations: Steps of the second stage.
+        status: Why it stopped.
+    """
+
+    parameters: FloatArray
+    constants: FloatArray
+    cost: float
+    iterations: int
+    status: str
+
+
+def solve(
+    regression: Regression, prior: Prior, start: FloatArray | None = None, gate: float = PRESENCE_GATE
+) -> Solution:
+    """Least squares over all parameters and constants.
+
+    Args:
+        regression: Weighted rows.
+        prior: Beliefs that keep the problem regular.
+        start: (c,) constants to begin from; a grid search where None.
+        gate: What a constant that may be absent must gain in that search.
+    """
+    if start is None and regression.model.depends and regression.background[0] is None:
+        # What follows from the rest of the torque can be searched for only once there is a rest.
+        first = without_constants(regression, prior)
+        regression.update_background(first.parameters, first.constants)
+    constants = grid_search(regression, gate) if start is None else start.copy()
+    return levenberg_marquardt(regression, prior, constants)
+
+
+def grid_search(regression: Regression, gate: float = PRESENCE_GATE) -> FloatArray:
+    """Constants at the best point of their grids, coordinate by coordinate, each joint by itself.
+
+    One that may be absent is there if that gains `gate` weighted squares, beside the others as they then are.
+    """
+    constants = np.array([_first_value(grid) for grid in regression.grids])
+    for term, first, count in regression.shaped_terms():
+        grids = regression.grids[first : first + count]
+        local = _Local(regression, term, constants)
+        best = local.cost(constants[first : first + count])
+        for _ in range(SWEEPS):
+            before = constants[first : first + count].copy()
+            for k, grid in enumerate(grids):
+                for value in grid:
+                    trial = constants[first : first + count].copy()
+                    if value == trial[k]:
+                        continue
+                    trial[k] = value
+                    cost = local.cost(trial)
+                    if cost < best + gate * (float(value == 0.0) - float(constants[first + k] == 0.0)):
+                        best = cost
+                        constants[first + k] = value
+            if np.array_equal(before, constants[first : first + count]):
+                break
+    return constants
+
+
+def without_constants(regression: Regression, prior: Prior) -> Solution:
+    """The linear problem with every constant absent, or in the middle of its grid where it cannot be."""
+    constants = np.array([_first_value(grid) for grid in regression.grids])
+    parameters, cost = solve_linear(regression, prior, constants)
+    return Solution(parameters, constants, cost, 0, "linear")
+
+
+def _first_value(grid: FloatArray) -> float:
+    """Zero where a constant may be absent, else the middle of the grid."""
+    return 0.0 if grid[0] == 0 else float(grid[len(grid) // 2])
+
+
+class _Local:
+    """A term's rows, each joint fitted by itself beside what the other terms have there."""
+
+    def __init__(self, regression: Regression, term: int, constants: FloatArray) -> None:
+        """Project out the joint's other columns; those that constants shape as they are at `constants`."""
+        self._regression, self._term = regression, term
+        self._others: dict[int, FloatArray] = {}
+        self._costs: dict[tuple[float, ...], float] = {}
+        middle = constants[:0]
+        for other, first, count in regression.shaped_terms():
+            values = constants[first : first + count]
+            if other == term:
+                middle = values
+                continue
+            for joint, (_, columns) in regression.shaped(other, values).items():
+                known = self._others.get(joint, np.empty((len(columns), 0)))
+                self._others[joint] = np.column_stack([known, columns])
+        joints = regression.shaped(term, middle)
+        self._basis = {joint: self._outside(joint) for joint in self._others if joint in joints}
+
+    def _outside(self, joint: int) -> FloatArray:
+        """Orthonormal basis of what the other terms' columns add to the fixed ones."""
+        rows = self._regression.rows[joint]
+        columns = self._others[joint] * rows.weight[:, None]
+        left, size, _ = np.linalg.svd(columns - rows.basis @ (rows.basis.T @ columns), full_matrices=False)
+        return np.asarray(left[:, size > 1e-8 * max(1e-12, size.max(initial=0.0))])
+
+    def cost(self, constants: FloatArray) -> float:
+        """Weighted squares left at these constants of the term; infinite where they are implausible."""
+        key = tuple(constants.tolist())
+        if key not in self._costs:
+            self._costs[key] = self._cost(constants)
+        return self._costs[key]
+
+    def _cost(self, constants: FloatArray) -> float:
+        total, known = 0.0, self._regression.model.parameters
+        for joint, (indices, shaped) in self._regression.shaped(self._term, constants).items():
+            rows = self._regression.rows[joint]
+            if not len(rows.torque):
+                continue
+            held = np.array([known[index].held for index in indices])
+            parameters = np.array([known[index].prior for index in indices])
+            torque = rows.torque - shaped[:, held] @ parameters[held]
+            tail = np.column_stack([shaped[:, ~held], torque]) * rows.weight[:, None]
+            tail -= rows.basis @ (rows.basis.T @ tail)
+            if joint in self._basis:
+                tail -= self._basis[joint] @ (self._basis[joint].T @ tail)
+            parameters[~held] = np.linalg.lstsq(tail[:, :-1], tail[:, -1], rcond=1e-8)[0]
+            if not self._regression.term(self._term).plausible(parameters, constants):
+                return float("inf")
+            total += float(np.sum((tail[:, -1] - tail[:, :-1] @ parameters[~held]) ** 2))
+        return total
+
+
+def solve_linear(regression: Regression, prior: Prior, constants: FloatArray) -> tuple[FloatArray, float]:
+    """The exact parameters (p,) for given constants, and the cost.
+
+    Args:
+        regression: Weighted rows.
+        prior: Of the parameters; those it holds keep their values.
+        constants: (c,) in the model's order.
+
+    Returns:
+        The parameters, and the sum of weighted squares of rows and prior.
+    """
+    matrix, vector = system(regression, prior, constants)
+    parameters = prior.held.copy()
+    known = prior.fixed_part(matrix)
+    parameters[prior.free] = lstsq(matrix[:, prior.free], vector - known, lapack_driver="gelsy")[0]
+    return parameters, float(np.sum((matrix @ parameters - vector) ** 2))
+
+
+def system(
+    regression: Regression,
+    prior: Prior,
+    constants: FloatArray,
+    parameters: FloatArray | None = None,
+    searched: np.ndarray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """The compressed least-squares system, data rows first, the prior's last.
+
+    Args:
+        regression: Weighted rows.
+        prior: Beliefs.
+        constants: (c,) current constants.
+        parameters: (p,) current parameters; with `searched`, derivative columns by log constants are appended.
+        searched: Numbers of the constants to differentiate by.
+
+    Returns:
+        Matrix (r, p + len(searched)) and right-hand side (r,).
+    """
+    width = len(regression.model.parameters)
+    slots = {} if searched is None else {int(c): width + k for k, c in enumerate(searched)}
+    extra: dict[int, tuple[list[int], list[FloatArray]]] = {joint: ([], []) for joint in range(len(regression.rows))}
+    for term, first, count in regression.shaped_terms():
+        values = constants[first : first + count]
+        for joint, (indices, columns) in regression.shaped(term, values).items():
+            extra[joint][0].extend(indices)
+            extra[joint][1].append(columns)
+        for k in range(count):
+            if first + k in slots and parameters is not None:
+                derivative = regression.derivatives(term, values, k, parameters)
+                for joint, column in derivative.items():
+                    extra[joint][0].append(slots[first + k])
+                    extra[joint][1].append(column[:, None])
+    blocks: list[FloatArray] = []
+    sides: list[FloatArray] = []
+    for joint, (numbers, parts) in extra.items():
+        stacked = np.concatenate([np.empty((len(regression.rows[joint].torque), 0)), *parts], axis=1)
+        block, side = regression.compress(joint, numbers, stacked, width + len(slots))
+        blocks.append(block)
+        sides.append(side)
+    blocks.append(np.pad(prior.rows, ((0, 0), (0, len(slots)))))
+    sides.append(prior.target)
+    return np.concatenate(blocks), np.concatenate(sides)
+
+
+def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray) -> Solution:
+    """Refine constants and parameters together from `start`.
+
+    Args:
+        regression: Weighted rows; their background is updated where terms depend on the rest of the model.
+        prior: Of the parameters.
+        start: (c,) constants to begin from.
+    """
+    constants = start.copy()
+    lower, upper = _bounds(regression)
+    regression_parameters, cost = solve_linear(regression, prior, constants)
+    if regression.model.depends:
+        regression.update_background(regression_parameters, constants)
+        regression_parameters, cost = solve_linear(regression, prior, constants)
+    damping, status, steps = 1e-3, "iteration limit", 0
+    while steps < ITERATIONS:
+        searched = _inside(regression, constants)
+        if not len(searched):
+            status = "nothing nonlinear to search"
+            break
+        steps += 1
+        matrix, vector = system(regression, prior, constants, regression_parameters, searched)
+        step = _step(matrix, vector, prior, len(searched), damping)
+        trial = constants.copy()
+        moved = np.log(constants[searched]) + np.clip(step, -LARGEST_STEP, LARGEST_STEP)
+        trial[searched] = np.clip(np.exp(moved), lower[searched], upper[searched])
+        parameters, trial_cost = solve_linear(regression, prior, trial)
+        change = float(np.abs(np.log(trial[searched] / constants[searched])).max())
+        if trial_cost < cost:
+            gain, cost = cost - trial_cost, trial_cost
+            constants, regression_parameters, damping = trial, parameters, damping / 2
+            if change < STEP_TOLERANCE or gain < COST_TOLERANCE * cost:
+                status = "converged"
+                break
+        else:
+            damping = max(8 * damping, 1e-3)
+            if change < STEP_TOLERANCE or damping > 1e6:
+                status = "converged"
+                break
+    return Solution(regression_parameters, constants, cost, steps, status)
+
+
+def _step(matrix: FloatArray, vector: FloatArray, prior: Prior, searched: int, damping: float) -> FloatArray:
+    """Change of the searched constants' logarithms in a damped step over all unknowns."""
+    width = matrix.shape[1] - searched
+    used = np.concatenate([prior.free, np.arange(width, width + searched)])
+    scale = np.linalg.norm(matrix[:, width:], axis=0) + 1e-12
+    damp = np.zeros((searched, len(used)))
+    damp[:, len(prior.free) :] = np.diag(np.sqrt(damping) * scale)
+    solution = lstsq(
+        np.concatenate([matrix[:, used], damp]),
+        np.concatenate([vector - prior.fixed_part(matrix), np.zeros(searched)]),
+        lapack_driver="gelsy",
+    )[0]
+    return np.asarray(solution[len(prior.free) :])
+
+
+def _bounds(regression: Regression) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest positive grid value of every constant."""
+    positive = [grid[grid > 0] if (grid > 0).any() else np.zeros(1) for grid in regression.grids]
+    return np.array([grid[0] for grid in positive]), np.array([grid[-1] for grid in positive])
+
+
+def _inside(regression: Regression, constants: FloatArray) -> np.ndarray:
+    """Numbers of the constants that are there, and not stuck at a bound."""
+    lower, upper = _bounds(regression)
+    return np.flatnonzero((constants > 0) & (constants > lower * 1.0001) & (constants < upper / 1.0001))

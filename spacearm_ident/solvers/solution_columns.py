@@ -1,0 +1,34 @@
+"""A solution's columns and residual on all rows of a regression, uncompressed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..regression.regression import Regression
+from .separable import Solution
+
+
+def residuals_of(regression: Regression, solution: Solution) -> list[FloatArray]:
+    """Per joint, (M,) measured minus predicted torque on the regression's rows, N·m."""
+    columns, numbers = all_columns(regression, solution)
+    return [
+        rows.torque - block @ solution.parameters[number]
+        for rows, block, number in zip(regression.rows, columns, numbers)
+    ]
+
+
+def all_columns(regression: Regression, solution: Solution) -> tuple[list[FloatArray], list[list[int]]]:
+    """Per joint, all unweighted columns (M, k) at the solution, and the parameters they belong to."""
+    return columns_at(regression, solution.constants)
+
+
+def columns_at(regression: Regression, constants: FloatArray) -> tuple[list[FloatArray], list[list[int]]]:
+    """The same at any constants (c,)."""
+    columns = [[rows.fixed] for rows in regression.rows]
+    numbers = [list(rows.indices) for rows in regression.rows]
+    for term, first, count in regression.shaped_terms():
+        for joint, (indices, shaped) in regression.shaped(term, constants[first : first + count]).items():
+            columns[joint].append(shaped)
+            numbers[joint].extend(indices)
+    return [np.concatenate(parts, axis=1) for parts in columns], numbers
