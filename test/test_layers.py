@@ -12,12 +12,15 @@ from mujoco_arm import JOINTS, mjcf, mujoco_or_skip, recorded
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.dynamics.model import TorqueModel
 from spacearm_ident.layers.compare import compare
 from spacearm_ident.layers.comparison import Comparison
 from spacearm_ident.layers.conventions import find_wiring
 from spacearm_ident.layers.discrete import find_mistakes
 from spacearm_ident.layers.item import Item
+from spacearm_ident.layers.physics import with_friction_terms
 from spacearm_ident.layers.wiring import Wiring
+from spacearm_ident.mismatch.finding import Finding
 from spacearm_ident.mismatch.preparation import banded
 from spacearm_ident.recording import Recording
 from spacearm_ident.recording.writer import write_recording
@@ -226,6 +229,41 @@ def test_effects_that_a_simulation_lacks_are_named_where_nothing_but_the_field_s
     }
     assert items["harness_spring"].low < 2.0 < items["harness_spring"].high
     assert np.all(comparison.after_Nm < 1.5 * 0.02)
+
+
+def test_stribeck_friction_that_the_search_named_is_in_the_model_once(simulation: Simulation) -> None:
+    """A v_b beside a static level that is held made a second Stribeck friction of every change of the Coulomb one."""
+    model = simulation.model
+    base = model.model.structure
+    named = {**base, "stribeck": {"at": [{"joint": "elbow"}]}}
+    extended = model.carried_to(TorqueModel(model.model.arm, named))
+    chosen = {
+        **base,
+        "stribeck_friction": {"presliding": False, "stribeck": ["shoulder", "elbow"], "load": []},
+        "viscous_friction": {"held": {joint: ["k_v2", "k_v3"] for joint in JOINTS}},
+    }
+    identified = model.carried_to(TorqueModel(model.model.arm, chosen))
+    slow = np.array([0.2 if constant.symbol == "v_b" else 0.0 for constant in identified.model.constants])
+    left = {"elbow": 1.0}
+    finding = Finding("stribeck", ("elbow",), "", "", "", {}, 0.99, (), 100.0, 100.0, 1.0, left, left, 0.9)
+    whole = with_friction_terms(extended, base, replace(identified, constants=slow), [finding])
+    speeds = dict(zip((constant.name for constant in whole.model.constants[:6]), whole.constants[:6]))
+    assert speeds["v_b[shoulder]"] == 0.2
+    assert speeds["v_b[elbow]"] == 0.0
+
+
+def test_no_joint_has_less_than_no_damping(simulation: Simulation) -> None:
+    runs = [recorded(mjcf(), seed) for seed in (1, 2)]
+    runs = [
+        replace(run, effort=run.effort - np.gradient(run.position, run.time, axis=0) * np.array([0.0, 0.0, 1.0]))
+        for run in runs
+    ]
+    damping = [
+        item
+        for item in _items(compare(simulation, runs[:1], runs[1:], excluded=tuple(EFFECTS)), "parameters")
+        if item.name == "damping"
+    ]
+    assert [(item.joints, item.value) for item in damping] == [(("elbow",), 0.0)]
 
 
 def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -218,7 +218,8 @@ def _item_line(layer: str, item: Item) -> str:
     was = f"{item.was:.4g} -> " if math.isfinite(item.was) else ""
     replicated = {True: ", replicated", False: ", NOT replicated", None: ""}[item.replicated]
     value = f"{was}{item.value:.4g} [{item.low:.4g}, {item.high:.4g}] {item.unit}"
-    share = f"{item.share:.1%}" if item.share >= LEAST_SHARE else f"< {LEAST_SHARE:.1%}"
+    share = f"< {LEAST_SHARE:.1%}" if item.share < LEAST_SHARE else f"{item.share:.1%}"
+    share = share if math.isfinite(item.share) else "share not known"
     place = "" if any(joint in item.where for joint in item.joints) else f" at {', '.join(item.joints)}"
     return f"{item.title}, {item.where}{place}: {value} ({share}{replicated})"
 

@@ -213,19 +213,18 @@ class _Pass:
         rms = [simulated, *(gain * found.judge.rms(values) for values in stages)]
         after = rms[-1]
         noise = np.fmin(after, explanation.noise_floor_Nm * gain)
-        above = np.maximum(simulated**2 - noise**2, 1e-12)
+        torque = gain * found.judge.rms(np.zeros(found.judge.count))
         ceiling = found.ceiling(stages[1]) * gain
-        shares = _Shares(found, above, gain, after)
+        shares = _Shares(found, gain, simulated, after, noise, torque)
         items, lost, seen, notes, kept = self._parameter_items(found, shares)
         layers = (
             Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(suspected)),
             Layer(PARAMETERS, rms[1], rms[2], items, (*self.simulation.notes, *notes)),
-            Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, above), _unnamed(rest, gone)),
-            Layer(REST, after, noise, _rest_items(explanation, after, noise, above)),
+            Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, shares), _unnamed(rest, gone)),
+            Layer(REST, after, noise, _rest_items(explanation, after, noise, shares)),
         )
         mended = found.mended(self.cutoff, kept)
         traces = found.traces(stages[-1])
-        torque = gain * found.judge.rms(np.zeros(found.judge.count))
         return Comparison(
             joints=self.joints,
             layers=layers,
@@ -278,7 +277,7 @@ class _Pass:
                     found.replicates(vector, -now),
                 )
             )
-        return tuple(sorted(items, key=lambda one: -one.share))
+        return _by_share(items)
 
     def _parameter_items(
         self, found: JointFit, shares: _Shares
@@ -319,8 +318,7 @@ class _Pass:
             for one in combinations(found.linear, self.simulation)
             if (one.name, one.where) not in named
         ]
-        ordered = sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf))
-        return tuple(ordered), lost, seen, notes, kept
+        return _by_share(items), lost, seen, notes, kept
 
     def _change_item(self, change: Change, found: JointFit, shares: _Shares) -> Item:
         low, high = found.estimate.interval(change.vector)
@@ -339,11 +337,11 @@ class _Pass:
         )
 
     def _physics_items(
-        self, found: JointFit, order: Sequence[Added], rms: Sequence[FloatArray], above: FloatArray
+        self, found: JointFit, order: Sequence[Added], rms: Sequence[FloatArray], shares: _Shares
     ) -> tuple[Item, ...]:
         items = []
         for number, one in enumerate(order):
-            drop = float(np.mean((rms[2 + number] ** 2 - rms[3 + number] ** 2) / above))
+            drop = shares.of_variance(rms[2 + number] ** 2 - rms[3 + number] ** 2)
             vector = found.vector(one)
             card = {} if one.finding is None else one.finding.parameters
             name, quantity = next(iter(card.items()), ("", None))
@@ -408,13 +406,31 @@ def _with_causes(simple: Sequence[Explained], found: JointFit) -> FloatArray:
 
 
 class _Shares:
-    """What an item is worth: the held-out variance that is back when it alone is as the simulation has it."""
+    """What an item is worth: the held-out variance that is back when it alone is as the simulation has it.
 
-    def __init__(self, found: JointFit, above: FloatArray, gain: FloatArray, after: FloatArray) -> None:
-        self._found, self._above, self._gain, self._after = found, above, gain, after
+    As a share of the simulation's variance above the noise, each joint's in units of its torque's: at a joint that the
+    simulation predicts there is nothing to be a share of.
+    """
+
+    def __init__(
+        self,
+        found: JointFit,
+        gain: FloatArray,
+        simulated: FloatArray,
+        after: FloatArray,
+        noise: FloatArray,
+        torque: FloatArray,
+    ) -> None:
+        self._found, self._gain, self._after = found, gain, after
+        self._unit = np.where(torque > 0.0, torque, np.nan) ** -2.0
+        self._whole = float(np.nansum(np.maximum(simulated**2 - noise**2, 0.0) * self._unit))
+
+    def of_variance(self, variance: FloatArray) -> float:
+        """Of variances (n,), N^2 m^2; NaN where the simulation leaves no more than noise."""
+        return float(np.nansum(variance * self._unit)) / self._whole if self._whole > 0.0 else float("nan")
 
     def without(self, vector: FloatArray, was: float) -> float:
-        """Share of the simulation's variance above the noise, mean over the joints."""
+        """With one combination as in the simulation."""
         return self.of(self.back(vector, was))
 
     def back(self, vector: FloatArray, was: float) -> FloatArray:
@@ -433,7 +449,12 @@ class _Shares:
     def of(self, values: FloatArray) -> float:
         """The same of other values (P,)."""
         rms = self._gain * self._found.judge.rms(values)
-        return float(np.nanmean((rms**2 - self._after**2) / self._above))
+        return self.of_variance(rms**2 - self._after**2)
+
+
+def _by_share(items: Sequence[Item]) -> tuple[Item, ...]:
+    """Largest share first; those without one before all."""
+    return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf)))
 
 
 def _standing(explanation: Explanation, gone: Sequence[Added]) -> Explanation:
@@ -474,19 +495,19 @@ def _unnamed(small: Sequence[Added], gone: Sequence[Added]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _rest_items(explanation: Explanation, after: FloatArray, noise: FloatArray, above: FloatArray) -> tuple[Item, ...]:
+def _rest_items(explanation: Explanation, after: FloatArray, noise: FloatArray, shares: _Shares) -> tuple[Item, ...]:
     """What is left, and what it depends on as far as the search can say."""
     items = []
     for finding in explanation.findings:
         if finding.effect == UNKNOWN:
             rows = [explanation.joints.index(joint) for joint in finding.joints]
-            items.append(_left_at(rows, explanation.joints, finding.where, after, noise, above))
+            items.append(_left_at(rows, explanation.joints, finding.where, after, noise, shares))
     named = {joint for item in items for joint in item.joints}
     for left in explanation.unexplained:
         if not set(left.joints) <= named:
             rows = [explanation.joints.index(joint) for joint in left.joints]
-            items.append(_left_at(rows, explanation.joints, left.where, after, noise, above))
-    return tuple(sorted(items, key=lambda one: -one.share))
+            items.append(_left_at(rows, explanation.joints, left.where, after, noise, shares))
+    return _by_share(items)
 
 
 def _left_at(
@@ -495,9 +516,9 @@ def _left_at(
     where: str,
     after: FloatArray,
     noise: FloatArray,
-    above: FloatArray,
+    shares: _Shares,
 ) -> Item:
     largest = float(np.max(after[rows]))
-    share = float(np.sum((after[rows] ** 2 - noise[rows] ** 2) / above[rows]) / len(joints))
+    share = shares.of_variance(np.where(np.isin(np.arange(len(joints)), rows), after**2 - noise**2, 0.0))
     nothing = float("nan")
     return Item(UNKNOWN, tuple(joints[k] for k in rows), where, nothing, largest, nothing, nothing, "N m RMS", share)

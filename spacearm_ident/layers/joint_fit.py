@@ -15,6 +15,7 @@ from scipy.stats import norm
 from ..arrays import FloatArray
 from ..conventions.evidence import inertial_belief
 from ..dynamics.arm import Arm
+from ..dynamics.effects.effect import Effect
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..estimate.consistency import make_consistent
 from ..mismatch.noise import weighted
@@ -27,7 +28,7 @@ from .ceiling import black_box, inputs_of
 from .comparison import Trace
 from .conventions import SPREAD, Wired
 from .estimate import Estimate, estimate
-from .linear import Linear, Prior, weak_prior
+from .linear import CONSTANT_SPREAD, Linear, Prior, constant_name, weak_prior
 from .parameters import DETERMINED, LEVEL
 from .physics import Added
 from .wiring import kind_and_joint
@@ -38,6 +39,9 @@ NEAR = 0.15
 """Relative standard deviation of what stays near the simulation's (one of `CAD_SCALES`)."""
 STIFF = 30.0
 """A combination that is kept moves by a thirtieth of its error at most."""
+NOT_NEGATIVE = frozenset({"J_m", "f_c", "k_v1"})
+"""Symbols of what no joint has less than none of; k_v1 where it alone is the viscous friction."""
+HIGHER_ORDERS = frozenset({"k_v2", "k_v2_odd", "k_v3"})
 ROUNDING = 1e-12
 """Smallest variance of a combination beside the largest, in units of the prior's."""
 LEAST_FACTOR = 1e-3
@@ -114,11 +118,47 @@ class JointFit:
     def _settle(self) -> None:
         """Solve for everything, here and in the held-out recordings by themselves."""
         self.prior = self._prior(None)
-        self.estimate = estimate(self.linear, self.prior, self.variance)
+        self.estimate = self._estimate(self.linear, self.prior)
         try:
-            self._there: Estimate | None = estimate(self.again, self._prior(None, self._weak_again), self.variance)
+            self._there: Estimate | None = self._estimate(self.again, self._prior(None, self._weak_again))
         except np.linalg.LinAlgError:
             self._there = None
+
+    def _estimate(self, linear: Linear, prior: Prior) -> Estimate:
+        """Values with the searched constants as they were found, and errors with those open as well."""
+        values = self._possible(linear, prior)
+        return replace(estimate(linear, self._with_constants(linear, prior), self.variance), values=values)
+
+    def _possible(self, linear: Linear, prior: Prior, blocks: np.ndarray | None = None) -> FloatArray:
+        """(P,) the solution in which no rotor inertia, friction or damping is below zero (active set)."""
+        values = linear.solve(prior, self.variance, blocks).values
+        own = list(zip(linear.model.model.parameters, prior.free))
+        curved = {parameter.joint for parameter, free in own if free and parameter.symbol in HIGHER_ORDERS}
+        bounded = np.zeros(linear.count, dtype=bool)
+        for number, (parameter, free) in enumerate(own):
+            is_slope = parameter.symbol == "k_v1" and parameter.joint in curved
+            bounded[number] = free and parameter.symbol in NOT_NEGATIVE and not is_slope
+        while (low := bounded & prior.free & (values < 0.0)).any():
+            prior = prior.held(low, 0.0)
+            values = linear.solve(prior, self.variance, blocks).values
+        return values
+
+    def _with_constants(self, linear: Linear, prior: Prior) -> Prior:
+        """A prior in which the constants of what is in the model are free."""
+        free, precision, names = prior.free.copy(), prior.precision.copy(), list(linear.names)
+        for term, parameter, first in linear.model.model.numbered():
+            for constant, value in zip(term.constants, linear.model.constants[first:]):
+                # A static level that is left out is tied to the Coulomb friction: no speed tells them apart.
+                needs = [
+                    self._is_in(number)
+                    for number, own in enumerate(term.parameters, start=parameter)
+                    if isinstance(term, Effect) or (own.joint == constant.joint and own.symbol == "f_b")
+                ]
+                if value != 0.0 and (any(needs) or constant.symbol == "d_s"):
+                    number = names.index(constant_name(constant))
+                    free[number] = True
+                    precision[number, number] = CONSTANT_SPREAD**-2
+        return Prior(prior.mean, precision, free)
 
     def _prior(self, terms: Sequence[np.ndarray] | None, weak: Prior | None = None) -> Prior:
         """Everything free that is in the layers so far.
@@ -132,8 +172,7 @@ class JointFit:
         kept = set() if terms is None else {int(k) for columns in terms for k in columns}
         names = {name: number for number, name in enumerate(linear.names)}
         for number, parameter in enumerate(linear.model.model.parameters):
-            left_in = (terms is None or number in kept) and number not in self._gone
-            if parameter.name in self._known or left_in:
+            if self._is_in(number) and (terms is None or number in kept or parameter.name in self._known):
                 continue
             if parameter.symbol == "f_b" and free[number]:
                 _tie(precision, number, names[f"f_c[{parameter.joint}]"])
@@ -145,6 +184,10 @@ class JointFit:
                 # Where the data leave it open, the weak prior of an identification would let a gain be a heavier link.
                 precision[number, number] = 1.0 / self._errors[name] ** 2
         return Prior(mean, precision, free)
+
+    def _is_in(self, number: int) -> bool:
+        """Whether a parameter is of the simulation's own terms, or of physics that was not left out."""
+        return self.linear.model.model.parameters[number].name in self._known or number not in self._gone
 
     def leave_out(self, terms: Sequence[Added]) -> None:
         """Take physics out of the model for good."""
@@ -185,7 +228,7 @@ class JointFit:
             left = np.zeros((self.linear.blocks, len(self.simulation.arm.joints)))
             for fold in folds_of(self.linear.recording):
                 rest = np.setdiff1d(np.arange(self.linear.blocks), fold)
-                values = self.linear.solve(prior, self.variance, rest).values
+                values = self._possible(self.linear, prior, rest)
                 left[fold] = self.linear.squares(values)[:, fold].T
             squares.append(left)
         return predicts_better(*squares)
@@ -226,7 +269,7 @@ class JointFit:
     def fit(self, with_terms: Sequence[Added]) -> FloatArray:
         """(P,) wiring and parameters fitted, with some of the physics."""
         prior = self._prior([one.columns for one in with_terms])
-        return self.linear.solve(prior, self.variance).values
+        return self._possible(self.linear, prior)
 
     def order(self, added: Sequence[Added]) -> list[Added]:
         """Physics in the order of what each removes beside those before."""

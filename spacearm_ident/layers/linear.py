@@ -7,6 +7,7 @@ Around a model with values, and a wiring, the torque of a recording is linear in
     a zero                     d tau_rigid / dq at all joints
     a delay                    -d tau / dt
     a tilt of the base         d tau_rigid / d gravity, times gravity x axis
+    a constant's logarithm     d tau / d ln c, for the errors: a Stribeck velocity that is off moves the levels
 
 Any subset of them, fitted to any blocks of time and judged on others, is then a small linear problem.
 """
@@ -21,7 +22,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.regressor import rigid_body_torque
-from ..dynamics.term import Columns
+from ..dynamics.term import Columns, Constant
 from ..mismatch.noise import Noise
 from ..mismatch.scene import Scene, Whitener
 from ..regression.held_out import time_blocks
@@ -31,6 +32,10 @@ from .wiring import Wiring, column_names, gravity_torque
 
 STATE_GROUPS = 6
 """Groups of a joint's rows by its velocity, and as many by its position."""
+CONSTANT_STEP = 1e-3
+"""Step of the difference quotient of the torque by a constant's natural logarithm."""
+CONSTANT_SPREAD = 1.0
+"""Standard deviation of a constant's natural logarithm about what the search found, before the data: a factor e."""
 ZERO_STEP = 1e-4
 """rad: step of the difference quotient of the torque by a zero."""
 LARGEST_FACTOR = 10.0
@@ -52,6 +57,14 @@ class Prior:
     mean: FloatArray
     precision: FloatArray
     free: np.ndarray
+
+    def held(self, which: np.ndarray, value: float) -> Prior:
+        """The same with some unknowns (P,) held at a value; the others are as they would be, were that so."""
+        mean, free = self.mean.copy(), self.free & ~which
+        slope = self.precision[np.ix_(free, which)] @ (value - mean[which])
+        mean[free] -= np.linalg.lstsq(self.precision[np.ix_(free, free)], slope)[0]
+        mean[which] = value
+        return Prior(mean, self.precision, free)
 
 
 @dataclass(frozen=True)
@@ -108,12 +121,14 @@ class Linear:
             [
                 _model_columns(model, scene),
                 scene.stack([_wiring_columns(model, motion) for motion in undone], len(column_names(joints))),
+                _constant_columns(model, scene),
                 scene.torque(),
             ]
         )
         self.names = (
             *(parameter.name for parameter in model.model.parameters),
             *column_names(joints),
+            *(constant_name(constant) for constant in model.model.constants),
         )
         block_of, self.recording = time_blocks(undone)
         self.blocks = len(self.recording)
@@ -259,6 +274,36 @@ def _model_columns(model: IdentifiedModel, scene: Scene) -> FloatArray:
         columns = [term.columns(motion, constants, b) for motion, b in zip(scene.motions, scene.backgrounds)]
         blocks.append(scene.stack(columns, len(term.parameters)))
     return np.concatenate(blocks, axis=1)
+
+
+def constant_name(constant: Constant) -> str:
+    """What the unknown of a constant's logarithm is called."""
+    return f"ln {constant.name}"
+
+
+def _constant_columns(model: IdentifiedModel, scene: Scene) -> FloatArray:
+    """(R, c) weighted derivative of the torque by each constant's logarithm; zero where a constant is."""
+    blocks = []
+    for term, parameter, first in model.model.numbered():
+        values = model.parameters[parameter : parameter + len(term.parameters)]
+        constants = model.constants[first : first + len(term.constants)]
+        for number in range(len(constants)):
+            moved = constants.copy()
+            moved[number] *= 1.0 + CONSTANT_STEP
+            slopes = [
+                _slope_by(term.columns(motion, moved, b), term.columns(motion, constants, b), values)
+                for motion, b in zip(scene.motions, scene.backgrounds)
+            ]
+            blocks.append(scene.stack(slopes, 1))
+    return np.concatenate(blocks, axis=1) if blocks else np.zeros((len(scene), 0))
+
+
+def _slope_by(there: Columns, here: Columns, values: FloatArray) -> Columns:
+    """The difference quotient of a term's torque as one column a joint."""
+    return {
+        joint: ([0], ((columns @ values[numbers] - here[joint][1] @ values[here[joint][0]]) / CONSTANT_STEP)[:, None])
+        for joint, (numbers, columns) in there.items()
+    }
 
 
 def _wiring_columns(model: IdentifiedModel, motion: Motion) -> Columns:

@@ -170,8 +170,10 @@ def with_friction_terms(
     here, there = extended.by_term, identified.by_term
     values = {**there, **here}
     friction = "stribeck_friction"
-    values |= {key: value for key, value in there.items() if key[0] == friction and key[1].startswith("v_b")}
+    # Elsewhere a static level held at one value beside a Coulomb friction that is fitted would be Stribeck friction.
+    with_level = structure[friction]["stribeck"]
     for joint in joints:
+        values[friction, f"v_b[{joint}]"] = there.get((friction, f"v_b[{joint}]"), 0.0) if joint in with_level else 0.0
         values[friction, f"d_s[{joint}]"] = 0.0
         values[friction, f"f_b[{joint}]"] = values[friction, f"f_c[{joint}]"]
     terms = model.terms

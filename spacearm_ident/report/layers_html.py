@@ -335,10 +335,10 @@ def _obtained(comparison: Comparison, sources: Mapping[str, Any]) -> Markup:
         *tables,
         element(
             "p",
-            "Share: part of the simulation's residual variance above the noise, mean over the joints, that returns "
-            "when this item alone is left as in the simulation. Replicated: estimated from the held-out recordings by "
-            "themselves, with the same sign and within 99 % of the errors of both. Beside this page: mismatch.json "
-            "has the same for programs; extended_model.yaml is the model of all layers.",
+            "Share: part of the simulation's residual variance above the noise, over all joints in units of each one's "
+            "torque variance, that returns when this item alone is left as in the simulation. Replicated: estimated "
+            "from the held-out recordings by themselves, with the same sign and within 99 % of the errors of both. "
+            "Beside this page: mismatch.json has the same for programs, extended_model.yaml the model of all layers.",
             class_="quiet",
         ),
     )
