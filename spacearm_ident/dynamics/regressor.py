@@ -84,7 +84,15 @@ def rigid_body_torque(
 ) -> FloatArray:
     """(N, n) torque of links whose inertials (n, 10) are known, N·m: the regressor times them, sooner.
 
-    The wrench of each link is summed before the twists are: arguments otherwise as of `rigid_body_blocks`.
+    The wrench of each link is summed before the twists are.
+
+    Args:
+        arm: The arm.
+        inertials: (n, 10) of each link about its joint's frame, in Pinocchio's order; SI.
+        position: (N, n) rad or m.
+        velocity: (N, n) rad/s or m/s.
+        acceleration: (N, n) rad/s² or m/s².
+        base: Motion of the base; None: it stands still.
     """
     torque = np.zeros((len(arm.joints), len(position)))
     root = _base_motion(arm, len(position), base, False)
@@ -122,7 +130,14 @@ def _base_motion(arm: Arm, samples: int, base: BaseMotion | None, rows: bool) ->
 
 
 def regressor(arm: Arm, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-    """The whole joint-torque regressor, (N, n, 10 n); shapes and units as `rigid_body_blocks`."""
+    """The whole joint-torque regressor, (N, n, 10 n), in N·m per SI unit of each inertial parameter.
+
+    Args:
+        arm: The arm.
+        position: (N, n) rad or m.
+        velocity: (N, n) rad/s or m/s.
+        acceleration: (N, n) rad/s² or m/s².
+    """
     samples, joints = position.shape
     whole = np.zeros((joints, 10 * joints, samples))
     for (row, link), block in rigid_body_blocks(arm, position, velocity, acceleration).items():

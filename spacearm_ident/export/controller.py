@@ -96,7 +96,13 @@ def _valued(model: IdentifiedModel):  # type: ignore[no-untyped-def]  # paramete
 
 
 def code_cost(model: IdentifiedModel, law: ControlLaw, motions: Sequence[Motion]) -> Nearest:
-    """What the law costs against the model's prediction along motions, as `law.nearest` has it."""
+    """What the law costs against the model's prediction along motions, as `law.nearest` has it.
+
+    Args:
+        model: Model with values.
+        law: What the exported code computes of it.
+        motions: Where both are evaluated.
+    """
     whole = np.concatenate([model.torque(motion) for motion in motions])
     left = whole - np.concatenate([law.model.torque(motion) for motion in motions])
     speed = np.abs(np.concatenate([motion.velocity for motion in motions]))

@@ -76,7 +76,15 @@ def steady(
     acceleration: FloatArray,
     rate_hz: float | None = None,
 ) -> Motion:
-    """States (N, n) as a motion; without a rate each by itself: what friction remembers is long gone through."""
+    """States as a motion.
+
+    Args:
+        joints: Names of the n joints.
+        position: (N, n) rad or m.
+        velocity: (N, n) rad/s or m/s.
+        acceleration: (N, n) rad/s² or m/s².
+        rate_hz: Of the states, Hz; None: each is by itself, and what friction remembers is long gone through.
+    """
     return _motion(joints, rate_hz or STEADY_HZ, position, velocity, acceleration, np.zeros_like(position))
 
 

@@ -226,7 +226,13 @@ def contact_thresholds(law: ControlLaw, motions: Sequence[Motion], bandwidth_hz:
 
 
 def document_text(found: Thresholds, notes: Sequence[str], as_json: bool) -> str:
-    """The file's text, YAML or JSON."""
+    """The file's text.
+
+    Args:
+        found: The thresholds.
+        notes: Lines that say how they were obtained.
+        as_json: JSON, else YAML.
+    """
     data = found.document(notes)
     if as_json:
         return json.dumps(data, indent=2, allow_nan=False) + "\n"

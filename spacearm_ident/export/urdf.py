@@ -11,7 +11,16 @@ from .law import Nearest
 
 
 def urdf(model: IdentifiedModel, fit: Nearest, notes: list[str]) -> str:
-    """The text of a URDF with a mock ros2_control system (position in; position, velocity, effort out); as `mjcf`."""
+    """The text of a URDF with a mock ros2_control system (position in; position, velocity, effort out).
+
+    Args:
+        model: Model with values, of an arm that was read from a URDF.
+        fit: Damping and friction by joint that come nearest to the model's friction.
+        notes: Lines for a comment at the top.
+
+    Raises:
+        UserError: As `identified_urdf`.
+    """
     dynamics = {joint: (values[DAMPING], values[FRICTION]) for joint, values in fit.values.items()}
     text = identified_urdf(model, dynamics)
     head, tail = text.rsplit("</robot>", 1)

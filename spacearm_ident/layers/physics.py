@@ -104,6 +104,11 @@ def added_terms(model: IdentifiedModel, base: TorqueModel, findings: Sequence[Fi
     """The terms of an extended model that its base does not have, each with its finding.
 
     A finding of several joints with one cause may be several terms.
+
+    Args:
+        model: The extended model.
+        base: The model without effects.
+        findings: What the search named; `unknown` is no term.
     """
     known = {parameter.name for parameter in base.parameters}
     terms: list[tuple[Effect, np.ndarray]] = []

@@ -35,7 +35,13 @@ def kind_and_joint(column: str) -> tuple[str, str]:
 
 
 def gravity_torque(model: IdentifiedModel, position: FloatArray, gravity: FloatArray) -> FloatArray:
-    """(N, n) torque of a model's bodies at rest at positions (N, n) under a gravity vector (3,), base frame."""
+    """(N, n) torque of a model's bodies at rest, N m.
+
+    Args:
+        model: Model with values.
+        position: (N, n) rad or m.
+        gravity: (3,) m/s^2, in the base's frame.
+    """
     arm = model.model.arm.with_gravity(gravity)
     still = np.zeros_like(position)
     inertials = model.parameters[: 10 * len(arm.joints)].reshape(-1, 10)

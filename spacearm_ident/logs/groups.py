@@ -78,6 +78,11 @@ def find_groups(table: Table, arm: Arm, clocks: list[Clock]) -> tuple[list[Group
 
     Joints are told by their names in the columns' names, else by numbers, in the arm's order; columns without either,
     such as those of a file without a header, by their place: as many next to each other as the arm has joints.
+
+    Args:
+        table: The log's columns.
+        arm: Whose joints are looked for.
+        clocks: Columns that are stamps, which belong to no group.
     """
     taken = {clock.name for clock in clocks}
     meanings = {name: meaning_of(name) for name in table.columns if name not in taken}

@@ -42,6 +42,12 @@ def propose_for(
 ) -> tuple[Table, Proposal]:
     """The columns of a log and the mapping proposed for them.
 
+    Args:
+        log: The file.
+        arm_file: URDF or arm YAML.
+        answers: What the user says, by `ANSWERS`.
+        constants: Joint -> N·m for each A, or at 100 %.
+
     Raises:
         UserError: The log or the arm cannot be read; or as `propose`.
     """
@@ -84,6 +90,12 @@ def read_log(log: Path, arm_file: Path | None = None, mapping_file: Path | None 
 
 def recording_by(table: Table, mapping: LogMapping, arm_file: Path, where: str) -> Recording:
     """The recording that a mapping makes of a log's columns; effort is in what the arm declares.
+
+    Args:
+        table: The log's columns.
+        mapping: Which column is what, in which unit.
+        arm_file: URDF or arm YAML.
+        where: What the log is called in messages.
 
     Raises:
         UnfitDataError: Below 90 Hz.

@@ -84,7 +84,14 @@ class Search:
         self.found.questions.append(f"{question}: --set {answer}")
 
     def tell(self, signal: str, columns: str, unit: str, because: str) -> None:
-        """Add a row to the table that the user sees."""
+        """Add a row to the table that the user sees.
+
+        Args:
+            signal: What the columns are taken for.
+            columns: Their names.
+            unit: Their unit.
+            because: Why.
+        """
         self.found.rows.append(Understood(signal, columns, unit, because))
 
     def scale(self, factor: float) -> FloatArray:

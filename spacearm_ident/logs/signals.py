@@ -89,7 +89,12 @@ class Weight:
 
 
 def weight_of(arm: Arm, position: FloatArray, effort: FloatArray) -> Weight:
-    """How effort (N, n) follows the weight of the arm in positions (N, n), rad.
+    """How effort follows the weight of the arm.
+
+    Args:
+        arm: With CAD inertials.
+        position: (N, n) rad or m.
+        effort: (N, n) in any unit.
 
     Source: least squares of effort on CAD gravity, an offset, and the sign and size of the motion, joint by joint.
     """

@@ -67,8 +67,12 @@ def residual_noise(residual: FloatArray, place: np.ndarray, white: FloatArray) -
 def autocovariance(residual: FloatArray, place: np.ndarray, white: FloatArray) -> FloatArray:
     """(L,) autocovariance by lag in rows, gaps left out of the count, up to a quarter of the record.
 
-    Over the length of the low-pass it is nowhere less than white noise of the same variance would have it; arguments
-    as for `residual_noise`.
+    Over the length of the low-pass it is nowhere less than white noise of the same variance would have it.
+
+    Args:
+        residual: (M,) of one joint.
+        place: (M,) row of the motion that each is of, ascending.
+        white: (L,) autocorrelation of reduced white noise, `Motion.white_correlation`.
     """
     length = int(place[-1] - place[0]) + 1
     signal, present = np.zeros(length), np.zeros(length)

@@ -85,7 +85,14 @@ class Concealment:
     def plant(
         self, parameters: PlantParameters, position: FloatArray, thermal: ThermalParameters, law: JointLaw | None
     ) -> Plant:
-        """The plant with all effects, at rest."""
+        """The plant with all effects, at rest.
+
+        Args:
+            parameters: Of the healthy arm.
+            position: (n,) where it rests, rad or m.
+            thermal: How its joints warm up.
+            law: Friction of its joints; None: Stribeck friction of the parameters.
+        """
         healthy = parameters
         for effect in self.effects:
             parameters = effect.alter(parameters)
