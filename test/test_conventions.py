@@ -225,6 +225,24 @@ def test_stamps_that_jitter_where_the_samples_are_even_are_found(run, arm):
     assert [f.kind for f in report.findings if f.kind.startswith("clock")] == ["clock_jitter"]
 
 
+def test_stamps_in_batches_are_found_though_the_positions_are_noisy(run, arm):
+    number = np.arange(len(run.time))
+    noisy = run.position + 1e-3 * np.random.default_rng(2).standard_normal(run.position.shape)
+    batches = replace(run, time=run.time[number // 10 * 10] + 2e-5 * (number % 10), position=noisy)
+    assert unfit(check_conventions([batches], arm)) == [("clock_jitter", ())]
+
+
+def test_effort_beyond_the_limits_is_noted_where_the_inertials_tell_no_unit(run, arm):
+    rough = replace(arm, joints=tuple(replace(joint, inertial=np.zeros(10)) for joint in arm.joints))
+    assert not any(one.kind == "effort_unit" for one in check_conventions([run], rough).findings)
+    (finding,) = [
+        one
+        for one in check_conventions([scaled(run, "effort", slice(None), 30.0)], rough).findings
+        if one.kind == "effort_unit"
+    ]
+    assert finding.level is Level.NOTE and "shoulder" in finding.joints
+
+
 def test_samples_that_are_uneven_by_their_stamps_are_sound(arm):
     base = sound(seed=3)
     pick = np.sort(np.random.default_rng(0).choice(len(base.time), 3500, replace=False))

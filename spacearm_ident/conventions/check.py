@@ -21,6 +21,7 @@ from .change import Kind
 from .description import compare_description
 from .finding import Alternative, ConventionReport, Finding, Level, merged
 from .plain import Plain, hardly_moving, read_off
+from .plausible import EFFORT_SLACK
 from .rows import rows_of
 from .search import SUSPECTED, Court, Scored, Step, loaded_joints, search, zero_error
 from .setup import Setup
@@ -118,8 +119,33 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     steps = search(court)
     final = steps[-1].before
     findings = [finding for step in steps if (finding := _finding(court, step, final)) is not None]
+    findings += _beyond_the_limit(court, final, findings)
     findings += hardly_moving([arm.joint_names[k] for k in sorted(court.idle)])
     return findings, _undecided(court, steps[-1], plain)
+
+
+def _beyond_the_limit(court: Court, final: Scored, findings: Sequence[Finding]) -> list[Finding]:
+    """A note on torques that no motor of the URDF gives, unless their unit or a gain is named already.
+
+    Inertials that are placeholders tell no unit; a limit does where it is exceeded, and is wrong at times itself.
+    """
+    if any(one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN) for one in findings):
+        return []
+    ratios, names = court.ranges.effort_ratio(final.setup), court.arm.joint_names
+    beyond = [k for k in range(len(names)) if ratios[k] > EFFORT_SLACK]
+    if not beyond:
+        return []
+    told = ", ".join(f"{names[k]} {ratios[k]:.2g}" for k in beyond)
+    return [
+        Finding(
+            kind=str(Kind.EFFORT_UNIT),
+            level=Level.NOTE,
+            joints=tuple(names[k] for k in beyond),
+            statement=f"suspected: effort is not in N·m, or the URDF's limits are wrong; effort over limit is {told}",
+            remedy="find the unit of the effort (A, mA, per cent of the limit); effort_scale in the arm YAML mends it",
+            values={"over_limit": [round(float(ratios[k]), 3) for k in beyond]},
+        )
+    ]
 
 
 def _velocity_bonus(slopes: FloatArray) -> Callable[[Setup], float]:

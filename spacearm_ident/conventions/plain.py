@@ -25,6 +25,9 @@ JITTER_RATIO = 2.0
 """How many times smoother positions must be over an even clock than over the stamps for the stamps to be wrong."""
 JITTER_S = 0.002
 """RMS error of stamps from which the data are unfit, s: a joint at 1 rad/s is then 2 mrad off, 20 times an encoder."""
+UNEVEN, FEWEST_UNEVEN = 0.1, 20
+"""Distance of a stamp from the middle of its neighbours', as a share of theirs, from which it tells even time from the
+stamps; and the fewest such positions that are judged."""
 LOST_SHARE = 0.05
 """Share of samples lost to stamps out of order from which the clock is not to be believed."""
 LET_MOVE = "record a run in which they move, or take their parameters for CAD's"
@@ -219,10 +222,11 @@ def _clock(recording: Recording) -> list[Finding]:
 def jitter(recording: Recording) -> tuple[float, float] | None:
     """How many times smoother positions are over even time than over the stamps, and the stamps' RMS error, s.
 
-    Each position is predicted from its neighbours by a straight line, over the stamps and over the sample number.
+    Each position is predicted from its neighbours by a straight line, over the stamps and over the sample number; of
+    samples whose stamp is near the middle of its neighbours' both say the same, and they are left out.
     """
     over_stamps = over_numbers = errors = 0.0
-    count = 0
+    count = decided = 0
     for segment in recording.segments:
         time, position = recording.time[segment], recording.position[segment]
         if len(time) < 100:
@@ -232,11 +236,13 @@ def jitter(recording: Recording) -> tuple[float, float] | None:
         by_number = position[1:-1] - 0.5 * (position[:-2] + position[2:])
         speed = np.abs(position[2:] - position[:-2])
         fast = speed > np.percentile(speed, 70, axis=0)
-        over_stamps += float(np.sum(by_stamp[fast] ** 2))
-        over_numbers += float(np.sum(by_number[fast] ** 2))
+        told = fast & (np.abs(share - 0.5) > UNEVEN)
+        over_stamps += float(np.sum(by_stamp[told] ** 2))
+        over_numbers += float(np.sum(by_number[told] ** 2))
+        decided += int(told.sum())
         # The centre's stamp against the middle of its neighbours' has 1.5 times the variance of one stamp.
         errors += float(np.sum((time[1:-1] - 0.5 * (time[:-2] + time[2:])) ** 2)) / 1.5
         count += len(time) - 2
-    if count == 0 or over_numbers <= 0:
+    if decided < FEWEST_UNEVEN or over_numbers <= 0:
         return None
     return float(np.sqrt(over_stamps / over_numbers)), float(np.sqrt(errors / count))

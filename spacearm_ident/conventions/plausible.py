@@ -54,17 +54,21 @@ class Ranges:
         logs = np.log(span[turns & (span > 0.0)])
         return np.asarray(logs - np.median(logs)) if len(logs) else logs
 
+    def effort_ratio(self, setup: Setup) -> FloatArray:
+        """(n,) torque, but for moments, over its limit; 0 where there is none."""
+        limits = np.array([joint.effort_limit for joint in self.arm.joints])
+        return np.asarray(self.effort[setup.effort_from] * np.abs(setup.effort_sign) / limits)
+
     def log_likelihood(self, setup: Setup) -> float:
         """Of the ranges: 0 where all are within limits and alike."""
         over = np.maximum(self.excess(setup) - POSITION_SLACK, 0.0) / POSITION_SD
         limited = np.array([np.isfinite(joint.velocity_limit) for joint in self.arm.joints])
         fast = np.log(np.maximum(self.speed_ratio(setup), 1.0)) / np.where(limited, SPEED_SD, USUAL_SPEED_SD)
-        most = EFFORT_SLACK * np.array([joint.effort_limit for joint in self.arm.joints])
         wide = (setup.gain_sd > 0.5) | (setup.common_gain_sd > 0)
         strong = np.where(
             wide,
             0.0,
-            np.log(np.maximum(self.effort[setup.effort_from] * np.abs(setup.effort_sign) / most, 1.0)) / EFFORT_SD,
+            np.log(np.maximum(self.effort_ratio(setup) / EFFORT_SLACK, 1.0)) / EFFORT_SD,
         )
         unlike = float(np.abs(self.excursions(setup)).sum()) / EXCURSION_SPREAD
         return -unlike - float(sum(np.minimum(0.5 * one**2, MOST).sum() for one in (over, fast, strong)))
