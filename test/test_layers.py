@@ -232,7 +232,7 @@ def test_effects_that_a_simulation_lacks_are_named_where_nothing_but_the_field_s
 
 
 def test_stribeck_friction_that_the_search_named_is_in_the_model_once(simulation: Simulation) -> None:
-    """A v_b beside a static level that is held made a second Stribeck friction of every change of the Coulomb one."""
+    """A v_b beside a static level that is held is a second one, and so is a curve of the velocity that stays."""
     model = simulation.model
     base = model.model.structure
     named = {**base, "stribeck": {"at": [{"joint": "elbow"}]}}
@@ -240,16 +240,21 @@ def test_stribeck_friction_that_the_search_named_is_in_the_model_once(simulation
     chosen = {
         **base,
         "stribeck_friction": {"presliding": False, "stribeck": ["shoulder", "elbow"], "load": []},
-        "viscous_friction": {"held": {joint: ["k_v2", "k_v3"] for joint in JOINTS}},
+        "viscous_friction": {"held": {"base_turn": ["k_v2", "k_v3"]}},
     }
     identified = model.carried_to(TorqueModel(model.model.arm, chosen))
     slow = np.array([0.2 if constant.symbol == "v_b" else 0.0 for constant in identified.model.constants])
+    curved = identified.parameters + [1.5 * (one.symbol == "k_v2") for one in identified.model.parameters]
     left = {"elbow": 1.0}
     finding = Finding("stribeck", ("elbow",), "", "", "", {}, 0.99, (), 100.0, 100.0, 1.0, left, left, 0.9)
-    whole = with_friction_terms(extended, base, replace(identified, constants=slow), [finding])
+    whole = with_friction_terms(
+        extended, base, replace(identified, constants=slow, parameters=np.array(curved)), [finding]
+    )
     speeds = dict(zip((constant.name for constant in whole.model.constants[:6]), whole.constants[:6]))
     assert speeds["v_b[shoulder]"] == 0.2
     assert speeds["v_b[elbow]"] == 0.0
+    assert whole.value("k_v2", "shoulder") == 1.5
+    assert whole.value("k_v2", "elbow") == 0.0
 
 
 def test_no_joint_has_less_than_no_damping(simulation: Simulation) -> None:

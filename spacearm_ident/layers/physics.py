@@ -15,6 +15,7 @@ import numpy as np
 
 from ..dynamics.arm import Arm
 from ..dynamics.effects import Effect
+from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..dynamics.term import Parameter
 from ..estimate.identified import Choice
@@ -182,6 +183,10 @@ def with_friction_terms(
         values[friction, f"d_s[{joint}]"] = 0.0
         values[friction, f"f_b[{joint}]"] = values[friction, f"f_c[{joint}]"]
     terms = model.terms
+    # What a finding stands for is not to stay at the value that it had beside no finding.
+    for term in terms:
+        if term.kind == ViscousFriction.kind:
+            values |= {(term.kind, one.name): 0.0 for one in term.parameters if one.held}
     return IdentifiedModel(
         model,
         np.array([values.get((term.kind, item.name), 0.0) for term in terms for item in term.parameters]),
