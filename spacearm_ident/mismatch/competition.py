@@ -155,7 +155,7 @@ class Competition:
                 self._leave_out_events()
             rounds.append(Round(winner, tuple(s for s in ranked if s is not winner)))
             rounds = self._without_the_idle(rounds)
-        self._rounds = rounds
+        self._rounds = rounds = self._with_possible_values(rounds)
         return Outcome(
             tuple(rounds),
             tuple(self.accepted),
@@ -164,6 +164,42 @@ class Competition:
             left,
             left_values,
         )
+
+    def _with_possible_values(self, rounds: Sequence[Round]) -> list[Round]:
+        """Rounds whose winners have values that their physics has beside all others too, not only when they were taken.
+
+        In the place of one that has not comes the simplest other of its joints that has; where there is none it goes.
+        """
+        kept = list(rounds)
+        for number in reversed(range(len(kept))):
+            if self._is_possible(number):
+                continue
+            effect = self.accepted[number].effect
+            others = [candidate for k, candidate in enumerate(self.accepted) if k != number]
+            beside = self.evidence.refit(others)
+            unseen_before = self._on_unseen(others, beside.values)
+            accepted, self.accepted = self.accepted, others
+            again = [
+                self._scored(self._renewed(one.candidate), beside, unseen_before)
+                for one in kept[number].others
+                if one.named and one.joints == effect.joints
+            ]
+            self.accepted = accepted
+            sound = sorted((s for s in again if s.plausible and s.score > self.gate), key=lambda s: -s.score)
+            if sound:
+                winner = simplest(sound)
+                self.accepted[number] = winner.candidate
+                kept[number] = Round(winner, tuple(s for s in sound if s is not winner))
+            else:
+                del self.accepted[number], kept[number]
+        return kept
+
+    def _is_possible(self, number: int) -> bool:
+        """Whether one accepted effect has values that its physics has, fitted with all others."""
+        values = self.evidence.refit(self.accepted).values
+        first = sum(len(candidate.effect.parameters) for candidate in self.accepted[:number])
+        own = values[first : first + len(self.accepted[number].effect.parameters)]
+        return plausible(self.accepted[number], own, self._coulomb)
 
     def _leave_out_events(self) -> None:
         """Judge nothing on unseen rows during an event like one that was found."""
