@@ -468,7 +468,7 @@ def _sufficient(
         sets = [one for _, one in scored[:KEPT]]
     enough.sort(key=lambda fit: -fit.log_probability)
     near = [fit for fit in enough if fit.log_probability > enough[0].log_probability - NEAR]
-    return [fit for fit in near if _possible(simulation, fit.causes, fit.values)]
+    return [fit for fit in near if _possible(simulation, fit)]
 
 
 def _width(fit: _Fitted) -> int:
@@ -503,12 +503,16 @@ def _in_nearly_all(sets: Sequence[_Fitted], simulation: Simulation) -> tuple[tup
     return tuple(explained), tuple(others)
 
 
-def _possible(simulation: Simulation, chosen: Sequence[Cause], values: Sequence[FloatArray]) -> bool:
-    """Whether bodies changed like this have mass, centres within reach of the arm's own size, and rotors inertia."""
+def _possible(simulation: Simulation, fit: _Fitted) -> bool:
+    """Whether bodies changed like this have mass, centres within reach of the arm's own size, and rotors inertia.
+
+    A mass that may as well be none is no cause but a place where much ends up: a torque constant, most often.
+    """
     reach = max(float(np.linalg.norm(joint.translation)) for joint in simulation.arm.joints)
-    for cause, change in zip(chosen, values):
+    beyond = float(norm.ppf(1 - LEVEL / 2))
+    for cause, change, errors in zip(fit.causes, fit.values, fit.errors):
         mass = float(cause.inertial[0])
-        if cause.name in ("mass", "body") and mass + change[0] <= 0.0:
+        if cause.name in ("mass", "body") and mass + change[0] <= beyond * errors[0]:
             return False
         if cause.name == "armature" and simulation.values.get(f"J_m[{cause.joint}]", 0.0) + change[0] < 0.0:
             return False
