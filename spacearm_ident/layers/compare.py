@@ -198,7 +198,7 @@ class _Pass:
         gain = found.wiring.gain
         simulated = self._as_simulated()
         stages = [found.simulated(), found.fit(with_terms=())]
-        gone = [one for one in added if found.replicates(found.vector(one), 0.0) is False]
+        gone = found.contradicted(added, optional, SHOWS)
         found.leave_out(gone)
         added = [one for one in added if one not in gone]
         named = found.clear(optional)

@@ -212,12 +212,35 @@ class JointFit:
                 values, column = self.estimate.values.copy(), np.zeros(self.linear.count)
                 column[self.linear.names.index(name)] = 1.0
                 values[self.linear.names.index(name)] = -undone
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    rise = self.judge.rms(values) ** 2 / left - 1.0
                 low, high = self.estimate.interval(column)
-                if low <= -undone <= high or not (np.nanmax(rise) > least and np.nanmean(rise) > 0.0):
+                if low <= -undone <= high or not self._rises(values, left, least):
                     idle.append(name)
         return tuple(idle)
+
+    def _rises(self, values: FloatArray, left: FloatArray, least: float) -> bool:
+        """Whether values (P,) leave more held-out variance than `left` (n,): by a share at some joint, and in all."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rise = self.judge.rms(values) ** 2 / left - 1.0
+        return bool(np.nanmax(rise) > least and np.nanmean(rise) > 0.0)
+
+    def contradicted(self, terms: Sequence[Added], others: Sequence[Added], least: float) -> list[Added]:
+        """Physics that the held-out recordings by themselves have of another size, and do not need either.
+
+        A recording in which the temperature hardly moves says little of what friction does with it, and is predicted
+        worse without.
+
+        Args:
+            terms: Physics in question.
+            others: All other physics.
+            least: As for `idle_wiring`.
+        """
+        left = self.judge.rms(self.estimate.values) ** 2
+        doubted = [one for one in terms if self.replicates(self.vector(one), 0.0) is False]
+        return [
+            one
+            for one in doubted
+            if not self._rises(self.fit([other for other in (*terms, *others) if other is not one]), left, least)
+        ]
 
     def predicted_better_with(self, terms: Sequence[Added]) -> bool:
         """Whether held-out parts of the fitted recordings are predicted better with some physics, beyond chance."""
