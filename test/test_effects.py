@@ -168,6 +168,7 @@ S = np.sign(V)
         ("position_friction", {"spot": True}, [2.0], [0.4, 0.3], 2.0 * np.exp(-(((Q - 0.4) / 0.3) ** 2)) * S),
         ("asymmetric_friction", {"of": ["level", "viscous"]}, [0.5, 0.3], [], 0.5 + 0.3 * np.abs(V)),
         ("stribeck", {}, [2.0], [0.1], 2.0 * np.exp(-(V**2) / 0.01) * S),
+        ("stribeck", {"law": "exponential"}, [2.0], [0.1], 2.0 * np.exp(-np.abs(V) / 0.1) * S),
         ("current_offset", {}, [-1.5], [], np.full_like(Q, -1.5)),
     ],
 )

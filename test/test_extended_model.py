@@ -83,6 +83,7 @@ def in_one_direction(truth: Truth) -> np.ndarray:
         ("presliding_hysteresis", SECOND, {"f": PAPER.value("f_c", "joint_2"), "d_s": 0.01}, 0.01),
         ("asymmetric_friction", {**SECOND, "of": ["level", "viscous"]}, {"a": 1.0, "b": -1.5}, 0.01),
         ("stribeck", SECOND, {"f": 3.0, "v_b": 0.2}, 0.01),
+        ("stribeck", {**SECOND, "law": "exponential"}, {"f": 3.0, "v_b": 0.2}, 0.01),
         ("vacuum_friction", ALL, {"share": 0.8}, 0.01),
         ("harness_spring", THIRD, {"stiffness": 5.0, "preload": 1.5}, 0.01),
         ("current_offset", THIRD, {"offset": -2.0}, 0.01),

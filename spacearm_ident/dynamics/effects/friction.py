@@ -323,6 +323,10 @@ class AsymmetricFriction(_Friction):
         return own(row, *(signals[of] for of in self.place.get("of", ["level"])))
 
 
+EXPONENTIAL = "exponential"
+"""Law of a Stribeck curve that falls with speed, not with its square."""
+
+
 @dataclass(frozen=True)
 class Stribeck(_Friction):
     """Friction falls with speed from a level that the model does not have."""
@@ -330,8 +334,8 @@ class Stribeck(_Friction):
     kind: ClassVar[str] = "stribeck"
     follows: ClassVar[str] = "velocity"
     words: ClassVar[str] = "friction is higher at low speeds"
-    equation: ClassVar[str] = "f exp(-(qd/v)^2) sgn(qd)"
-    source: ClassVar[str] = "paper eq. 2"
+    equation: ClassVar[str] = "f exp(-(qd/v)^2) sgn(qd), or f exp(-|qd/v|) sgn(qd)"
+    source: ClassVar[str] = "paper eq. 2; Tustin 1947; Bo and Pavelescu 1982"
     confused_with: ClassVar[tuple[str, ...]] = ("presliding_hysteresis", "friction_drift", "time_delay")
     experiment: ClassVar[str] = "constant speeds from a thousandth to a tenth of a radian a second (--for stribeck)"
 
@@ -344,14 +348,26 @@ class Stribeck(_Friction):
             (Parameter("f", joint, "N m", lower=0.0),), (Constant("v_b", joint, "rad/s", grid, True),), place=place
         )
 
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Gaussian or exponential in speed."""
+        for joint in arm.joint_names:
+            yield {"joint": joint}
+            yield {"joint": joint, "law": EXPONENTIAL}
+
+    def replaces(self, other: Effect) -> bool:
+        """Of either law."""
+        return isinstance(other, Stribeck) and other.joints == self.joints
+
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """Whether it ends at a speed that was looked at: one below all of them is how the joint turns round."""
         return constants[0] > BETWEEN * self.constants[0].grid[0]
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """A Gaussian of speed times direction."""
+        """A Gaussian, or an exponential, of speed times direction."""
         row = self.row(motion)
-        share = np.exp(-((motion.velocity[:, row] / constants[0]) ** 2))
+        ratio = np.abs(motion.velocity[:, row] / constants[0])
+        share = np.exp(-ratio if self.place.get("law") == EXPONENTIAL else -(ratio**2))
         return own(row, share * direction(motion, row))
 
 

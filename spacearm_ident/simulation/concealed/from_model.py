@@ -284,7 +284,11 @@ _CONVERTERS: dict[str, Callable[[_Found], Values]] = {
     "presliding_hysteresis": _presliding,
     "position_friction": _position_friction,
     "asymmetric_friction": lambda found: {"coulomb": found["a"], "viscous": found["b"]},
-    "stribeck": lambda found: {"amplitude": found["f"], "velocity": found["v_b"]},
+    "stribeck": lambda found: {
+        "amplitude": found["f"],
+        "velocity": found["v_b"],
+        "law": found.place.get("law", "usual"),
+    },
     "vacuum_friction": lambda found: {"fraction": found["share"]},
     "torque_ripple": _ripple,
     "joint_elasticity": _elasticity,
