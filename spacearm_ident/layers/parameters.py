@@ -38,7 +38,7 @@ MOST_CAUSES = 6
 KEPT = 60
 """Sets of causes of one size that are gone on with: all of one, and the best of more."""
 ENOUGH = 0.01
-"""Probability below which causes do not account for the change of the combinations."""
+"""Probability below which causes do not account for the change of the combinations, or are too far off themselves."""
 OFF = 0.1
 """Prior probability that any one thing is off (as `conventions.ODDS`)."""
 MASS_SHARE, CENTRE_M, ROTOR_SHARE = 0.3, 0.03, 0.5
@@ -468,7 +468,7 @@ def _sufficient(
         sets = [one for _, one in scored[:KEPT]]
     enough.sort(key=lambda fit: -fit.log_probability)
     near = [fit for fit in enough if fit.log_probability > enough[0].log_probability - NEAR]
-    return [fit for fit in near if _possible(simulation, fit)]
+    return [fit for fit in near if _possible(simulation, fit) and _ordinary(fit)]
 
 
 def _width(fit: _Fitted) -> int:
@@ -501,6 +501,12 @@ def _in_nearly_all(sets: Sequence[_Fitted], simulation: Simulation) -> tuple[tup
         elif share > IN_MANY:
             others.append(where)
     return tuple(explained), tuple(others)
+
+
+def _ordinary(fit: _Fitted) -> bool:
+    """Whether things are off by as much as things are off: bodies of a tenth of their mass stand for something else."""
+    squares = sum(float(np.sum((own / cause.spread) ** 2)) for cause, own in zip(fit.causes, fit.values))
+    return bool(chi2.sf(squares, _width(fit)) > ENOUGH)
 
 
 def _possible(simulation: Simulation, fit: _Fitted) -> bool:
