@@ -38,7 +38,7 @@ MOST_CAUSES = 6
 KEPT = 60
 """Sets of causes of one size that are gone on with: all of one, and the best of more."""
 ENOUGH = 0.01
-"""Probability below which causes do not account for the change of the combinations, or are too far off themselves."""
+"""Probability below which causes do not account for the change of the combinations."""
 OFF = 0.1
 """Prior probability that any one thing is off (as `conventions.ODDS`)."""
 MASS_SHARE, CENTRE_M, ROTOR_SHARE = 0.3, 0.03, 0.5
@@ -506,7 +506,7 @@ def _in_nearly_all(sets: Sequence[_Fitted], simulation: Simulation) -> tuple[tup
 def _ordinary(fit: _Fitted) -> bool:
     """Whether things are off by as much as things are off: bodies of a tenth of their mass stand for something else."""
     squares = sum(float(np.sum((own / cause.spread) ** 2)) for cause, own in zip(fit.causes, fit.values))
-    return bool(chi2.sf(squares, _width(fit)) > ENOUGH)
+    return bool(chi2.sf(squares, _width(fit)) > LEVEL)
 
 
 def _possible(simulation: Simulation, fit: _Fitted) -> bool:
