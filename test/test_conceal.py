@@ -20,7 +20,7 @@ def test_a_spring_between_motor_and_link_sags_by_load_over_stiffness():
     plant = plant_with(arm, effect(arm, "joint_elasticity", stiffness=2000.0, damping=20.0))
     stepped(plant, 0.0, 1.2)
     assert plant.position[0] == 0.0
-    link = plant._configuration[0]
+    link = plant.configuration[0]
     assert link == pytest.approx(MASS * G * LENGTH * np.cos(link) / 2000.0, rel=1e-6)
     assert plant.load()[0] == pytest.approx(-MASS * G * LENGTH * np.cos(link), rel=1e-6)
 
@@ -43,7 +43,7 @@ def test_a_hardening_spring_sags_less():
     sag = []
     for law in EFFECTS["joint_elasticity"].laws:
         plant = plant_with(arm, effect(arm, "joint_elasticity", law=law, stiffness=4000.0, damping=20.0))
-        sag.append(stepped(plant, 0.0, 0.6)._configuration[0])
+        sag.append(stepped(plant, 0.0, 0.6).configuration[0])
     assert 0.3 * sag[0] < sag[1] < 0.8 * sag[0]
 
 
@@ -52,13 +52,13 @@ def test_in_the_gap_the_motor_turns_alone_and_beyond_it_with_the_link():
     plant = plant_with(arm, effect(arm, "backlash", gap=gap, stiffness=5e4, damping=40.0))
     alone = np.sqrt(gap * ROTOR / torque)  # crossing half the gap from its middle
     stepped(plant, torque, 0.95 * alone)
-    assert plant._configuration[0] == 0.0
+    assert plant.configuration[0] == 0.0
     assert plant.position[0] == pytest.approx(0.5 * torque / ROTOR * (0.95 * alone) ** 2, rel=1e-3)
     stepped(plant, torque, 0.5)
     before = plant.velocity[0]
     stepped(plant, torque, 0.5)
     assert (plant.velocity[0] - before) / 0.5 == pytest.approx(torque / (ROTOR + INERTIA + 0.01), rel=0.02)
-    assert plant.position[0] - plant._configuration[0] >= gap / 2
+    assert plant.position[0] - plant.configuration[0] >= gap / 2
 
 
 def test_a_bending_link_sags_by_load_over_stiffness_and_no_motor_sees_it():
@@ -66,7 +66,7 @@ def test_a_bending_link_sags_by_load_over_stiffness_and_no_motor_sees_it():
     plant = plant_with(arm, effect(arm, "link_flexibility", ["j0"], stiffness=900.0, damping=40.0, place=0.5))
     stepped(plant, [0.0, 0.0], 1.2)
     np.testing.assert_array_equal(plant.position, 0.0)
-    bend = plant._configuration[1]
+    bend = plant.configuration[1]
     arm_length = 0.5 * LENGTH + LENGTH  # from the hinge to the second mass; the first link's own mass is before it
     assert bend == pytest.approx(MASS * G * arm_length * np.cos(bend) / 900.0, rel=1e-5)
 
@@ -85,26 +85,26 @@ def test_a_free_base_turns_back_and_makes_the_arm_feel_light():
 def test_on_a_free_base_momentum_stays_zero_and_energy_is_what_the_motors_gave():
     arm = replace(chain("zyy", gravity=0.0), rotor_inertia=np.zeros(3))
     plant = plant_with(arm, effect(arm, "floating_base", base_ratio=4.0))
-    mechanism, work, torque = plant._mechanism, 0.0, np.array([0.4, -0.3, 0.2])
+    mechanism, work, torque = plant.mechanism, 0.0, np.array([0.4, -0.3, 0.2])
     for _ in range(800):
         before = plant.position
         plant.step(torque, 2.5e-4)
         work += torque @ (plant.position - before)
     nq, m = mechanism._tree.nq, mechanism._m
     momentum = pin.computeCentroidalMomentum(
-        mechanism._tree, mechanism._data, plant._configuration[:nq], plant._speed[:m]
+        mechanism._tree, mechanism._data, plant.configuration[:nq], plant.speed[:m]
     )
-    assert mechanism.energy(plant._configuration, plant._speed) == pytest.approx(work, rel=2e-4)
+    assert mechanism.energy(plant.configuration, plant.speed) == pytest.approx(work, rel=2e-4)
     assert work > 0.02
     assert np.abs(momentum.vector).max() < 1e-4
-    assert np.abs(plant._speed[:6]).max() > 1e-2
+    assert np.abs(plant.speed[:6]).max() > 1e-2
 
 
 def test_a_parallel_rotor_couples_by_its_inertia_times_gear_ratio_and_a_square_one_not():
     for axes, coupling in (("zz", 0.2), ("zy", 0.0)):
         arm = chain(axes)
         plant = plant_with(arm, effect(arm, "rotor_coupling", ["j1"], inertia=0.2, gear_ratio=100.0))
-        changed = plant._mechanism.inertia(plant._configuration) - plant.inertia()
+        changed = plant.mechanism.inertia(plant.configuration) - plant.inertia()
         assert changed[0, 1] == pytest.approx(coupling, abs=1e-9)
         assert changed[1, 1] == pytest.approx(0.0, abs=1e-9)
         assert abs(changed[0, 0]) < 0.01 * max(coupling, 1)
@@ -115,8 +115,8 @@ def test_a_turning_rotor_is_a_gyroscope():
     arm = chain("zyx", gravity=0.0, centre=0.0)
     spinning = plant_with(arm, effect(arm, "rotor_coupling", ["j2"], inertia=0.2))
     v = np.array([0.7, 0.0, 1.3])
-    plain = plant_with(arm)._mechanism.bias(np.zeros(3), v)
-    extra = spinning._mechanism.bias(spinning._configuration, v) - plain
+    plain = plant_with(arm).mechanism.bias(np.zeros(3), v)
+    extra = spinning.mechanism.bias(spinning.configuration, v) - plain
     assert abs(extra[1]) == pytest.approx(0.2 * 0.7 * 1.3, rel=1e-6)
     assert v @ extra == pytest.approx(0.0, abs=1e-9)
 
@@ -126,7 +126,7 @@ def test_contact_is_the_force_through_the_lever_in_its_window_alone():
     push = effect(
         arm, "external_contact", ["j1"], force=10.0, direction=[0, 0, 1], point=[0.2, 0, 0], start=1, duration=2
     )
-    mechanism = plant_with(arm, push)._mechanism
+    mechanism = plant_with(arm, push).mechanism
     still, home = np.zeros(2), mechanism.start(np.zeros(2))
     for time, share in ((0.9, 0.0), (2.0, 1.0), (3.1, 0.0)):
         mechanism.time = time
@@ -138,7 +138,7 @@ def test_a_wheel_in_a_link_turns_square_to_motion_and_axis_and_does_no_work():
     arm = chain("zy", gravity=0.0)
     plant = plant_with(arm, effect(arm, "link_gyroscope", ["j1"], momentum=3.0))
     plain, v = plant_with(arm), np.array([0.8, 0.5])
-    extra = plant._mechanism.bias(plant._configuration, v) - plain._mechanism.bias(np.zeros(2), v)
+    extra = plant.mechanism.bias(plant.configuration, v) - plain.mechanism.bias(np.zeros(2), v)
     # The wheel lies along x; turning about z swings it towards y: 3.0 N·m·s times the rate, about y.
     assert extra[1] == pytest.approx(3.0 * 0.8, rel=1e-9)
     assert extra @ v == pytest.approx(0.0, abs=1e-9)
@@ -149,7 +149,7 @@ def test_a_soft_base_rocks_by_moment_over_stiffness():
     plant = plant_with(arm, effect(arm, "soft_base", stiffness=5e3, damping=300.0, mass=40.0))
     stepped(plant, 0.0, 1.5)
     moment = MASS * G * LENGTH
-    assert plant._mechanism._base_offset(plant._configuration[:7])[4] == pytest.approx(moment / 5e3, rel=0.02)
+    assert plant.mechanism._base_offset(plant.configuration[:7])[4] == pytest.approx(moment / 5e3, rel=0.02)
 
 
 def test_payload_adds_its_weight_and_its_inertia():
@@ -321,8 +321,8 @@ def test_passive_effects_never_create_energy(name, law):
 
 def energy(plant):
     """Of the bodies and hinges, J; what springs at motors and bristles store is left out, and never negative."""
-    if hasattr(plant._mechanism, "energy"):
-        return plant._mechanism.energy(plant._configuration, plant._speed)
+    if hasattr(plant.mechanism, "energy"):
+        return plant.mechanism.energy(plant.configuration, plant.speed)
     model = rigid_body_model(plant.parameters)
     kinetic = 0.5 * plant.velocity @ plant.inertia() @ plant.velocity
     return kinetic + pin.computePotentialEnergy(model, model.createData(), plant.position)

@@ -59,7 +59,7 @@ class Withholding:
 
 def test_feedback_stamped_before_the_sync_is_late_though_it_arrives_after_it(single):
     cycle, drive = single
-    cycle._buses[0] = Withholding(cycle._buses[0])
+    cycle.buses[0] = Withholding(cycle.buses[0])
     drive.send(feedback_frame(7))
     cycle.run()
     assert (cycle.late, cycle.incomplete, cycle.received[0], cycle.feedback.counts[0]) == (1, 1, 0, 0)
@@ -82,7 +82,7 @@ class Answering:
 def test_feedback_of_a_sync_that_went_out_in_pieces_is_not_used(single):
     """The other buses' drives answer for a moment that is not the sample's: a jerk that never was."""
     cycle, drive = single
-    bus = cycle._buses[0] = Answering(cycle._buses[0], drive)
+    bus = cycle.buses[0] = Answering(cycle.buses[0], drive)
     bus.held_up_s = 2 * TORN * cycle.arm.period
     cycle.run()
     assert (cycle.late, cycle.incomplete, cycle.received[0], cycle.feedback.counts[0]) == (1, 1, 0, 0)
@@ -104,7 +104,7 @@ def test_a_flood_does_not_stop_the_cycle(single):
 
 def test_frames_the_library_cannot_read_are_counted(single):
     cycle, drive = single
-    cycle._networks[0].add_node(1, str(eds_path()))
+    cycle.networks[0].add_node(1, str(eds_path()))
     drive.send(can.Message(arbitration_id=0x081, data=b"\x01", is_extended_id=False))
     drive.send(can.Message(arbitration_id=0x701, data=b"", is_extended_id=False))
     cycle.run()

@@ -106,7 +106,7 @@ def configured(answers):
     arm = ArmBus((Axis(1, SCALE),))
     idle = Played([])
     booted = master.DriveMaster(arm, [idle], EDS)
-    network = booted._networks[0]
+    network = booted.networks[0]
     bus = network.bus = Answering(network, answers)
     booted.nodes[0].sdo.RESPONSE_TIMEOUT = 0.001
     return ends_well(lambda: booted._configure(arm.axes[0], booted.nodes[0])), bus.asked
@@ -155,7 +155,7 @@ class Endless(Answering):
 def test_a_drive_that_sends_segments_for_ever_is_refused():
     arm = ArmBus((Axis(1, SCALE),))
     booted = master.DriveMaster(arm, [Played([])], EDS)
-    bus = booted._networks[0].bus = Endless(booted._networks[0], [])
+    bus = booted.networks[0].bus = Endless(booted.networks[0], [])
     with pytest.raises(UserError, match=r"node 1 cannot be configured: 0x1000 is longer than 8 bytes"):
         booted._configure(arm.axes[0], booted.nodes[0])
     assert bus.asked < 10

@@ -24,13 +24,13 @@ def arm():
 def test_the_torque_reported_is_the_mean_around_its_moment(arm):
     """Anything else is a bias of the inertia: torque samples must not depend on the phase of the servo cycles."""
     applied, reported, acceleration = [], [], []
-    step = arm._plant.step
+    step = arm.plant.step
 
     def watched(torque, dt):
         applied.append(torque)
         step(torque, dt)
 
-    arm._plant.step = watched
+    arm.plant.step = watched
     yes, no = np.ones(6, dtype=bool), np.zeros(6, dtype=bool)
     for k in range(800):
         t = DT * (k + 1)
@@ -43,4 +43,4 @@ def test_the_torque_reported_is_the_mean_around_its_moment(arm):
     error = (np.array(reported)[:-1] - mean)[moving]
     a = np.array(acceleration)[:-1][moving]
     missing_inertia = -(a @ error) / (a @ a)
-    assert np.all(np.abs(missing_inertia) < 0.003 * np.diag(arm._plant.inertia()))
+    assert np.all(np.abs(missing_inertia) < 0.003 * np.diag(arm.plant.inertia()))

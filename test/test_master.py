@@ -316,7 +316,7 @@ def test_a_second_master_is_refused_and_a_stray_one_reported(run):
     finally:
         stop.set()
         thread.join()
-        for bus in second._buses:
+        for bus in second.buses:
             bus.shutdown()
     run.events.clear()
     with LocalBus("b") as other:

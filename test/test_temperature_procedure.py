@@ -120,7 +120,7 @@ def breakaway(hidden: str, celsius: float) -> np.ndarray:
     for _ in range(3):
         live.step(np.zeros(6), on, off, 1e-3)
     assert live.temperature == pytest.approx(np.full(6, celsius), abs=0.1)
-    plant: Plant = live._plant
+    plant: Plant = live.plant
     return plant.law.dry_level(plant.position, np.full(6, 1.0), plant.housing_temperature)
 
 

@@ -52,6 +52,8 @@ class Cycle:
     """The cyclic exchange with all drives.
 
     Attributes:
+        buses: Open buses, as numbered by the axes.
+        networks: Of the same, as `canopen` has them.
         feedback: Position (rad), torque (N·m, output side), current (A), statusword of each axis.
         sync_ns: When the SYNC of the last cycle was sent (its last, where it went out in pieces), nanoseconds since the
             epoch.
@@ -85,8 +87,8 @@ class Cycle:
         """
         count = len(arm.axes)
         self.arm = arm
-        self._buses = list(buses)
-        self._networks = list(networks)
+        self.buses = list(buses)
+        self.networks = list(networks)
         self.feedback = Feedback(arm.scales, arm.feedback)
         self.set_points = SetPoints(arm.scales, arm.set_point)
         self.sync_ns = 0
@@ -109,7 +111,7 @@ class Cycle:
         self._own_status = STATUSWORD not in arm.feedback.fields
         self._own_control = CONTROLWORD not in arm.set_point.fields
         self._run_bit = _RUN_INTERPOLATION if arm.mode == INTERPOLATED_MODE else 0
-        self._bus_failed = [False] * len(self._buses)
+        self._bus_failed = [False] * len(self.buses)
         self._heartbeat_ns = [0] * count
         self._heartbeat_lost = [False] * count
         self._next_heartbeat_ns = 0
@@ -119,12 +121,12 @@ class Cycle:
         self._points = [_frame(RPDO1 + axis.node_id, bytes(arm.set_point.size), fd) for axis in arm.axes]
         self._controls = [_frame(RPDO1 + 0x100 + axis.node_id, bytes(2), fd) for axis in arm.axes]
         self._routes: list[dict[int, int]] = [{} for _ in buses]
-        self._expected = [0] * len(self._buses)
+        self._expected = [0] * len(self.buses)
         for number, axis in enumerate(arm.axes):
             self._routes[axis.bus][TPDO1 + axis.node_id] = number
             self._expected[axis.bus] += 1
         self._nodes = [{axis.node_id: k for k, axis in enumerate(arm.axes) if axis.bus == bus} for bus in
-                       range(len(self._buses))]  # fmt: skip
+                       range(len(self.buses))]  # fmt: skip
 
     @property
     def enabled(self) -> bool:
@@ -146,12 +148,12 @@ class Cycle:
         """
         if target is not None and not callable(target):
             self.set_points.encode(target)
-        for bus in range(len(self._buses)):
+        for bus in range(len(self.buses)):
             self._take_waiting(bus)
         self._fresh[:] = False
         begin = time.monotonic()
         self.sync_ns = time.time_ns()
-        for bus in range(len(self._buses)):
+        for bus in range(len(self.buses)):
             self._send(bus, self._sync)
         # Taken off the processor meanwhile: what the drives answer is not of the moment of `sync_ns`.
         self._torn = time.monotonic() - begin > TORN * self.arm.period
@@ -164,7 +166,7 @@ class Cycle:
             self._send_set_points()
         self._send_heartbeat()
         deadline = begin + self.arm.answer_time
-        for bus in range(len(self._buses)):
+        for bus in range(len(self.buses)):
             self._read_answers(bus, deadline)
         self.answer_s = time.monotonic() - begin
         self._evaluate()
@@ -220,12 +222,12 @@ class Cycle:
     def _send_heartbeat(self) -> None:
         if self.sync_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = self.sync_ns + round(1e9 * self.arm.heartbeat)
-            for bus in range(len(self._buses)):
+            for bus in range(len(self.buses)):
                 self._send(bus, self._beat)
 
     def _send(self, bus: int, message: can.Message) -> None:
         try:
-            self._buses[bus].send(message)
+            self.buses[bus].send(message)
         except can.CanError as error:
             self._bus_error(bus, str(error))
 
@@ -271,7 +273,7 @@ class Cycle:
 
     def _receive(self, bus: int, timeout: float) -> can.Message | None:
         try:
-            return self._buses[bus].recv(timeout)
+            return self.buses[bus].recv(timeout)
         except can.CanError as error:
             self._bus_error(bus, str(error))
             return None
@@ -309,7 +311,7 @@ class Cycle:
             self._status[axis] = int.from_bytes(message.data, "little")
             return
         try:
-            self._networks[bus].notify(can_id, message.data, message.timestamp)
+            self.networks[bus].notify(can_id, message.data, message.timestamp)
         except Exception:
             # The library's callbacks trust every frame; a spoilt one must not end the cycle.
             self.malformed += 1

@@ -55,6 +55,8 @@ class DriveMaster:
 
     Attributes:
         arm: What it was told about them.
+        buses: Open buses, as numbered by the axes.
+        networks: Of the same, as `canopen` has them.
         warnings: What a user should know after `boot`: settings a drive refused, rated values that differ.
     """
 
@@ -74,15 +76,15 @@ class DriveMaster:
         self.loads = arm.loads()
         self.arm = arm
         self.warnings: list[str] = []
-        self._buses = list(buses)
-        self._networks = [canopen.Network(bus) for bus in buses]
+        self.buses = list(buses)
+        self.networks = [canopen.Network(bus) for bus in buses]
         self._booted: set[tuple[int, int]] = set()
         self._others: set[int] = set()
         self._ours = False
         self._statuswords: list[int] | None = None
         self._cycle: Cycle | None = None
         path = str(eds_path(eds))
-        self.nodes = [self._networks[axis.bus].add_node(axis.node_id, path) for axis in arm.axes]
+        self.nodes = [self.networks[axis.bus].add_node(axis.node_id, path) for axis in arm.axes]
         for number, node in enumerate(self.nodes):
             node.emcy.add_callback(self._emergency_reporter(number))
 
@@ -121,7 +123,7 @@ class DriveMaster:
 
     def cycle(self) -> Cycle:
         """The cyclic exchange with the configured drives; from its first `run` on it reads the buses."""
-        self._cycle = Cycle(self.arm, self._buses, self._networks, self._statuswords)
+        self._cycle = Cycle(self.arm, self.buses, self.networks, self._statuswords)
         return self._cycle
 
     def temperature(self, number: int) -> float:
@@ -141,7 +143,7 @@ class DriveMaster:
                 with suppress(SdoError):
                     node.sdo.download(0x1016, 1, bytes(4))
                 self._nmt(axis, PRE_OPERATIONAL)
-        for bus in self._buses:
+        for bus in self.buses:
             bus.shutdown()
 
     # Booting ----------------------------------------------------------------------------------------------
@@ -149,7 +151,7 @@ class DriveMaster:
     def _refuse_second_master(self, listen: float) -> None:
         time.sleep(listen)
         if self._others:
-            found = ", ".join(f"{self._buses[bus]}" for bus in sorted(self._others))
+            found = ", ".join(f"{self.buses[bus]}" for bus in sorted(self._others))
             raise OtherMasterError(f"another master is active on {found}: stop it first (one driver a bus)")
 
     def _reset_drives(self, timeout: float) -> None:
@@ -160,7 +162,7 @@ class DriveMaster:
             self._nmt(axis, RESET_NODE)
         while not wanted <= self._booted:
             if time.monotonic() > deadline:
-                missing = ", ".join(f"{node} on {self._buses[bus]}" for bus, node in sorted(wanted - self._booted))
+                missing = ", ".join(f"{node} on {self.buses[bus]}" for bus, node in sorted(wanted - self._booted))
                 raise UserError(f"no boot-up message of node {missing}: check power, wiring, bit rate and node ids")
             time.sleep(0.002)
 
@@ -208,9 +210,9 @@ class DriveMaster:
 
     def _nmt(self, axis: Axis, command: int) -> None:
         try:
-            self._networks[axis.bus].send_message(0, bytes([command, axis.node_id]))
+            self.networks[axis.bus].send_message(0, bytes([command, axis.node_id]))
         except can.CanError as error:
-            raise UserError(f"cannot send on {self._buses[axis.bus]}: {error}") from error
+            raise UserError(f"cannot send on {self.buses[axis.bus]}: {error}") from error
 
     # Reading while no cycle runs --------------------------------------------------------------------------
 
@@ -220,7 +222,7 @@ class DriveMaster:
         stop = threading.Event()
         threads = [
             threading.Thread(target=self._pump, args=(bus, stop), name=f"can-pump-{bus}", daemon=True)
-            for bus in range(len(self._buses))
+            for bus in range(len(self.buses))
         ]
         for thread in threads:
             thread.start()
@@ -232,10 +234,10 @@ class DriveMaster:
                 thread.join()
 
     def _pump(self, bus: int, stop: threading.Event) -> None:
-        network = self._networks[bus]
+        network = self.networks[bus]
         while not stop.is_set():
             try:
-                message = self._buses[bus].recv(0.02)
+                message = self.buses[bus].recv(0.02)
             except can.CanError:
                 # Whoever sends next is told.
                 stop.wait(0.02)

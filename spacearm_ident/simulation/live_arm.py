@@ -56,6 +56,7 @@ class LiveArm:
     """The physics behind the drives (`drives.mechanics.Mechanics`).
 
     Attributes:
+        plant: The arm as it moves.
         position: (n,) rad; true but for what is hidden in the encoders.
         velocity: (n,) rad/s, true.
         torque: (n,) N·m on the output side as the current sensors see it; zero without power.
@@ -99,12 +100,12 @@ class LiveArm:
         drives = _drives(arm, PEAK * limit)
         thermal = ThermalParameters(drives.copper_loss, ambient=ambient)
         start = np.zeros(n) if position is None else np.array(position, dtype=float)
-        self._plant = plant_of(parameters, start, thermal, law, hidden)
-        self._plant.longest_step_s = 1.0 / tuning.rate_hz
+        self.plant = plant_of(parameters, start, thermal, law, hidden)
+        self.plant.longest_step_s = 1.0 / tuning.rate_hz
         # A brake is outside of all that may be hidden in the joint.
-        self._plant.law = self._law = BrakedLaw(self._plant.law, n)
+        self.plant.law = self._law = BrakedLaw(self.plant.law, n)
         self._hidden = hidden
-        self._servo = Servo(np.diag(self._plant.inertia()), drives, tuning, self._plant.position)
+        self._servo = Servo(np.diag(self.plant.inertia()), drives, tuning, self.plant.position)
         self._holding = BRAKE * np.where(np.isfinite(limit), limit, 1e3)
         self._scale = np.where(np.isfinite(limit), limit, 0.0)
         self._slew = FEEDFORWARD * np.array([joint.acceleration_limit for joint in arm.joints])
@@ -113,17 +114,17 @@ class LiveArm:
         self._coloured = np.zeros(n)
         self._motor = np.zeros(n)
         self._none = np.zeros(n)
-        self._target = self._plant.position
+        self._target = self.plant.position
         self._was_enabled = np.zeros(n, dtype=bool)
         self._steps = 0
-        self.position = self._plant.position
-        self.velocity = self._plant.velocity
+        self.position = self.plant.position
+        self.velocity = self.plant.velocity
         self.torque = np.zeros(n)
-        self.temperature = self._plant.winding_temperature
+        self.temperature = self.plant.winding_temperature
 
     def step(self, target: FloatArray, enabled: BoolArray, brake: BoolArray, dt: float) -> None:
         """Let `dt` seconds pass; see `drives.mechanics.Mechanics`."""
-        plant, servo, hidden = self._plant, self._servo, self._hidden
+        plant, servo, hidden = self.plant, self._servo, self._hidden
         self._law.extra = np.where(brake, self._holding, 0.0)
         start = np.where(self._was_enabled, self._target, target)
         move, parts = target - start, max(1, round(dt / servo.dt))
@@ -151,7 +152,7 @@ class LiveArm:
 
     def _seen(self) -> FloatArray:
         """What the encoders show, (n,) rad."""
-        position = self._plant.position
+        position = self.plant.position
         return position if self._hidden is None else self._hidden.encoder(position)
 
     def _sensor_error(self, dt: float) -> FloatArray:

@@ -39,6 +39,9 @@ class Plant:
         parameters: What it obeys.
         thermal: Its thermal state.
         law: Friction and drive train of the joints.
+        mechanism: What carries the joints.
+        configuration: Of the mechanism: the joints' positions, and what else it has.
+        speed: (m,) of the mechanism's degrees of freedom.
         time: s on the recording's clock; the internal step begins here.
         longest_step_s: Longer steps are divided.
     """
@@ -75,11 +78,11 @@ class Plant:
         n = len(parameters.joints)
         self.parameters = parameters
         self.time = start_s
-        self._mechanism = RigidMechanism(parameters) if mechanism is None else mechanism
-        self._drives = self._mechanism.drives
-        m = self._mechanism.size
-        self._configuration = self._mechanism.start(np.zeros(n) if position is None else np.array(position, float))
-        self._speed = np.zeros(m)
+        self.mechanism = RigidMechanism(parameters) if mechanism is None else mechanism
+        self._drives = self.mechanism.drives
+        m = self.mechanism.size
+        self.configuration = self.mechanism.start(np.zeros(n) if position is None else np.array(position, float))
+        self.speed = np.zeros(m)
         if velocity is not None:
             self.velocity = np.array(velocity, dtype=float)
         self._acceleration = np.zeros(m)
@@ -93,16 +96,16 @@ class Plant:
     @property
     def position(self) -> FloatArray:
         """(n,) rad of the drives. A new array each step, safe to keep."""
-        return self._mechanism.position(self._configuration)
+        return self.mechanism.position(self.configuration)
 
     @property
     def velocity(self) -> FloatArray:
         """(n,) rad/s of the drives; exactly zero at joints that stick."""
-        return self._speed if self._drives is None else self._speed[self._drives]
+        return self.speed if self._drives is None else self.speed[self._drives]
 
     @velocity.setter
     def velocity(self, value: FloatArray) -> None:
-        self._speed = self._spread(value)
+        self.speed = self._spread(value)
 
     @property
     def housing_temperature(self) -> FloatArray:
@@ -116,15 +119,15 @@ class Plant:
 
     def inertia(self) -> FloatArray:
         """Joint-space inertia at the present posture, rotors included, (n, n) kg·m²."""
-        return self._mechanism.joint_inertia(self._configuration)
+        return self.mechanism.joint_inertia(self.configuration)
 
     def load(self) -> FloatArray:
         """(n,) N·m the gears pass on to the links in the motion of the last step."""
-        return self._mechanism.load(self._configuration, self._speed, self._acceleration)
+        return self.mechanism.load(self.configuration, self.speed, self._acceleration)
 
     def base(self) -> FloatArray | None:
         """(13,) pose and twist of a base that moves, see `Mechanism.base`; None where it is fixed."""
-        return self._mechanism.base(self._configuration, self._speed)
+        return self.mechanism.base(self.configuration, self.speed)
 
     def step(self, torque: FloatArray, dt: float) -> None:
         """Let `dt` seconds pass with the motors' output-side torque (n,) N·m held."""
@@ -138,14 +141,14 @@ class Plant:
         """Values of the drives (n,) as values of all coordinates (m,), zero elsewhere."""
         if self._drives is None:
             return values
-        spread = np.zeros(self._mechanism.size)
+        spread = np.zeros(self.mechanism.size)
         spread[self._drives] = values
         return spread
 
     def _step(self, torque: FloatArray, h: float) -> None:
         if self._observer is not None:
             self._observer.begin(self, h)
-        mechanism, law, warm, v = self._mechanism, self.law, self.thermal.housing, self._speed
+        mechanism, law, warm, v = self.mechanism, self.law, self.thermal.housing, self.speed
         mechanism.time = self.time
         self.time += h
         if not v.any():
@@ -156,7 +159,7 @@ class Plant:
             predicted = v + 0.5 * h * self._acceleration
             # A prediction across zero would put the level on the wrong side of the Stribeck peak.
             predicted = np.where(v * predicted > 0.0, predicted, v)
-        configuration = mechanism.moved(self._configuration, v, 0.5 * h)
+        configuration = mechanism.moved(self.configuration, v, 0.5 * h)
         q = mechanism.position(configuration)
         turning = predicted if self._drives is None else predicted[self._drives]
         smooth = law.smooth_torque(q, turning, warm)
@@ -166,17 +169,17 @@ class Plant:
         if after is None:
             after = self._stick_or_slip(*state, h)
         self._acceleration = (after - v) / h
-        self._speed = after
-        self._configuration = mechanism.moved(configuration, after, 0.5 * h)
+        self.speed = after
+        self.configuration = mechanism.moved(configuration, after, 0.5 * h)
         # Springs store what they take; over a motion that cancels, and it is small beside friction.
         self._friction_power = (smooth + level * np.sign(turning)) * turning
 
     def _holds(self, torque: FloatArray) -> bool:
         """Whether static friction holds the whole arm, which is at rest."""
         still, warm = self._still, self.thermal.housing
-        q = self._mechanism.position(self._configuration)
+        q = self.mechanism.position(self.configuration)
         no_speed = still[: len(q)]
-        load = self._mechanism.bias(self._configuration, still)
+        load = self.mechanism.bias(self.configuration, still)
         excess = np.abs(self._spread(torque - self.law.smooth_torque(q, no_speed, warm)) - load)
         if (excess > self._spread(self.law.dry_level(q, no_speed, warm))).any():
             return False
@@ -198,7 +201,7 @@ class Plant:
         if not (free | (v != 0.0)).all():
             return None
         friction = level * np.sign(v)
-        after = v + h * self._mechanism.acceleration(configuration, predicted, driving - friction)
+        after = v + h * self.mechanism.acceleration(configuration, predicted, driving - friction)
         return after if (free | (after * v > 0.0)).all() else None
 
     def _stick_or_slip(
@@ -211,7 +214,7 @@ class Plant:
         h: float,
     ) -> FloatArray:
         """The new velocity with joints sticking, breaking away or turning round."""
-        load = self._mechanism.bias(configuration, predicted)
-        inertia = self._mechanism.inertia(configuration)
+        load = self.mechanism.bias(configuration, predicted)
+        inertia = self.mechanism.inertia(configuration)
         momentum = inertia @ v + h * (driving - load)
         return solve_stick_slip(inertia, momentum, h * level, v)
