@@ -30,7 +30,6 @@ NAMING = {
     "subscribe_unspun": 1,
     "offer": 0,
     "offer_switch": 0,
-    "Newest": 2,
 }
 """Calls that name a topic or service, and which of their arguments does."""
 CLIENTS = {"chain.py"}

@@ -289,16 +289,6 @@ class Scene:
                     block[:, indices] += self.whiten(j, m, motion.reduce(values))
         return stacked
 
-    def unwhitened(self, columns: Sequence[Columns], parameters: FloatArray) -> list[FloatArray]:
-        """By motion, (M, n) reduced torque of full-rate columns with their parameters."""
-        torques = []
-        for motion, rows in zip(self.motions, columns):
-            torque = np.zeros_like(motion.torque_rows)
-            for j, (indices, values) in rows.items():
-                torque[:, j] += motion.reduce(values @ parameters[indices])
-            torques.append(torque)
-        return torques
-
 
 def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], order: int, floor: float) -> Whitener:
     """The autoregressive model of a residual, by least squares over uninterrupted rows.

@@ -21,7 +21,6 @@ from __future__ import annotations
 import math
 import sys
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -113,35 +112,6 @@ def local_name(status: str, namespace: str) -> str | None:
     node, colon, part = status.partition(":")
     place, _, name = node.rpartition("/")
     return name + colon + part if place == namespace.strip("/") else None
-
-
-class Newest:
-    """The newest message of a topic, taken when asked for: between, it costs no more than DDS itself.
-
-    A callback a message is a wake-up a message; and what a callback knows is old where callbacks had to wait.
-    """
-
-    def __init__(self, node: LiveNode, kind: type, topic: str) -> None:
-        """Subscribe.
-
-        Args:
-            node: Whose subscription it is.
-            kind: Message type.
-            topic: Topic name.
-        """
-        qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._subscription = node.subscribe_unspun(kind, topic, qos)
-        self._payload: bytes | None = None
-        self._received_ns = 0
-
-    def take(self) -> tuple[bytes | None, float]:
-        """The newest message (CDR; None before the first) and its age in seconds (infinite before the first)."""
-        handle = self._subscription.handle
-        with handle:
-            while (taken := handle.take_message(self._subscription.msg_type, True)) is not None:
-                self._payload, self._received_ns = taken[0], taken[1]["received_timestamp"]
-        age = math.inf if self._payload is None else (time.time_ns() - self._received_ns) * 1e-9
-        return self._payload, age
 
 
 class LiveNode(Node):

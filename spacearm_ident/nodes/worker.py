@@ -58,11 +58,6 @@ class Worker:
         self._thread = threading.Thread(target=self._collect, args=([job], theirs), daemon=True)
         self._thread.start()
 
-    @property
-    def process_id(self) -> int | None:
-        """Of the process, once it has started."""
-        return self._process.pid
-
     def poll(self) -> list[Event]:
         """What the process said since the last time."""
         events = []
