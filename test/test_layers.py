@@ -23,6 +23,7 @@ from spacearm_ident.layers.wiring import Wiring
 from spacearm_ident.mismatch.finding import Finding
 from spacearm_ident.mismatch.preparation import banded
 from spacearm_ident.recording import Recording
+from spacearm_ident.recording.recording import Series
 from spacearm_ident.recording.writer import write_recording
 from spacearm_ident.simulations import Simulation, read_simulation
 
@@ -269,6 +270,29 @@ def test_no_joint_has_less_than_no_damping(simulation: Simulation) -> None:
         if item.name == "damping"
     ]
     assert [(item.joints, item.value) for item in damping] == [(("elbow",), 0.0)]
+
+
+def _warm(seed: int, celsius: float, creep: float = 0.0) -> Recording:
+    """A recording in which the elbow warms by 2 K and its friction falls by 2 % a kelvin from 20 degrees C."""
+    run = recorded(mjcf(), seed)
+    risen = 2.0 * run.time / run.time[-1]
+    speed = np.gradient(run.position[:, 2], run.time)
+    friction = -0.02 * (celsius + risen - 20.0) * (0.8 * np.sign(speed) + 0.9 * speed)
+    friction += creep * risen * (np.sign(speed) + speed)
+    temperatures = {
+        joint: Series(run.time, celsius + risen if joint == "elbow" else np.full_like(run.time, 20.0))
+        for joint in JOINTS
+    }
+    return replace(run, effort=run.effort + np.outer(friction, [0.0, 0.0, 1.0]), temperatures=temperatures)
+
+
+def test_physics_that_held_out_data_need_stands_though_they_do_not_tell_its_size(simulation: Simulation) -> None:
+    """Over two kelvin friction that creeps hides what temperature does; over the twenty between recordings it does not."""
+    fitted = [_warm(seed, celsius) for seed, celsius in ((1, 22.0), (2, 30.0), (3, 38.0))]
+    others = [kind for kind in EFFECTS if kind != "temperature_friction"]
+    (item,) = _items(compare(simulation, fitted, [_warm(4, 46.0, creep=0.02)], excluded=others), "physics")
+    assert (item.name, item.joints, item.replicated) == ("temperature_friction", ("elbow",), False)
+    assert abs(item.value + 0.02 * 0.8) < 0.001
 
 
 def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
