@@ -287,7 +287,7 @@ def _warm(seed: int, celsius: float, creep: float = 0.0) -> Recording:
 
 
 def test_physics_that_held_out_data_need_stands_though_they_do_not_tell_its_size(simulation: Simulation) -> None:
-    """Over two kelvin friction that creeps hides what temperature does; over the twenty between recordings it does not."""
+    """Over two kelvin friction that creeps hides what temperature does, and not over the twenty between recordings."""
     fitted = [_warm(seed, celsius) for seed, celsius in ((1, 22.0), (2, 30.0), (3, 38.0))]
     others = [kind for kind in EFFECTS if kind != "temperature_friction"]
     (item,) = _items(compare(simulation, fitted, [_warm(4, 46.0, creep=0.02)], excluded=others), "physics")
