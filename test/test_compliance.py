@@ -86,10 +86,10 @@ def test_a_link_that_is_let_go_rings_at_its_own_frequency(natural_hz):
     """And as long as its damping says, about where it comes to rest."""
     time, inertia, load, damping = np.arange(0.0, 3.0, 1 / RATE), 2.0, 30.0, 0.01
     omega, link = 2 * np.pi * natural_hz, swung(inertia, load * (time >= 1.0))
-    give, acceleration = (
+    deflection, acceleration = (
         signal[:, 0, 0] for signal in spring([link], np.array([inertia * omega**2]), np.array([damping]))
     )
-    swing = give * inertia * omega**2 / load - 1.0
+    swing = deflection * inertia * omega**2 / load - 1.0
     up = np.flatnonzero((swing[:-1] < 0.0) & (swing[1:] >= 0.0) & (time[1:] > 1.0))
     crossing = time[up] - swing[up] / (swing[up + 1] - swing[up]) / RATE
     frequency = np.sqrt(1 - damping**2) * omega
@@ -102,7 +102,7 @@ def test_a_link_that_is_let_go_rings_at_its_own_frequency(natural_hz):
     fit = np.linalg.lstsq(parts[late], swing[late], rcond=None)[0]
     assert np.hypot(*fit) * np.exp(-damping * omega) == pytest.approx(1.0, abs=0.05)
     np.testing.assert_allclose(
-        acceleration[late], -(omega**2) * (give[late] - load / inertia / omega**2), atol=0.06 * load
+        acceleration[late], -(omega**2) * (deflection[late] - load / inertia / omega**2), atol=0.06 * load
     )
 
 
@@ -112,8 +112,8 @@ def test_a_link_on_a_spring_that_hardens_swings_the_faster_the_further_it_was_wo
     time, inertia, omega, doubles_at = np.arange(0.0, 6.0, 1 / RATE), 2.0, 2 * np.pi * 1.5, 2e-3
     stiffness, bent = inertia * omega**2, wound_up**2
     load = stiffness * doubles_at * wound_up * (1.0 + bent) * (time < 1.0)
-    give, _ = spring([swung(inertia, load)], np.array([stiffness]), np.zeros(1), np.array([doubles_at]))
-    twist = give[:, 0, 0]
+    deflection, _ = spring([swung(inertia, load)], np.array([stiffness]), np.zeros(1), np.array([doubles_at]))
+    twist = deflection[:, 0, 0]
     np.testing.assert_allclose(twist[time < 0.99], wound_up * doubles_at, rtol=1e-6)
     up = np.flatnonzero((twist[:-1] < 0.0) & (twist[1:] >= 0.0))
     crossing = time[up] - twist[up] / (twist[up + 1] - twist[up]) / RATE
@@ -140,12 +140,14 @@ def test_a_link_without_inertia_follows_its_spring_however_it_is_loaded(inertia,
 def test_a_link_flies_from_flank_to_flank_as_its_load_and_its_weight_let_it(gravity):
     """To the middle M d'' = F - G d takes it along a parabola, a cosine, or a catenary where it would fall over."""
     time, inertia, width, force = np.arange(0.0, 1.0, 1 / RATE), 2.0, 8e-3, 2.0
-    give, _ = gap([swung(inertia, np.where(time < 0.5, -force, force), gravity)], *np.array([[width], [1e9], [1.0]]))
+    deflection, _ = gap(
+        [swung(inertia, np.where(time < 0.5, -force, force), gravity)], *np.array([[width], [1e9], [1.0]])
+    )
     fly = np.sqrt(width * inertia / force)
     if gravity:
         rate, rest, half = np.sqrt(complex(gravity / inertia)), force / gravity, 0.5 * width
         fly = abs(np.arccos(complex(rest / (half + rest))) / rate)
-    angle = give[:, 0, 0]
+    angle = deflection[:, 0, 0]
     middle = np.flatnonzero((angle[:-1] < 0.0) & (angle[1:] >= 0.0))[0]
     passed = time[middle] - angle[middle] / (angle[middle + 1] - angle[middle]) / RATE
     assert passed - (0.5 - 1 / RATE) == pytest.approx(fly, rel=0.04)

@@ -25,7 +25,7 @@ from spacearm_ident.mismatch.scene import (
     Whitener,
     coarse,
     fit_whitener,
-    louder,
+    inflated,
     one_way,
     stable,
     stretch,
@@ -90,9 +90,9 @@ def test_noise_without_end_is_taken_for_noise_that_forgets(coefficients):
 
 
 def test_slow_rows_and_rows_after_a_reversal_count_for_less():
-    loud = np.ones((len(SLOW) + 1, len(NEAR) + 1))
-    loud[0], loud[1], loud[:, 0] = 16.0, 4.0, 100.0
-    whitener = Whitener(np.zeros(0), 1.0, loud)
+    inflation = np.ones((len(SLOW) + 1, len(NEAR) + 1))
+    inflation[0], inflation[1], inflation[:, 0] = 16.0, 4.0, 100.0
+    whitener = Whitener(np.zeros(0), 1.0, inflation)
     speed, gone = np.array([0.001, -0.004, 0.01, 1.0, 0.001]), np.array([1.0, 1.0, 1.0, 1e-4, 1e-4])
     np.testing.assert_allclose(whitener.weight(speed, gone), [0.25, 0.5, 1.0, 0.1, 0.1])
 
@@ -105,10 +105,10 @@ def test_creeping_far_from_a_reversal_counts_for_less_where_the_reference_shows_
     creeping = (np.abs(scene.speed) < SLOW[-1]) & (scene.gone > NEAR[-1])
     assert 5 < creeping[scene.joint == 1].sum() < 0.2 * (scene.joint == 1).sum()
     noise = np.random.default_rng(3).standard_normal(len(scene))
-    found = louder(scene.whiteners, scene, np.where(creeping, 10.0, 1.0) * noise)[1]
-    assert found.loud[len(SLOW) - 1, -1] > 30.0
-    assert np.all(found.loud[: len(SLOW), :] >= found.loud[len(SLOW) - 1, -1])
-    assert np.all(found.loud[-1] < 3.0)
+    found = inflated(scene.whiteners, scene, np.where(creeping, 10.0, 1.0) * noise)[1]
+    assert found.inflation[len(SLOW) - 1, -1] > 30.0
+    assert np.all(found.inflation[: len(SLOW), :] >= found.inflation[len(SLOW) - 1, -1])
+    assert np.all(found.inflation[-1] < 3.0)
 
 
 def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
@@ -119,9 +119,9 @@ def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
     rng = np.random.default_rng(3)
     near = scene.gone < NEAR[-1]
     assert 20 < near[scene.joint == 1].sum() < 0.5 * (scene.joint == 1).sum()
-    found = louder(scene.whiteners, scene, np.where(near, 10.0, 1.0) * rng.standard_normal(len(scene)))[1]
-    assert 50.0 < found.loud[-1, -2] <= found.loud[-1, 0] < 400.0
-    assert max(found.loud[:, -1]) < 3.0
+    found = inflated(scene.whiteners, scene, np.where(near, 10.0, 1.0) * rng.standard_normal(len(scene)))[1]
+    assert 50.0 < found.inflation[-1, -2] <= found.inflation[-1, 0] < 400.0
+    assert max(found.inflation[:, -1]) < 3.0
 
 
 def test_of_rows_a_joint_never_had_the_others_tell():
@@ -130,13 +130,13 @@ def test_of_rows_a_joint_never_had_the_others_tell():
     residual = np.concatenate([np.random.default_rng(6).standard_normal(1000), np.full(50, 10.0)])
     joint = np.repeat([0, 1, 1], [500, 500, 50])
     scene = SimpleNamespace(joint=joint, speed=speed, gone=np.full(1050, 0.1), weight=np.ones(1050))
-    never, did = louder([Whitener(np.zeros(0), 1.0)] * 2, scene, residual)
+    never, did = inflated([Whitener(np.zeros(0), 1.0)] * 2, scene, residual)
     creeping = int(np.searchsorted(SLOW, 0.01))
-    assert never.loud[creeping, -1] == pytest.approx(100.0, rel=0.2)
-    assert did.loud[creeping, -1] == pytest.approx(100.0, rel=0.2)
-    np.testing.assert_array_equal(never.loud[-1, -1], 1.0)
-    even = louder([Whitener(np.zeros(0), 1.0)] * 2, scene, np.where(np.arange(1050) < 1000, residual, 1.0))[0]
-    assert even.loud[creeping, -1] < 1.5
+    assert never.inflation[creeping, -1] == pytest.approx(100.0, rel=0.2)
+    assert did.inflation[creeping, -1] == pytest.approx(100.0, rel=0.2)
+    np.testing.assert_array_equal(never.inflation[-1, -1], 1.0)
+    even = inflated([Whitener(np.zeros(0), 1.0)] * 2, scene, np.where(np.arange(1050) < 1000, residual, 1.0))[0]
+    assert even.inflation[creeping, -1] < 1.5
 
 
 def test_a_jolt_goes_through_the_same_low_pass_as_torque_and_as_acceleration():
@@ -262,7 +262,7 @@ def test_in_thin_air_the_field_has_no_friction_of_high_order(prepared):
     brute, high = Brute(evidence), np.flatnonzero(evidence.base.model.of_high_order)
     brute.columns[: brute.rows, high] = 0.0
     want, _, base, _ = brute.solve([])
-    found, squares = evidence.in_thin_air
+    found, squares = evidence.in_vacuum
     assert squares == pytest.approx(want, rel=1e-4)
     np.testing.assert_allclose(found, base[: len(found)], rtol=1e-4, atol=1e-4 * np.abs(base).max())
     assert np.abs(found[high]).min() > 0
@@ -319,7 +319,7 @@ def test_how_friction_runs_through_a_reversal_is_told_to_the_field_by_the_refere
     evidence = prepare_evidence(ARM, [run(1, dip)], [run(2)], [run(3)]).evidence
     (motion,), (background,) = evidence.field.motions, evidence.field.backgrounds
     np.testing.assert_array_equal(background.whole, background.torque)
-    evidence.believe_reversals([evidence.field])
+    evidence.fit_reversals([evidence.field])
     planted = two_link_run(LAWS, seconds=16.0, rate_hz=250.0, seed=2, speed=1.0)
     true, speed = planted.torque + dip(planted), np.abs(planted.qd[:, 0])
     cut = (len(true) - len(motion.velocity)) // 2

@@ -16,7 +16,7 @@ from spacearm_ident.mismatch.finding import Alternative
 from spacearm_ident.mismatch.judgement import contradicted, doubted, shows
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
-from spacearm_ident.mismatch.scored import Scored, shadow, simplest, sleeps
+from spacearm_ident.mismatch.scored import Scored, is_dominated, is_not_excited, simplest
 from spacearm_ident.mismatch.stacked import Stacked
 
 
@@ -51,20 +51,26 @@ def test_a_name_by_itself_must_explain_more_than_one_of_several(rippled, explain
     assert shows(0, [finding, other], {"shoulder": 0.1, "elbow": 0.1}) == good
 
 
-@pytest.mark.parametrize("gain, asleep, good", [(5000.0, True, True), (115.0, True, False), (5000.0, False, False)])
-def test_what_the_unseen_data_do_not_show_must_be_sure_in_the_field_and_asleep_there(rippled, gain, asleep, good):
+@pytest.mark.parametrize(
+    "gain, not_excited, good", [(5000.0, True, True), (115.0, True, False), (5000.0, False, False)]
+)
+def test_what_held_out_data_do_not_show_must_be_clear_in_the_field_and_not_excited_there(
+    rippled, gain, not_excited, good
+):
     (finding,) = rippled.findings
-    quiet = replace(finding, gain=gain, unseen_gain=0.05 * gain, explained=0.2, asleep=asleep)
+    quiet = replace(finding, gain=gain, unseen_gain=0.05 * gain, explained=0.2, not_excited=not_excited)
     assert shows(0, [quiet], {"shoulder": 0.1, "elbow": 0.1}) == good
 
 
 @pytest.mark.parametrize(
-    ("loud", "drop", "foretold", "asleep"),
+    ("active_gain", "drop", "foretold", "not_excited"),
     [(4.0, 20.0, 20.0, True), (4.0, -1.0, 1.0, True), (4.0, 100.0, 300.0, False), (4.0, 0.0, 100.0, False),
      (0.3, 20.0, 20.0, False)],
 )  # fmt: skip
-def test_only_what_its_own_law_says_is_asleep_and_the_field_shows_plainly_is(loud, drop, foretold, asleep):
-    assert sleeps(1.0, loud, drop, foretold, 1000) == asleep
+def test_only_what_its_law_leaves_unexcited_and_the_field_shows_plainly_is_not_excited(
+    active_gain, drop, foretold, not_excited
+):
+    assert is_not_excited(1.0, active_gain, drop, foretold, 1000) == not_excited
 
 
 def test_what_was_below_the_noise_needs_no_explanation(rippled):
@@ -81,9 +87,9 @@ def contender(kind, score, joint="elbow", **place):
 def test_what_another_explains_better_and_does_not_stand_is_no_finding():
     """An effect that fits by chance takes weaker ones at its joints along; those at other joints stay."""
     ripple, drift = contender("torque_ripple", 300.0), contender("friction_drift", 100.0)
-    assert shadow(drift, [ripple], {"elbow"}) and not shadow(ripple, [drift], {"elbow"})
-    assert not shadow(contender("friction_drift", 100.0, "shoulder"), [ripple], {"shoulder"})
-    assert not shadow(drift, [replace(ripple, plausible=False)], {"elbow"})
+    assert is_dominated(drift, [ripple], {"elbow"}) and not is_dominated(ripple, [drift], {"elbow"})
+    assert not is_dominated(contender("friction_drift", 100.0, "shoulder"), [ripple], {"shoulder"})
+    assert not is_dominated(drift, [replace(ripple, plausible=False)], {"elbow"})
 
 
 def test_a_contact_acts_on_the_joints_that_feel_it():

@@ -23,7 +23,7 @@ from .finding import Alternative, ConventionReport, Finding, Level, merged
 from .plain import Plain, hardly_moving, read_off
 from .plausible import EFFORT_SLACK
 from .rows import rows_of
-from .search import SUSPECTED, Court, Scored, Step, loaded_joints, search, zero_error
+from .search import SUSPECTED, Scored, Scorer, Step, loaded_joints, search, zero_error
 from .setup import Setup
 from .words import is_unit, joint_names, remedy, statement
 
@@ -115,23 +115,23 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     motions, _ = prepare([recording], arm.joint_names)
     rows = rows_of(motions)
     rows.moving[:, sorted(plain.dead | plain.still)] = False
-    court = Court(arm, rows, _velocity_bonus(plain.velocity_slopes), plain.dead | plain.still)
-    steps = search(court)
+    scorer = Scorer(arm, rows, _velocity_bonus(plain.velocity_slopes), plain.dead | plain.still)
+    steps = search(scorer)
     final = steps[-1].before
-    findings = [finding for step in steps if (finding := _finding(court, step, final)) is not None]
-    findings += _beyond_the_limit(court, final, findings)
-    findings += hardly_moving([arm.joint_names[k] for k in sorted(court.idle)])
-    return findings, _undecided(court, steps[-1], plain)
+    findings = [finding for step in steps if (finding := _finding(scorer, step, final)) is not None]
+    findings += _beyond_the_limit(scorer, final, findings)
+    findings += hardly_moving([arm.joint_names[k] for k in sorted(scorer.idle)])
+    return findings, _undecided(scorer, steps[-1], plain)
 
 
-def _beyond_the_limit(court: Court, final: Scored, findings: Sequence[Finding]) -> list[Finding]:
+def _beyond_the_limit(scorer: Scorer, final: Scored, findings: Sequence[Finding]) -> list[Finding]:
     """A note on torques that no motor of the URDF gives, unless their unit or a gain is named already.
 
     Inertials that are placeholders tell no unit; a limit does where it is exceeded, and is wrong at times itself.
     """
     if any(one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN) for one in findings):
         return []
-    ratios, names = court.ranges.effort_ratio(final.setup), court.arm.joint_names
+    ratios, names = scorer.ranges.effort_ratio(final.setup), scorer.arm.joint_names
     beyond = [k for k in range(len(names)) if ratios[k] > EFFORT_SLACK]
     if not beyond:
         return []
@@ -160,13 +160,13 @@ def _velocity_bonus(slopes: FloatArray) -> Callable[[Setup], float]:
     return bonus
 
 
-def _finding(court: Court, step: Step, final: Scored) -> Finding | None:
+def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
     """A round's change in words; None where there is none, or it is too small to matter."""
-    if step.gain < SUSPECTED * court.sure or not step.after.changes:
+    if step.gain < SUSPECTED * scorer.sure or not step.after.changes:
         return None
-    change, arm = step.after.changes[-1], court.arm
+    change, arm = step.after.changes[-1], scorer.arm
     evidence = final.evidence if change in final.changes else step.after.evidence
-    sure = step.gain > court.sure
+    sure = step.gain > scorer.sure
     level = Level.UNFIT if sure else Level.NOTE
     if change.kind is Kind.DELAY:
         # Friction that builds up over a distance lags behind the velocity like a late torque does: 11 of 28 sound
@@ -178,7 +178,7 @@ def _finding(court: Court, step: Step, final: Scored) -> Finding | None:
         level = level if abs(change.value[0]) > ZERO_LARGE else Level.NOTE
     elif change.kind in (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT) and not is_unit(change, evidence):
         level = Level.NOTE
-    alternatives, probability = _alternatives(court, step)
+    alternatives, probability = _alternatives(scorer, step)
     if not sure and probability < SUSPECTED_PROBABILITY:
         return None
     kind, joints = change.kind, joint_names(arm, change)
@@ -186,7 +186,7 @@ def _finding(court: Court, step: Step, final: Scored) -> Finding | None:
         if is_unit(change, evidence):
             kind = Kind.EFFORT_UNIT
         else:
-            joints = tuple(arm.joint_names[k] for k in loaded_joints(court, final))
+            joints = tuple(arm.joint_names[k] for k in loaded_joints(scorer, final))
     suspected = "" if sure else "suspected: "
     return Finding(
         kind=str(kind),
@@ -201,11 +201,11 @@ def _finding(court: Court, step: Step, final: Scored) -> Finding | None:
     )
 
 
-def _alternatives(court: Court, step: Step) -> tuple[tuple[Alternative, ...], float]:
+def _alternatives(scorer: Scorer, step: Step) -> tuple[tuple[Alternative, ...], float]:
     """Other changes as probable as the one taken, within the limits of certainty, and the probability of that one."""
-    arm, taken = court.arm, step.after.changes[-1]
+    arm, taken = scorer.arm, step.after.changes[-1]
     rivals = [one for one in step.rivals if len(one.changes) == len(step.after.changes)]
-    temperature = court.sure / np.log(SURE_PROBABILITY / (1.0 - SURE_PROBABILITY))
+    temperature = scorer.sure / np.log(SURE_PROBABILITY / (1.0 - SURE_PROBABILITY))
     scores = np.array([step.after.score, step.before.score, *(one.score for one in rivals)])
     weights = np.exp((scores - scores.max()) / temperature)
     weights /= weights.sum()
@@ -217,26 +217,26 @@ def _alternatives(court: Court, step: Step) -> tuple[tuple[Alternative, ...], fl
     return tuple(close), float(weights[0])
 
 
-def _undecided(court: Court, last: Step, plain: Plain) -> list[str]:
+def _undecided(scorer: Scorer, last: Step, plain: Plain) -> list[str]:
     """What these data leave open."""
-    arm, start = court.arm, last.before
+    arm, start = scorer.arm, last.before
     words = []
     for one in (*last.rivals, *last.screened):
         change = one.changes[-1]
         zero_or_gain = (Kind.ENCODER_ZERO, Kind.DELAY, Kind.EFFORT_GAIN, Kind.EFFORT_UNIT)
-        if change.kind not in zero_or_gain and one.score - start.score > -court.sure and change.joints:
+        if change.kind not in zero_or_gain and one.score - start.score > -scorer.sure and change.joints:
             words.append(f"{str(change.kind).replace('_', ' ')} of {', '.join(joint_names(arm, change))}")
     open_zeros = [
         name
         for k, name in enumerate(arm.joint_names)
-        if arm.joints[k].revolute and zero_error(court, start, k) > ZERO_UNKNOWN
+        if arm.joints[k].revolute and zero_error(scorer, start, k) > ZERO_UNKNOWN
     ]
     if open_zeros:
         words.append(f"encoder zero of {', '.join(open_zeros)}")
-    if court.frame.rough:
+    if scorer.frame.rough:
         words.append("gains, units and total mass (the URDF's inertials are absent or placeholders)")
     else:
-        loaded = loaded_joints(court, start)
+        loaded = loaded_joints(scorer, start)
         light = [name for k, name in enumerate(arm.joint_names) if k not in loaded]
         if light:
             words.append(f"torque gain of {', '.join(light)} (little gravity)")

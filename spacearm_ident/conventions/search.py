@@ -60,7 +60,7 @@ class Scored:
     evidence: Evidence
 
 
-class Court:
+class Scorer:
     """Scores setups of one recording; motions once computed are kept.
 
     Attributes:
@@ -99,7 +99,7 @@ class Court:
         """Log odds from which a change is taken for a fact."""
         return SURE - 0.5 * float(np.log1p(-CHANCE)) * float(self.counts.sum())
 
-    def screen(self) -> Court:
+    def screen(self) -> Scorer:
         """The same on fewer rows, each of which counts for more."""
         few = copy(self)
         few.rows = self.rows.thinned(max(1, len(self.rows.time) // SCREEN_ROWS))
@@ -111,7 +111,7 @@ class Court:
         still = np.isin(setup.position_from, sorted(self.idle | self.dead))
         return frozenset(np.flatnonzero(still | np.isin(setup.effort_from, sorted(self.dead))).tolist())
 
-    def where_all_move(self, columns: np.ndarray) -> Court:
+    def where_all_move(self, columns: np.ndarray) -> Scorer:
         """The same with only those rows of some recorded columns in which all of them move."""
         other, moving = copy(self), self.rows.moving.copy()
         moving[:, columns] &= moving[:, columns].all(axis=1, keepdims=True)
@@ -216,43 +216,43 @@ class Step:
         return self.after.score - self.before.score
 
 
-def search(court: Court) -> list[Step]:
+def search(scorer: Scorer) -> list[Step]:
     """Rounds of `compete` until nothing is sure of a gain; the last one is the round that gained nothing."""
-    steps = [compete(court, court.score((), Setup.as_recorded(court.arm)))]
-    while steps[-1].gain > court.sure and len(steps) <= MOST_CHANGES:
+    steps = [compete(scorer, scorer.score((), Setup.as_recorded(scorer.arm)))]
+    while steps[-1].gain > scorer.sure and len(steps) <= MOST_CHANGES:
         last = steps[-1]
         again = (*last.rivals, *last.screened) if last.after.changes[-1].kind is Kind.DELAY else None
-        steps.append(compete(court, court.score(last.after.changes, last.after.setup), again))
+        steps.append(compete(scorer, scorer.score(last.after.changes, last.after.setup), again))
     return steps
 
 
-def compete(court: Court, start: Scored, again: Sequence[Scored] | None = None) -> Step:
+def compete(scorer: Scorer, start: Scored, again: Sequence[Scored] | None = None) -> Step:
     """The best single change of a setup, and those that came close.
 
     Args:
-        court: Scores.
+        scorer: Scores.
         start: The setup.
         again: Changes that were tried beside a delay that `start` has now: only the best of them are tried.
     """
     if again is None:
         scale = (min(start.evidence.scale, CAD_SCALES[-2]),)
         tried = []
-        few = court.screen()
-        for change in discrete_changes(court.arm):
-            if testable(court, start, change):
+        few = scorer.screen()
+        for change in discrete_changes(scorer.arm):
+            if testable(scorer, start, change):
                 tried.append(few.score((*start.changes, change), change.on(start.setup), scale, SCREEN_ITERATIONS))
         tried += zeros(few, start)
-        tried += delays(court, start)
-        tried += tilts(court, start)
+        tried += delays(scorer, start)
+        tried += tilts(scorer, start)
     else:
         changes = [one.changes[-1] for one in again if one.changes[-1].kind is not Kind.DELAY]
         tried = [replace(start, changes=(*start.changes, one), setup=one.on(start.setup)) for one in changes]
     close = SHORT_LIST
     if again is None:
         tried.sort(key=lambda one: -one.score)
-        close = int(np.clip(sum(one.score > tried[0].score - court.sure for one in tried), SHORT_LIST, LONG_LIST))
+        close = int(np.clip(sum(one.score > tried[0].score - scorer.sure for one in tried), SHORT_LIST, LONG_LIST))
     chosen = [one for k, one in enumerate(tried) if k < close or one.changes[-1].kind in _SECOND_LOOK]
-    short = [judged(court, start, one) for one in chosen]
+    short = [judged(scorer, start, one) for one in chosen]
     short = [one for one in short if _is_off(start, one)]
     short = _apart(sorted(short, key=lambda one: -one.score))
     best = short[0] if short and short[0].score > start.score else start
@@ -265,21 +265,21 @@ _SECOND_LOOK = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.GRAVITY)
 """What masses add up to, and the direction of gravity, are looked at there only."""
 
 
-def judged(court: Court, start: Scored, one: Scored) -> Scored:
+def judged(scorer: Scorer, start: Scored, one: Scored) -> Scored:
     """A change, scored on all rows and CAD scales.
 
     One that takes torque to another motion on the rows in which all its joints move: elsewhere it would explain other
     data than `start`, and of such hypotheses the likelihoods do not compare.
 
     Args:
-        court: Scores, on all rows.
+        scorer: Scores, on all rows.
         start: The setup without the change.
         one: The setup with the change, which is the last of its `changes`.
     """
     change = one.changes[-1]
     if change.kind not in (Kind.POSITIONS_EXCHANGED, Kind.EFFORTS_EXCHANGED):
-        return refined_gravity(court, court.score(one.changes, one.setup))
-    both = court.where_all_move(start.setup.position_from[list(change.joints)])
+        return refined_gravity(scorer, scorer.score(one.changes, one.setup))
+    both = scorer.where_all_move(start.setup.position_from[list(change.joints)])
     whole = both.score(one.changes, one.setup)
     return replace(whole, score=start.score + whole.score - both.score(start.changes, start.setup).score)
 
@@ -311,67 +311,67 @@ def tilted(believed: FloatArray, gravity: FloatArray) -> bool:
     return bool(sizes == 0.0 or believed @ gravity < np.cos(LEAST_TILT_RAD) * sizes)
 
 
-def testable(court: Court, start: Scored, change: Change) -> bool:
+def testable(scorer: Scorer, start: Scored, change: Change) -> bool:
     """Whether a change is one that this arm and these data can be asked about.
 
     A gain needs CAD inertials, and a single joint's a large gravity torque; a joint without torque says
     nothing about its sign, gain or place.
 
     Args:
-        court: Scores, with the arm, its CAD inertials and the joints that move or show torque.
+        scorer: Scores, with the arm, its CAD inertials and the joints that move or show torque.
         start: The scored setup that the change would be made to.
         change: The hypothesis.
     """
     if change.kind in (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT):
-        if court.frame.rough:
+        if scorer.frame.rough:
             return False
-        return len(change.joints) != 1 or change.joints[0] in loaded_joints(court, start)
-    own, silent = set(change.joints), court.silent(start.setup)
+        return len(change.joints) != 1 or change.joints[0] in loaded_joints(scorer, start)
+    own, silent = set(change.joints), scorer.silent(start.setup)
     if change.kind is Kind.DEGREES:
         # In degrees the smallest motion is a large one.
-        return len(own) > 1 or start.setup.position_from[change.joints[0]] not in court.idle
+        return len(own) > 1 or start.setup.position_from[change.joints[0]] not in scorer.idle
     if change.kind is Kind.JOINTS_EXCHANGED:
         # Torque stays with its motion.
-        return not own <= silent and not own & court.dead
+        return not own <= silent and not own & scorer.dead
     return not own & silent
 
 
-def loaded_joints(court: Court, start: Scored) -> tuple[int, ...]:
+def loaded_joints(scorer: Scorer, start: Scored) -> tuple[int, ...]:
     """Joints whose torque is gravity's enough to tell a gain from CAD inertias or a payload that are not known."""
-    design = court.design(start.setup)
+    design = scorer.design(start.setup)
     ratios = design.mass_ratios(start.evidence.parameters[: design.rigid])
     return tuple(int(j) for j in np.flatnonzero(np.isfinite(ratios)))
 
 
-def zeros(court: Court, start: Scored) -> list[Scored]:
+def zeros(scorer: Scorer, start: Scored) -> list[Scored]:
     """The best encoder zero of each joint by Gauss-Newton; from a quarter turn, too, where little is explained."""
-    base = court.score(start.changes, start.setup, (ZERO_SCALE,), SCREEN_ITERATIONS)
-    design, torque = court.design(base.setup), court.measured(base.setup).torque
+    base = scorer.score(start.changes, start.setup, (ZERO_SCALE,), SCREEN_ITERATIONS)
+    design, torque = scorer.design(base.setup), scorer.measured(base.setup).torque
     left = rms(np.where(design.motion.moving, torque - predicted(design, base.evidence), 0.0)) / (rms(torque) + 1e-12)
     quarter = 0.5 * np.pi
     firsts = (quarter, -quarter) if np.max(left) > BADLY_EXPLAINED else ()
     found = []
-    for joint, one in enumerate(court.arm.joints):
+    for joint, one in enumerate(scorer.arm.joints):
         if not one.revolute:
             continue
-        step, gain = _zero_step(court, base, joint, 0.0)
-        ways = [_zero_from(court, base, joint, step)] if gain > 1.0 or firsts else []
-        ways += [_zero_from(court, base, joint, first) for first in firsts]
+        step, gain = _zero_step(scorer, base, joint, 0.0)
+        ways = [_zero_from(scorer, base, joint, step)] if gain > 1.0 or firsts else []
+        ways += [_zero_from(scorer, base, joint, first) for first in firsts]
         if ways:
             found.append(max(ways, key=lambda scored: scored.score))
     return found
 
 
-def _zero_from(court: Court, start: Scored, joint: int, first: float) -> Scored:
+def _zero_from(scorer: Scorer, start: Scored, joint: int, first: float) -> Scored:
     """The best zero of a joint on the way from a first guess, rad."""
     zero, tried = float(np.clip(first, -2.0, 2.0)), []
     for _ in range(4):
-        change = Change(Kind.ENCODER_ZERO, (joint,), (zero,), zero_prior(zero, len(court.arm.joints)))
-        here = court.score((*start.changes, change), change.on(start.setup), (ZERO_SCALE,), SCREEN_ITERATIONS)
+        change = Change(Kind.ENCODER_ZERO, (joint,), (zero,), zero_prior(zero, len(scorer.arm.joints)))
+        here = scorer.score((*start.changes, change), change.on(start.setup), (ZERO_SCALE,), SCREEN_ITERATIONS)
         tried.append(here)
         if here.score < start.score - 100.0:
             break
-        step = float(np.clip(_zero_step(court, here, joint, zero)[0], -0.4, 0.4))
+        step = float(np.clip(_zero_step(scorer, here, joint, zero)[0], -0.4, 0.4))
         zero = float(np.clip(zero + step, -2.0, 2.0))
         if abs(step) < 0.01:
             break
@@ -383,54 +383,54 @@ def zero_prior(zero: float, n: int) -> float:
     return float(np.log(PRIOR / n) - 0.5 * (zero / ZERO_SD) ** 2 - 3.0)
 
 
-def zero_error(court: Court, here: Scored, joint: int) -> float:
+def zero_error(scorer: Scorer, here: Scored, joint: int) -> float:
     """Standard error of a joint's zero with all parameters free, before any belief about it, rad.
 
     Args:
-        court: Scores.
+        scorer: Scores.
         here: The scored setup about which the torque is linearised.
         joint: Number of a revolute joint, in the arm's order.
     """
-    square = float(_zero_normal(court, here, joint)[0][0, 0])
+    square = float(_zero_normal(scorer, here, joint)[0][0, 0])
     return float(1.0 / np.sqrt(max(square, 1e-9)))
 
 
-def _zero_step(court: Court, here: Scored, joint: int, zero: float) -> tuple[float, float]:
+def _zero_step(scorer: Scorer, here: Scored, joint: int, zero: float) -> tuple[float, float]:
     """Gauss-Newton step of one joint's zero with all parameters free, rad, and the log-likelihood it should gain."""
-    square, product = _zero_normal(court, here, joint)
+    square, product = _zero_normal(scorer, here, joint)
     square, product = square + 1.0 / ZERO_SD**2, product - zero / ZERO_SD**2
     return float(product[0] / square[0, 0]), 0.5 * float(product[0] ** 2 / square[0, 0])
 
 
-def _zero_normal(court: Court, here: Scored, joint: int) -> tuple[FloatArray, FloatArray]:
+def _zero_normal(scorer: Scorer, here: Scored, joint: int) -> tuple[FloatArray, FloatArray]:
     """Normal matrix (1, 1) and vector (1,) of a joint's zero with all parameters free."""
-    design = court.design(here.setup)
+    design = scorer.design(here.setup)
     motion = design.motion
-    inertials = court.frame.inertials(here.evidence.parameters[: design.rigid])
-    arm = court.arm.with_gravity(motion.gravity)
+    inertials = scorer.frame.inertials(here.evidence.parameters[: design.rigid])
+    arm = scorer.arm.with_gravity(motion.gravity)
     moved = motion.position.copy()
     moved[:, joint] += 1e-4
     slope = (
         rigid_body_torque(arm, inertials, moved, motion.velocity, motion.acceleration)
         - rigid_body_torque(arm, inertials, motion.position, motion.velocity, motion.acceleration)
     ) / 1e-4
-    return reduced(court, here, slope[:, :, None])
+    return reduced(scorer, here, slope[:, :, None])
 
 
-def reduced(court: Court, here: Scored, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+def reduced(scorer: Scorer, here: Scored, along: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Normal matrix (k, k) and vector (k,) of k further columns of the rigid arm, all parameters free.
 
     The parameters' own columns are eliminated from both (Schur complement).
 
     Args:
-        court: Scores.
+        scorer: Scores.
         here: The scored setup whose motion, gains and residual are used.
         along: (M, n, k) derivatives of the rigid-body torque by the k further unknowns, N·m per unit of the unknown,
             before gains.
     """
-    design, evidence = court.design(here.setup), here.evidence
+    design, evidence = scorer.design(here.setup), here.evidence
     r, weight = design.rigid, evidence.weight
-    residual = court.measured(here.setup).torque - predicted(design, evidence)
+    residual = scorer.measured(here.setup).torque - predicted(design, evidence)
     along = along * (evidence.gains[:, None] * design.motion.moving[:, :, None])
     cross = np.zeros((len(evidence.parameters), along.shape[2]))
     for j, columns in enumerate(design.columns):
@@ -442,16 +442,16 @@ def reduced(court: Court, here: Scored, along: FloatArray) -> tuple[FloatArray, 
     return square - cross.T @ np.linalg.solve(evidence.precision, cross), vector
 
 
-def tilts(court: Court, start: Scored) -> list[Scored]:
+def tilts(scorer: Scorer, start: Scored) -> list[Scored]:
     """Gravity that explains best what is left, of the size believed: a base mounted at any angle."""
     size = float(np.linalg.norm(start.setup.gravity))
     if size == 0.0:
         return []
     # At inertials near CAD: those that were fitted under the arm's gravity would keep it.
-    here, found = court.score(start.changes, start.setup, (ZERO_SCALE,), SCREEN_ITERATIONS), []
+    here, found = scorer.score(start.changes, start.setup, (ZERO_SCALE,), SCREEN_ITERATIONS), []
     for _ in range(TILT_STEPS):
-        change = Change(Kind.GRAVITY, (), tuple(float(v) for v in gravity_step(court, here, size)))
-        here = court.score((*start.changes, change), change.on(start.setup), (ZERO_SCALE,), SCREEN_ITERATIONS)
+        change = Change(Kind.GRAVITY, (), tuple(float(v) for v in gravity_step(scorer, here, size)))
+        here = scorer.score((*start.changes, change), change.on(start.setup), (ZERO_SCALE,), SCREEN_ITERATIONS)
         found.append(here)
         if len(found) > 1 and here.score - found[-2].score < 1.0:
             break
@@ -459,51 +459,51 @@ def tilts(court: Court, start: Scored) -> list[Scored]:
     return [best] if tilted(start.setup.gravity, best.setup.gravity) else []
 
 
-def refined_gravity(court: Court, one: Scored) -> Scored:
+def refined_gravity(scorer: Scorer, one: Scored) -> Scored:
     """Where gravity was changed: its direction, searched by Gauss-Newton with all parameters free."""
     last = one.changes[-1] if one.changes else None
     size = 0.0 if last is None or last.kind is not Kind.GRAVITY else float(np.linalg.norm(last.value))
     if last is None or size == 0.0:
         return one
     for _ in range(3):
-        vector = gravity_step(court, one, size)
+        vector = gravity_step(scorer, one, size)
         change = replace(last, value=tuple(float(v) for v in vector))
         setup = replace(one.setup, gravity=vector)
-        better = court.score((*one.changes[:-1], change), setup)
+        better = scorer.score((*one.changes[:-1], change), setup)
         if better.score <= one.score:
             break
         one = better
     return one
 
 
-def gravity_step(court: Court, one: Scored, size: float) -> FloatArray:
+def gravity_step(scorer: Scorer, one: Scored, size: float) -> FloatArray:
     """(3,) gravity of a given size that explains what is left, all parameters free, m/s^2.
 
     Args:
-        court: Scores.
+        scorer: Scores.
         one: The scored setup whose gravity is changed by one Gauss-Newton step.
         size: Norm of the result, above zero, m/s^2.
     """
-    design = court.design(one.setup)
+    design = scorer.design(one.setup)
     motion = design.motion
-    inertials = court.frame.inertials(one.evidence.parameters[: design.rigid])
+    inertials = scorer.frame.inertials(one.evidence.parameters[: design.rigid])
     still = np.zeros_like(motion.position)
     pulls = [
-        rigid_body_torque(court.arm.with_gravity(axis), inertials, motion.position, still, still) for axis in np.eye(3)
+        rigid_body_torque(scorer.arm.with_gravity(axis), inertials, motion.position, still, still) for axis in np.eye(3)
     ]
-    square, product = reduced(court, one, np.stack(pulls, axis=2))
+    square, product = reduced(scorer, one, np.stack(pulls, axis=2))
     vector = motion.gravity + np.linalg.solve(square + np.eye(3) / size**2, product)
     return np.asarray(size * vector / np.linalg.norm(vector))
 
 
-def delays(court: Court, start: Scored) -> list[Scored]:
+def delays(scorer: Scorer, start: Scored) -> list[Scored]:
     """A delay that all joints share, and of every joint by itself where it is too long for friction to look like it."""
-    n, silent = len(court.arm.joints), court.silent(start.setup)
-    found = [_best_delay(court, start, tuple(range(n)))]
-    least = LATE_S / np.maximum(1.0 - friction_shares(court, start), 0.2)
-    for joint, own in enumerate(_own_delays(court, start)):
+    n, silent = len(scorer.arm.joints), scorer.silent(start.setup)
+    found = [_best_delay(scorer, start, tuple(range(n)))]
+    least = LATE_S / np.maximum(1.0 - friction_shares(scorer, start), 0.2)
+    for joint, own in enumerate(_own_delays(scorer, start)):
         if n > 1 and abs(own) > 0.5 * least[joint] and joint not in silent:
-            found.append(_best_delay(court, start, (joint,), own))
+            found.append(_best_delay(scorer, start, (joint,), own))
     # At the end of what is looked for it is no maximum: something else is wrong.
     told = [one for one in found if SHORTEST_DELAY_S < abs(one.changes[-1].value[0]) < LONGEST_DELAY_S]
     return [
@@ -513,13 +513,13 @@ def delays(court: Court, start: Scored) -> list[Scored]:
     ]
 
 
-def friction_shares(court: Court, start: Scored) -> FloatArray:
+def friction_shares(scorer: Scorer, start: Scored) -> FloatArray:
     """(n,) share of friction in the mean square of each joint's predicted torque, at most 1."""
-    design, evidence = court.design(start.setup), start.evidence
+    design, evidence = scorer.design(start.setup), start.evidence
     r = design.rigid
     own = evidence.parameters[r:].reshape(-1, OWN)[:, :2]
     friction = np.einsum("jmc,jc->mj", design.columns[:, :, r : r + 2], own)
-    whole = np.mean(court.measured(start.setup).torque ** 2, axis=0)
+    whole = np.mean(scorer.measured(start.setup).torque ** 2, axis=0)
     return np.asarray(np.minimum(np.mean(friction**2, axis=0) / (whole + 1e-12), 1.0))
 
 
@@ -537,26 +537,26 @@ GRID_S = (-0.25, -0.15, -0.08, -0.04, -0.015, 0.015, 0.04, 0.08, 0.15, 0.25)
 """Delays that are tried first, s."""
 
 
-def _own_delays(court: Court, start: Scored) -> FloatArray:
+def _own_delays(scorer: Scorer, start: Scored) -> FloatArray:
     """(n,) delay at which each joint's torque is nearest to what is predicted without one, s."""
-    design = court.design(start.setup)
+    design = scorer.design(start.setup)
     fitted = predicted(design, start.evidence)
     grid = np.array([0.0, *GRID_S])
-    lost = np.empty((len(grid), len(court.arm.joints)))
+    lost = np.empty((len(grid), len(scorer.arm.joints)))
     for k, delay in enumerate(grid):
-        torque = torque_of(court.rows, replace(start.setup, delay_s=start.setup.delay_s + delay))
+        torque = torque_of(scorer.rows, replace(start.setup, delay_s=start.setup.delay_s + delay))
         lost[k] = np.sum(np.where(design.motion.moving, torque - fitted, 0.0) ** 2, axis=0)
     return np.asarray(grid[np.argmin(lost, axis=0)])
 
 
-def _best_delay(court: Court, start: Scored, joints: tuple[int, ...], first: float | None = None) -> Scored:
+def _best_delay(scorer: Scorer, start: Scored, joints: tuple[int, ...], first: float | None = None) -> Scored:
     scale = (start.evidence.scale,)
 
     def at(delay: float) -> Scored:
         clipped = float(np.clip(delay, -LONGEST_DELAY_S, LONGEST_DELAY_S))
-        prior = np.log(PRIOR / (len(court.arm.joints) + 1)) - 0.5 * (clipped / DELAY_SD) ** 2 * 0.1 - 2.0
+        prior = np.log(PRIOR / (len(scorer.arm.joints) + 1)) - 0.5 * (clipped / DELAY_SD) ** 2 * 0.1 - 2.0
         change = Change(Kind.DELAY, joints, (clipped,), float(prior))
-        return court.score((*start.changes, change), change.on(start.setup), scale, SCREEN_ITERATIONS)
+        return scorer.score((*start.changes, change), change.on(start.setup), scale, SCREEN_ITERATIONS)
 
     tried = [at(delay) for delay in (GRID_S if first is None else (0.5 * first, first, 1.5 * first))]
     for _ in range(3):

@@ -26,8 +26,8 @@ from ..dynamics.model import (
     structure_of,
 )
 from ..environment.gravity import require_gravity_choice
+from ..environment.gravity_loop import GravityLoop
 from ..environment.momentum import base_body
-from ..environment.weighing import Weighing
 from ..errors import UnfitDataError, UserError
 from ..estimate.consistency import make_consistent
 from ..estimate.determination import judge, open_ended
@@ -121,8 +121,8 @@ def identify(
     model = TorqueModel(arm, over_temperature(settings.structure or structure_of(arm), arm, settings.temperature))
     if settings.solver == CLOE:
         output_error.require_simulated(model.structure)
-    weighing = _weighing(settings, arm, motions)
-    fit, choices = _fitted(model, motions, settings, weighing, report)
+    gravity_loop = _weighing(settings, arm, motions)
+    fit, choices = _fitted(model, motions, settings, gravity_loop, report)
     if settings.solver == IDIM_IV:
         report(0.7, "comparing with instrumental variables")
         fit = fit_instrumental(fit, recordings, bandwidth.cutoff_hz)
@@ -130,8 +130,8 @@ def identify(
         report(0.7, "simulating the closed loop")
         fit = fit_output_error(fit, recordings, bandwidth.cutoff_hz)
     report(0.8, "standard errors and physical consistency")
-    fit, gravity = weighing.conclude(fit)
-    further = weighing.further(fit)
+    fit, gravity = gravity_loop.conclude(fit)
+    further = gravity_loop.further(fit)
     words = _solver_words(settings, fit.solution)
     result = _conclude(fit, provenance or {}, choices, bandwidth, words, gravity, further, settings.gains)
     body, on_body = base_body(motions, result.model, result.covariance)
@@ -145,23 +145,23 @@ def identify(
 
 
 def _fitted(
-    model: TorqueModel, motions: list[Motion], settings: Settings, weighing: Weighing[Fit], report: Progress
+    model: TorqueModel, motions: list[Motion], settings: Settings, gravity_loop: GravityLoop[Fit], report: Progress
 ) -> tuple[Fit, tuple[Choice, ...]]:
     """The fit by least squares in the torque, and what was decided about the structure unless the user had."""
     if settings.solver == PSO_LM:
         published = TorqueModel(model.arm, pso_lm.as_published(model.structure))
         return fit_as_published(published, motions, settings.seed), ()
     search = search_of(settings.solver, settings.seed)
-    fit = weighing.settle(fit_model(model, motions, search))
+    fit = gravity_loop.settle(fit_model(model, motions, search))
     if settings.structure is not None:
         return fit, ()
     report(0.5, "choosing the terms that predict held-out data better")
     structure, choices = settings.choose(fit)
-    fit = weighing.settle(fit_model(TorqueModel(fit.regression.model.arm, structure), motions, search, fit))
+    fit = gravity_loop.settle(fit_model(TorqueModel(fit.regression.model.arm, structure), motions, search, fit))
     return fit, choices
 
 
-def _weighing(settings: Settings, arm: Arm, motions: list[Motion]) -> Weighing[Fit]:
+def _weighing(settings: Settings, arm: Arm, motions: list[Motion]) -> GravityLoop[Fit]:
     """How gravity is estimated, if it is.
 
     Raises:
@@ -176,7 +176,7 @@ def _weighing(settings: Settings, arm: Arm, motions: list[Motion]) -> Weighing[F
         if settings.solver == CLOE:
             raise UserError(f"the solver {CLOE} simulates a fixed base, and this one moves: take {SEPARABLE}")
     search = search_of(settings.solver, settings.seed)
-    return Weighing(
+    return GravityLoop(
         require_gravity_choice(settings.gravity, arm.gravity),
         arm.gravity,
         lambda model, start: fit_model(model, motions, search, start),

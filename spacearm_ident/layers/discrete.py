@@ -17,7 +17,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..conventions.change import Change, Kind
 from ..conventions.rows import MOST_ROWS, rows_of
-from ..conventions.search import Court, search
+from ..conventions.search import Scorer, search
 from ..conventions.setup import Setup
 from ..conventions.words import joint_names, statement
 from ..dynamics.arm import Arm
@@ -88,9 +88,9 @@ def find_mistakes(recordings: Sequence[Recording], simulation: Simulation) -> Un
     arm = simulation.arm
     each = [prepare([recording.in_order(arm.joint_names)], arm.joint_names)[0] for recording in recordings]
     known = _known(simulation)
-    parts = [Court(arm, rows_of(motions), own=known) for motions in each]
+    parts = [Scorer(arm, rows_of(motions), own=known) for motions in each]
     together = [motion for motions in each for motion in motions]
-    whole = Court(arm, rows_of(together, MOST_ROWS * min(len(each), MOST_PARTS)), own=known) if each[1:] else parts[0]
+    whole = Scorer(arm, rows_of(together, MOST_ROWS * min(len(each), MOST_PARTS)), own=known) if each[1:] else parts[0]
     last = search(whole)[-1].before
     shared = [
         change
@@ -111,10 +111,10 @@ def _known(simulation: Simulation) -> FloatArray:
     return np.array([[values.get(f"{symbol}[{name}]", 0.0) for symbol in symbols] for name in names])
 
 
-def _gain(court: Court, changes: Sequence[Change], one: Change) -> float:
+def _gain(scorer: Scorer, changes: Sequence[Change], one: Change) -> float:
     """What one of some changes gains of a recording's log-likelihood, beside the others."""
     others = [change for change in changes if change is not one]
-    scores = [court.score(some, _setup(court.arm, some)).score for some in (changes, others)]
+    scores = [scorer.score(some, _setup(scorer.arm, some)).score for some in (changes, others)]
     return scores[0] - scores[1] - one.log_prior
 
 

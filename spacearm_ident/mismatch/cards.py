@@ -58,7 +58,7 @@ class Cards:
             alternatives=(*_same_torque(winner), *(_alternative(winner, other) for other in rivals[:MOST])),
             gain=winner.gain,
             unseen_gain=winner.unseen,
-            asleep=winner.asleep,
+            not_excited=winner.not_excited,
             visibility=self._visibility(number),
             before_Nm=before,
             after_Nm=after,

@@ -23,7 +23,7 @@ from .finding import Happened
 from .happened import happened, without
 from .residuals import unwhitened
 from .rivals import UNKNOWN, Rival, rivals
-from .scored import Scored, feels, penalty, plausible, shadow, simplest, sleeps, throughout
+from .scored import Scored, feels, is_dominated, is_not_excited, penalty, plausible, simplest, throughout
 from .stacked import base_columns
 
 GATE = 60.0
@@ -40,10 +40,10 @@ a little different than a second physics: it is left unexplained, not named."""
 MINOR_UNKNOWN = 0.05
 """The same for a dependence without a name, which has the freedom to follow any such difference."""
 SEEN_AGAIN = 0.1
-"""Share of its drop on the fitted rows that an effect must show, row for row, on unseen ones. A large named one may
-be asleep there (`scored.sleeps`)."""
+"""Share of its drop on the fitted rows that an effect must show, row for row, on unseen ones. A large named one need
+not be excited there (`scored.is_not_excited`)."""
 CLEARS_UP = 0.5
-"""What an effect that is asleep in the unseen data must explain of its joints' residual in the field."""
+"""Share of its joints' residual in the field that an effect must explain if the held-out data do not excite it."""
 NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
 LASTS = 0.5
@@ -94,11 +94,11 @@ class Competition:
         base = evidence.base
         self._coulomb = {p.joint: float(v) for p, v in zip(base.model.parameters, base.parameters) if p.symbol == "f_c"}
         scenes = [evidence.field, *([unseen.scene] if unseen else [])]
-        evidence.believe_reversals(scenes)
+        evidence.fit_reversals(scenes)
         if evidence.reference is not None:
-            thin, _ = evidence.in_thin_air
+            thin, _ = evidence.in_vacuum
             for scene in scenes:
-                scene.believe_high_orders(thin)
+                scene.set_high_orders(thin)
         self._pool = list(self._candidates(excluded))
         self._grids: dict[int, list[Candidate]] = {}
         self._rounds: list[Round] = []
@@ -138,7 +138,7 @@ class Competition:
             stands = [self._stands(scored) for scored in ranked]
             refused = [scored for scored, good in zip(ranked, stands) if not good]
             sound = [scored for scored, good in zip(ranked, stands) if good]
-            winner = self._choose([s for s in sound if not shadow(s, refused, self._acts_on(s))])
+            winner = self._choose([s for s in sound if not is_dominated(s, refused, self._acts_on(s))])
             if winner is None:
                 left = ranked[0] if ranked else None
                 left_values = self._values_of(left) if left else left_values
@@ -271,7 +271,7 @@ class Competition:
         return {name for name, feeling in zip(self.evidence.base.model.arm.joint_names, felt) if feeling}
 
     def _stands(self, scored: Scored) -> bool:
-        """Whether an effect is in the field by itself, explains enough, shows on unseen rows too, and is no crumb."""
+        """Whether an effect is in the field by itself, explains enough, shows on held-out rows and is not negligible."""
         if scored.gain < self.gate or (scored.score > self.gate and not self._lasts(scored)):
             return False
         values = self._values_of(scored)
@@ -283,8 +283,8 @@ class Competition:
         lasting = not scored.candidate.effect.event
         if self.unseen is not None and lasting:
             again = scored.unseen / len(self.unseen.scene) / (scored.gain / self.evidence.rows)
-            asleep = scored.named and share > CLEARS_UP and scored.asleep
-            if again < SEEN_AGAIN and not asleep:
+            not_excited = scored.named and share > CLEARS_UP and scored.not_excited
+            if again < SEEN_AGAIN and not not_excited:
                 return False
         if not self.accepted:
             return True
@@ -435,8 +435,10 @@ class Competition:
         values = together.values[len(beside.values) :]
         score = gain + unseen - penalty(candidate.effect, self.evidence.rows)
         foretold, count = _squares(unseen_before - unseen_after), len(unseen_after)
-        asleep = sleeps(gain / self.evidence.rows, gain / self._rows_of(candidate, values), unseen, foretold, count)
-        return Scored(candidate, gain, unseen, score, plausible(candidate, values, self._coulomb), asleep)
+        not_excited = is_not_excited(
+            gain / self.evidence.rows, gain / self._rows_of(candidate, values), unseen, foretold, count
+        )
+        return Scored(candidate, gain, unseen, score, plausible(candidate, values, self._coulomb), not_excited)
 
     def _rows_of(self, candidate: Candidate, values: FloatArray) -> int:
         """How many rows of the field feel an effect, at the joints that feel it most."""

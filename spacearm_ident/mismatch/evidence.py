@@ -141,7 +141,7 @@ class Evidence:
         return self if self.reference is None else Evidence(self.base, self.reference, None, self.common)
 
     @cached_property
-    def in_thin_air(self) -> tuple[FloatArray, float]:
+    def in_vacuum(self) -> tuple[FloatArray, float]:
         """Base parameters (p,), were there no friction of second and third order in the field, and the squares left.
 
         A reference alone hardly tells k_v1 from k_v3. With the high orders H taken out of the field's rows, B - H in
@@ -161,7 +161,7 @@ class Evidence:
         whole[own] = solve_triangular(self._triangle, inside)[: len(own)]
         return whole, self._squares - float(slope @ inside)
 
-    def believe_reversals(self, scenes: Sequence[Scene]) -> None:
+    def fit_reversals(self, scenes: Sequence[Scene]) -> None:
         """Tell scenes the torque of the healthy arm as it is fitted here, nuisance included, for what delays it.
 
         From the reference, where there is one: a late torque turns round late, whatever friction does there.
@@ -400,7 +400,7 @@ def without_effects(
     values: FloatArray,
     stack: Callable[[Candidate], Stacked],
 ) -> FloatArray:
-    """Subtract the torque of effects from a residual; their per-recording parameters are fitted to it anew.
+    """Subtract the torque of effects from a residual; their per-recording parameters are refitted to it.
 
     Args:
         residual: (V,) residual of the base model, whitened or in N·m.
@@ -416,7 +416,9 @@ def without_effects(
     for stacked, (_, own) in zip(stacks, with_own(candidates, values)):
         residual[stacked.rows] -= stacked.columns @ own
     for candidate, stacked in zip(candidates, stacks):
-        if candidate.effect.anew:
-            anew = stacked.columns[:, candidate.effect.anew]
-            residual[stacked.rows] -= anew @ np.linalg.lstsq(anew, residual[stacked.rows], rcond=1e-9)[0]
+        if candidate.effect.per_recording:
+            per_recording = stacked.columns[:, candidate.effect.per_recording]
+            residual[stacked.rows] -= (
+                per_recording @ np.linalg.lstsq(per_recording, residual[stacked.rows], rcond=1e-9)[0]
+            )
     return residual

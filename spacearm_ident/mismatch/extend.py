@@ -29,7 +29,7 @@ def extended_model(evidence: Evidence, accepted: Sequence[Candidate], values: Fl
     whole = evidence.base_parameters(accepted, values)
     if any(candidate.effect.kind == VacuumFriction.kind for candidate in accepted):
         # It takes away what the model itself has: the model must have what was taken away.
-        removed = np.where(base.model.of_high_order, evidence.in_thin_air[0], np.nan)
+        removed = np.where(base.model.of_high_order, evidence.in_vacuum[0], np.nan)
         whole = evidence.base_parameters_with(removed, accepted, values)
     scale = make_prior(base.model, evidence.field.motions).scale
     parameters = np.where(scale > 0, whole[:count], base.parameters)

@@ -60,7 +60,7 @@ class Finding:
         beside_Nm: By joint, `after_Nm` less what swings near the effect's own resonance: an encoder's noise makes a
             link ring there, in the model alone.
         against: What its own values say against its name, in words that follow "whose".
-        asleep: Whether the unseen data need not show it, by its own law.
+        not_excited: Whether the held-out data do not excite it, by its own law.
         felt_Nm: By joint, RMS of what it adds to the torque in the field where it acts.
     """
 
@@ -80,7 +80,7 @@ class Finding:
     explained: float
     beside_Nm: dict[str, float] = field(default_factory=dict)
     against: str = ""
-    asleep: bool = False
+    not_excited: bool = False
     felt_Nm: dict[str, float] = field(default_factory=dict)
 
 

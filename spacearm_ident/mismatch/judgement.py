@@ -19,15 +19,15 @@ ALONE, RIVALLED = 0.65, 0.5
 follows from the smallest things, and leaves much of itself."""
 SHOWS = 0.5
 """A finding beside the first that removes less than this share of what is above the noise on unseen data is not one: it
-is a crumb of the first, whose law is not quite the catalogue's."""
+is negligible beside the first, whose law is not quite the catalogue's."""
 FIRST_SHOWS, ONLY_SHOWS = 0.1, 0.4
 """The first may be one of several at its joints; less than this share, and it is none. With a name, and with no other
 there, it must remove so much."""
 SURE = 5.0
-"""What is asleep in the unseen data must pass the gate so many times over in the field, which alone speaks for it."""
+"""Multiple of the gate that an effect must score in the field if the held-out data do not excite it."""
 LEAST = 0.1
-"""A finding that lowers the mean square on unseen data by less than this share of the noise's, at all its joints, is a
-crumb of the base model: of how friction runs through a reversal, say."""
+"""A finding that lowers the mean square on held-out data by less than this share of the noise's, at all its joints, is
+an error of the base model: of friction near a velocity reversal, say."""
 HARM = 1.02
 """A finding with which the mean square on unseen data is this many times larger is a false one."""
 
@@ -41,7 +41,7 @@ def harms(finding: Finding) -> bool:
 def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) -> bool:
     """Whether one of the findings explains enough of the held-out data.
 
-    An event in time need not show there, nor a first one that is asleep there.
+    An event in time need not show there, nor a first one that is not excited there.
 
     Args:
         number: Index of the finding to judge; 0 is the one accepted first.
@@ -51,7 +51,7 @@ def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) 
     finding, first = findings[number], number == 0
     if finding.effect == ExternalContact.kind:
         return True
-    if first and finding.asleep and finding.gain > SURE * GATE:
+    if first and finding.not_excited and finding.gain > SURE * GATE:
         return True
     # What is below the noise to begin with needs no explanation.
     matters = any(
@@ -73,7 +73,7 @@ def beyond_healthy(finding: Finding, before: Mapping[str, float], largest: Mappi
         before: By joint, RMS of what the healthy model leaves on the unseen data, N·m.
         largest: By joint, RMS that a healthy arm leaves there at most, N·m.
     """
-    if finding.effect == ExternalContact.kind or finding.asleep:
+    if finding.effect == ExternalContact.kind or finding.not_excited:
         return any(rms > largest[joint] for joint, rms in finding.felt_Nm.items())
     return any(min(rms, before[joint]) > largest[joint] for joint, rms in finding.before_Nm.items())
 

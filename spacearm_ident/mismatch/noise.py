@@ -21,7 +21,7 @@ from ..noise.weights import common_correlation, residual_noise, white_correlatio
 from ..signals.motion import Motion
 from .evidence import Evidence
 from .rivals import Rival, rivals
-from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, louder
+from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, inflated
 from .stacked import stacked_effect
 
 ORDER = 6
@@ -102,7 +102,7 @@ def of_field(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     """
     plain, scene, residual = _unwhitened(base, motions)
     noise = residual - _smooth(base, scene, residual)
-    plain, floor = louder(plain, scene, noise), _spread(scene, noise)
+    plain, floor = inflated(plain, scene, noise), _spread(scene, noise)
     white = np.mean([white_correlation_time(motion.white_correlation) for motion in motions])
     whiteners = [replace(weights, sigma_Nm=float(sigma * np.sqrt(white))) for weights, sigma in zip(plain, floor)]
     return Noise(_known(whiteners), plain, floor, np.full(len(plain), np.nan))
@@ -177,7 +177,7 @@ def _louder(base: IdentifiedModel, motions: Sequence[Motion], whiteners: list[Wh
     """What rows count for, found by fitting the base with it again and again."""
     for _ in range(times):
         scene = Scene(base, motions, whiteners)
-        whiteners = louder(whiteners, scene, Evidence(base, scene, None).residual)
+        whiteners = inflated(whiteners, scene, Evidence(base, scene, None).residual)
     return whiteners
 
 

@@ -151,7 +151,7 @@ def prepare_evidence(
         # An arm in vacuum, that lacks the term, may tell.
         other = _resisting(base)
         in_other_form = gathered(other)
-        if in_other_form.in_thin_air[1] < evidence.in_thin_air[1] - GATE:
+        if in_other_form.in_vacuum[1] < evidence.in_vacuum[1] - GATE:
             base, evidence = other, in_other_form
     unseen = Unseen(evidence, Scene(base, judged, noise.whiteners)) if judged else None
     return Prepared(base, evidence, unseen, noise.plain, noise.floor_Nm, cutoff, known is not None, found.weighted)

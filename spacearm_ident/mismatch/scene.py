@@ -113,13 +113,13 @@ class Whitener:
         coefficients: (p,) a.
         sigma_Nm: Standard deviation of what drives it, N·m; infinite where the reference does not tell: the joint's
             rows do not count then.
-        loud: (s + 1, d + 1) how many times larger the variance is at the speeds that `SLOW` divides, as near a reversal
-            as `NEAR` does: 1 at the last, and no less the slower and the nearer.
+        inflation: (s + 1, d + 1) variance inflation factor by speed (bounds `SLOW`) and by distance from a velocity
+            reversal (bounds `NEAR`): 1 at the last, not decreasing towards lower speeds and smaller distances.
     """
 
     coefficients: FloatArray
     sigma_Nm: float
-    loud: FloatArray = field(default_factory=lambda: np.ones((len(SLOW) + 1, len(NEAR) + 1)))
+    inflation: FloatArray = field(default_factory=lambda: np.ones((len(SLOW) + 1, len(NEAR) + 1)))
 
     @property
     def order(self) -> int:
@@ -161,7 +161,7 @@ class Whitener:
 
     def weight(self, speed: FloatArray, gone: FloatArray) -> FloatArray:
         """(M,) what rows at these speeds, rad/s, so far from a reversal, rad, count for."""
-        return np.asarray(1.0 / np.sqrt(self.loud[_cell(speed, gone)]))
+        return np.asarray(1.0 / np.sqrt(self.inflation[_cell(speed, gone)]))
 
 
 def stretch(sound: np.ndarray) -> np.ndarray:
@@ -274,7 +274,7 @@ class Scene:
                 stacked[self.slot(j, m)] = self.whiten(j, m, motion.torque_rows[:, [j]])[:, 0]
         return stacked
 
-    def believe_high_orders(self, parameters: FloatArray) -> None:
+    def set_high_orders(self, parameters: FloatArray) -> None:
         """Friction terms of second and third order as these base parameters (p,) have them, for what removes them."""
         for motion, background in zip(self.motions, self.backgrounds):
             background.with_high_orders(self.model.high_orders(motion, parameters))
@@ -332,7 +332,7 @@ def stable(coefficients: FloatArray) -> FloatArray:
     return np.asarray(coefficients * shrink ** np.arange(1, len(coefficients) + 1))
 
 
-def louder(whiteners: Sequence[Whitener], scene: Scene, residual: FloatArray) -> list[Whitener]:
+def inflated(whiteners: Sequence[Whitener], scene: Scene, residual: FloatArray) -> list[Whitener]:
     """Whiteners whose variance at low speed and near a reversal is estimated from a residual.
 
     Args:
@@ -341,7 +341,7 @@ def louder(whiteners: Sequence[Whitener], scene: Scene, residual: FloatArray) ->
         residual: (R,) residual in the rows of `scene`; only ratios within a joint matter.
 
     Returns:
-        (n,) whiteners with the factors `loud`, and the same filters.
+        (n,) whiteners with the factors `inflation`, and the same filters.
     """
     shape = len(whiteners), len(SLOW) + 1, len(NEAR) + 1
     total, count = np.zeros(shape), np.zeros(shape)
@@ -350,19 +350,19 @@ def louder(whiteners: Sequence[Whitener], scene: Scene, residual: FloatArray) ->
     np.add.at(count, where, 1.0)
     usual = total[:, -1, -1] / np.maximum(count[:, -1, -1], 1.0)
     total /= np.where(usual > 0.0, usual, 1.0)[:, None, None]
-    together = _loudness(total.sum(axis=0), count.sum(axis=0), np.ones(shape[1:]))
-    own = (_loudness(total[j], count[j], together) for j in range(len(whiteners)))
-    return [replace(whitener, loud=loud) for whitener, loud in zip(whiteners, own)]
+    together = _inflation(total.sum(axis=0), count.sum(axis=0), np.ones(shape[1:]))
+    own = (_inflation(total[j], count[j], together) for j in range(len(whiteners)))
+    return [replace(whitener, inflation=inflation) for whitener, inflation in zip(whiteners, own)]
 
 
-def _loudness(total: FloatArray, count: FloatArray, likely: FloatArray) -> FloatArray:
+def _inflation(total: FloatArray, count: FloatArray, likely: FloatArray) -> FloatArray:
     """Mean squares by cell, no less the slower and the nearer a reversal; what is likely counts as `ALIKE` rows."""
-    loud = np.ones_like(total)
+    inflation = np.ones_like(total)
     for row, column in reversed(list(np.ndindex(*total.shape))):
-        beyond = float(loud[row:, column:].max())
+        beyond = float(inflation[row:, column:].max())
         prior = ALIKE * max(beyond, float(likely[row, column]))
-        loud[row, column] = max(beyond, float((total[row, column] + prior) / (count[row, column] + ALIKE)))
-    return loud
+        inflation[row, column] = max(beyond, float((total[row, column] + prior) / (count[row, column] + ALIKE)))
+    return inflation
 
 
 def _cell(speed: FloatArray, gone: FloatArray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,8 +13,8 @@ from .evidence import Candidate
 from .rivals import UNKNOWN
 from .scene import Scene
 
-SHADOW = 1.15
-"""An effect that scores so many times as much and does not stand takes those that it shares a joint with along."""
+DOMINATES = 1.15
+"""Ratio of scores from which a rejected effect dominates those that share a joint with it: they are rejected too."""
 TEMPER, TEMPER_SHARE = 10.0, 0.01
 """Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
 difference of one in the exponent is this much, and this share of the score, together."""
@@ -22,9 +22,9 @@ ENDED_SHARE = 0.003
 """Of the score: so far apart two searches of the same optimum may end."""
 FELT = 0.05
 """A joint feels an effect that adds this share of the energy there that it does at the joint that feels it most."""
-ASLEEP, HALF, PLAIN = 0.2, 0.5, 1.0
-"""What is asleep in unseen rows should change them by less than this share of what it does in the field, does show half
-of that or nearly, and is as large in the field as the noise: another motion need not excite it."""
+NOT_EXCITED, HALF, PLAIN = 0.2, 0.5, 1.0
+"""An effect is not excited in the held-out rows if its law predicts less than this share of its field chi-square there,
+half of what it predicts is seen, and it is as large in the field as the noise."""
 PARTS, BEST = 12, 2
 """Of so many equal parts of the time, the best of an effect that are not counted where it is asked whether it lasts."""
 
@@ -39,7 +39,7 @@ class Scored:
         unseen: Drop on the recordings not fitted (0 where there are none).
         score: Both, less the penalty.
         plausible: Whether its values are such as this physics has.
-        asleep: Whether the recordings not fitted need not show it.
+        not_excited: Whether the held-out recordings do not excite it.
     """
 
     candidate: Candidate
@@ -47,7 +47,7 @@ class Scored:
     unseen: float
     score: float
     plausible: bool
-    asleep: bool = False
+    not_excited: bool = False
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -60,7 +60,7 @@ class Scored:
         return self.candidate.effect.kind != UNKNOWN
 
 
-def shadow(scored: Scored, refused: Sequence[Scored], joints: Set[str]) -> bool:
+def is_dominated(scored: Scored, refused: Sequence[Scored], joints: Set[str]) -> bool:
     """Whether a named effect is dominated by a rejected one that shares a joint with it.
 
     Args:
@@ -70,7 +70,7 @@ def shadow(scored: Scored, refused: Sequence[Scored], joints: Set[str]) -> bool:
     """
 
     def better(other: Scored) -> bool:
-        return other.named and other.plausible and other.score > SHADOW * scored.score
+        return other.named and other.plausible and other.score > DOMINATES * scored.score
 
     return scored.named and any(better(other) and joints & set(other.joints) for other in refused)
 
@@ -102,7 +102,11 @@ def _plainness(scored: Scored) -> tuple[int, int]:
 
 def freedom(effect: Effect) -> int:
     """How many numbers of an effect are fitted."""
-    return sum(parameter.scale != 0.0 for parameter in effect.parameters) + len(effect.anew) + len(effect.constants)
+    return (
+        sum(parameter.scale != 0.0 for parameter in effect.parameters)
+        + len(effect.per_recording)
+        + len(effect.constants)
+    )
 
 
 def penalty(effect: Effect, rows: int) -> float:
@@ -123,7 +127,7 @@ def plausible(candidate: Candidate, values: FloatArray, coulomb: Mapping[str, fl
     for parameter, value in zip(effect.parameters, values):
         if not parameter.lower <= value <= parameter.upper or not np.isfinite(value):
             return False
-    return effect.plausible(values, constants) and not effect.ordinary(values, constants, coulomb)
+    return effect.plausible(values, constants) and not effect.within_healthy_range(values, constants, coulomb)
 
 
 def feels(energy: FloatArray) -> np.ndarray:
@@ -131,19 +135,19 @@ def feels(energy: FloatArray) -> np.ndarray:
     return np.asarray(energy > FELT * energy.max())
 
 
-def sleeps(gain: float, loud: float, drop: float, foretold: float, rows: int) -> bool:
-    """Whether unseen rows need not show an effect: its own law says so, they agree, and in the field it is plain.
+def is_not_excited(gain: float, active_gain: float, drop: float, foretold: float, rows: int) -> bool:
+    """Whether the held-out rows do not excite an effect: its law says so, they agree, and in the field it is plain.
 
     Args:
         gain: Drop in chi-square a field row.
-        loud: The same, of those rows alone in which it acts.
+        active_gain: The same, of those rows alone in which it acts.
         drop: Drop in chi-square of all unseen rows.
         foretold: What it would be, were the law right with these values: a change e of the whitened torque lowers
             chi-square by e^2 then, give or take 2 |e|.
         rows: How many unseen ones.
     """
     agrees = drop >= HALF * foretold - 2.0 * np.sqrt(foretold)
-    return bool(foretold < ASLEEP * gain * rows and agrees and loud > PLAIN)
+    return bool(foretold < NOT_EXCITED * gain * rows and agrees and active_gain > PLAIN)
 
 
 def throughout(scene: Scene, without: FloatArray, beside: FloatArray) -> float:

@@ -66,11 +66,11 @@ def gap(
     if stiff[0].size == 1:
         columns = [signal.ravel().tolist() for signal in signals]
         flights = [_rattle_alone(half, columns, h) for half in halves.ravel().tolist()]
-        give, acceleration = np.mean(flights, axis=0).T
-        return give[:, None, None], acceleration[:, None, None]
+        deflection, acceleration = np.mean(flights, axis=0).T
+        return deflection[:, None, None], acceleration[:, None, None]
     flight = _rattle(halves[:, None], signals, h)
-    give, acceleration = (np.stack([at.mean(axis=0) for at in signal]) for signal in zip(*flight))
-    return give, acceleration
+    deflection, acceleration = (np.stack([at.mean(axis=0) for at in signal]) for signal in zip(*flight))
+    return deflection, acceleration
 
 
 def _rattle(half: FloatArray, signals: Sequence[FloatArray], h: float) -> list[FloatArrays]:
@@ -161,6 +161,6 @@ class Backlash(Compliance):
         """None: how fast teeth bounce depends on how hard they meet."""
         return None
 
-    def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
+    def deflection(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """Of a gap."""
         return self.of_grid(gap, motion, constants, background)

@@ -57,7 +57,7 @@ class Payload(Effect):
         return cls(tuple(parameters), place=place)
 
     @property
-    def anew(self) -> tuple[int, ...]:
+    def per_recording(self) -> tuple[int, ...]:
         """Where it is held."""
         return tuple(range(1, len(self.parameters))) if self.place.get("regripped") else ()
 
@@ -89,7 +89,7 @@ class Payload(Effect):
 
     def where(self, values: FloatArray) -> str:
         """On which link."""
-        held = ", at another position in the held-out recordings" if self.anew else ""
+        held = ", at another position in the held-out recordings" if self.per_recording else ""
         return f"{values[0]:.3g} kg on the link of {self.place['joint']}{held}"
 
 

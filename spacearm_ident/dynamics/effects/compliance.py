@@ -83,16 +83,16 @@ class Compliance(Effect):
         """About the axis that gives way: the joint's own; others say which."""
         return self.own_link(motion, constants, background, motion.joints.index(self.place["joint"]))
 
-    def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
+    def deflection(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of a link on a spring; others say what is different."""
         return self._alone(spring, motion, constants, background)
 
     def _alone(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of what gives way, on one spring or gap."""
-        give, acceleration = swing(
+        deflection, acceleration = swing(
             [self.sensitivity(motion, constants, background)], *np.array([constants[: len(constants) - self.of_link]]).T
         )
-        return give[:, 0, 0], acceleration[:, 0, 0]
+        return deflection[:, 0, 0], acceleration[:, 0, 0]
 
     def of_grid(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of the joint's own link; those of the whole grid, at all joints, are computed at once.
@@ -118,8 +118,8 @@ class Compliance(Effect):
             return [x.astype(np.float32) for x in swing(links, *np.array(points).T)]
 
         at = np.s_[:, joints.index(row), points.index(tuple(constants[:swung]))]
-        give, acceleration = background.keep((swing.__name__, *of_link, *joints), compute)
-        return give[at].astype(float), acceleration[at].astype(float)
+        deflection, acceleration = background.keep((swing.__name__, *of_link, *joints), compute)
+        return deflection[at].astype(float), acceleration[at].astype(float)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
         """(N,) stiffness that a small swing about where it is feels, N·m/rad; others say what is different."""
@@ -139,7 +139,7 @@ class Compliance(Effect):
         if background is None or background.arm is None:
             return nothing(motion, range(len(motion.joints)), 1)
         given_way = [
-            part.sensitivity(motion, constants, background).torque(*part.give(motion, constants, background))
+            part.sensitivity(motion, constants, background).torque(*part.deflection(motion, constants, background))
             for part in self.parts
         ]
         torque = -np.sum(given_way, axis=0)
@@ -173,8 +173,8 @@ def spring(
     swung = np.clip(0.5 * h * np.sqrt(np.maximum(rate, 0.0) / inertia), 1e-6, PREWARPED)
     lighter = (swung / np.tan(swung)) ** 2
     load = np.broadcast_to(load, rate.shape)
-    give, acceleration = _swing(lighter * inertia, damping, rate, stiffness / doubles_at**2, load, h)
-    return _finer(give, step, len(links[0].load)), _finer(lighter * acceleration, step, len(links[0].load))
+    deflection, acceleration = _swing(lighter * inertia, damping, rate, stiffness / doubles_at**2, load, h)
+    return _finer(deflection, step, len(links[0].load)), _finer(lighter * acceleration, step, len(links[0].load))
 
 
 def own_signals(links: Sequence[Sensitivity], step: int = 1) -> Iterator[FloatArray]:
@@ -202,15 +202,15 @@ def _swing(
 
     first, held = columns[0][0], columns[1][0]
     d, v, a = root(abs(held), first) if hard else first / held, 0.0, 0.0
-    give, acceleration = [], []
+    deflection, acceleration = [], []
     for force, stiff, damp, divide in zip(*columns):
         guess_d, guess_v = d + h * v + ahead * a, v + half * a
         pull = force - damp * guess_v - stiff * guess_d
         a = (root(divide / ahead, pull + divide / ahead * guess_d) - guess_d) / ahead if hard else pull / divide
         d, v = guess_d + ahead * a, guess_v + half * a
-        give.append(d)
+        deflection.append(d)
         acceleration.append(a)
-    return np.reshape(give, load.shape), np.reshape(acceleration, load.shape)
+    return np.reshape(deflection, load.shape), np.reshape(acceleration, load.shape)
 
 
 def _finer(signal: FloatArray, step: int, samples: int) -> FloatArray:
@@ -249,18 +249,18 @@ class JointElasticity(Compliance):
         doubles_at = Constant("doubles_at", joint, "rad", DOUBLES_GRID)
         return cls((share,), (*springs(joint), doubles_at), place=place)
 
-    def give(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
+    def deflection(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """Of the joint's link."""
         if not self.place.get("hardens"):
-            return super().give(motion, constants, background)
+            return super().deflection(motion, constants, background)
         return self.of_grid(spring, motion, constants, background)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
         """The stiffer the further it is wound up."""
         if not self.place.get("hardens"):
             return super().tangent(motion, constants, background)
-        give, _ = self.give(motion, constants, background)
-        return np.asarray(constants[0] * (1.0 + 3.0 * (give / constants[2]) ** 2))
+        deflection, _ = self.deflection(motion, constants, background)
+        return np.asarray(constants[0] * (1.0 + 3.0 * (deflection / constants[2]) ** 2))
 
     def replaces(self, other: Effect) -> bool:
         """A gear is one spring."""

@@ -95,7 +95,7 @@ class Effect(Term):
         """How many others one would think of before it at its place, of those that explain as much."""
         return 0
 
-    def ordinary(self, parameters: FloatArray, constants: Values, coulomb: Mapping[str, float]) -> bool:
+    def within_healthy_range(self, parameters: FloatArray, constants: Values, coulomb: Mapping[str, float]) -> bool:
         """Whether any healthy joint does as much.
 
         Args:
@@ -106,7 +106,7 @@ class Effect(Term):
         return False
 
     @property
-    def anew(self) -> tuple[int, ...]:
+    def per_recording(self) -> tuple[int, ...]:
         """Numbers of the parameters that belong to a recording, not to the arm: another recording has its own."""
         return ()
 

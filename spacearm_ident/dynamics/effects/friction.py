@@ -215,7 +215,7 @@ class PreslidingHysteresis(_Friction):
         grid = tuple(float(d) for d in np.geomspace(1e-4, 0.04, 13))
         return cls((Parameter("f", joint, "N m", lower=0.0),), (Constant("d_s", joint, "rad", grid),), place=place)
 
-    def ordinary(self, parameters: FloatArray, constants: Values, coulomb: Mapping[str, float]) -> bool:
+    def within_healthy_range(self, parameters: FloatArray, constants: Values, coulomb: Mapping[str, float]) -> bool:
         """Whether a little of the friction builds up over a short way: bristles carry all of it."""
         least = MOST_OF_IT * coulomb.get(self.place["joint"], 0.0)
         return bool(constants[0] < SHORT_RAD and parameters[0] < least)

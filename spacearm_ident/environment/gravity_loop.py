@@ -1,7 +1,7 @@
 """The arm weighed under a gravity that is not known: fit, move gravity to where it fits best, fit again.
 
 The fit gives the weights and the constants under which `gravity.estimate_gravity` searches; the next fit takes the
-gravity found. Structure and solver are the caller's: `Weighing` is told how to fit a model again.
+gravity found. Structure and solver are the caller's: `GravityLoop` is told how to fit a model again.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ F = TypeVar("F", bound=Fitted)
 
 
 @dataclass(frozen=True)
-class Weighing(Generic[F]):
+class GravityLoop(Generic[F]):
     """How gravity is estimated with a model.
 
     Attributes:
