@@ -271,7 +271,7 @@ class Competition:
         return {name for name, feeling in zip(self.evidence.base.model.arm.joint_names, felt) if feeling}
 
     def _stands(self, scored: Scored) -> bool:
-        """Whether an effect is in the field by itself, explains enough, shows on held-out rows and is not negligible."""
+        """Whether an effect is in the field by itself, explains enough, acts on held-out rows and is not negligible."""
         if scored.gain < self.gate or (scored.score > self.gate and not self._lasts(scored)):
             return False
         values = self._values_of(scored)
