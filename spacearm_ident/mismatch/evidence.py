@@ -21,9 +21,9 @@ from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Values
 from ..regression.prior import make_prior
 from ..signals.motion import Motion
+from .reversals import learnt
 from .scene import Scene, quiet
 from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, sharpness, stacked_effect
-from .turning import learnt
 
 INVISIBLE = 1e-12
 """Share of its energy below which what the base leaves of a column is rounding."""

@@ -4,7 +4,7 @@ For weighted least squares with rows A, weights W and a Gaussian prior P,
     cov = H^-1 (S + P) H^-1,  H = A' W A + P,  S = A' W^(1/2) Omega W^(1/2) A,
 with Omega the autocovariance of the weighted residual, estimated per joint and motion; what of it is more than the
 low-pass makes of white noise is tapered (Newey and West 1987). White residuals of the assumed size give back H^-1.
-To this comes what parameters that are held fixed may hide (`held.py`).
+To this comes what parameters that are held fixed may hide (`omitted.py`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 from ..arrays import FloatArray
 from ..regression.prior import Prior
 from ..regression.regression import Regression
-from .held import hidden_shifts
+from .omitted import hidden_shifts
 from .weights import autocovariance
 
 TAPER_FACTOR = 4.0

@@ -1,9 +1,8 @@
-"""How friction turns round with the motion: in time or over a distance, as the healthy arm's own reversals show.
+"""Friction transition at a velocity reversal: in time or over a distance, identified on the healthy arm's reversals.
 
-At a reversal friction goes from one side to the other. Where teeth and bearings hold the joint it does so while the
-drive asks for more, and the joint moves on when it is there; where they give way it does so over a distance that the
-position shows, while the speed is still within its noise. A model that takes friction to jump where the speed is
-believed again is tens of milliseconds late: all that there is to a delay.
+At a reversal friction changes sign. A joint that sticks does so at rest, while the motor's torque changes; a joint with
+presliding does so over a distance that the position shows, while the velocity is still within its noise. Switching
+friction at the velocity-noise threshold delays it by tens of milliseconds, as much as the delays sought here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a parameter that a model holds fixed may hide: by how much the others would move if it were estimated.
+"""Bias of omitted parameters: by how much the others would move if one that a model holds fixed were estimated.
 
 A spring k_1 held at zero is no part of a fit, and what little of it there is leans on the parameters whose columns
 look like its own: on the simulated arm a spring of 0.02 N·m/rad, 0.1 % of the joint's torque, shifted k_v2 by three

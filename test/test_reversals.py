@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from spacearm_ident.mismatch.turning import IN_TIME, OVER_DISTANCE, in_time, learnt, over_distance
+from spacearm_ident.mismatch.reversals import IN_TIME, OVER_DISTANCE, in_time, learnt, over_distance
 
 RATE, NOISE = 250.0, 2e-3
 TIME = np.arange(0.0, 20.0, 1 / RATE)

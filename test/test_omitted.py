@@ -9,7 +9,7 @@ from planted_arm import Friction, two_link_run
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.identification.identify import Settings, identify
-from spacearm_ident.noise.held import held_columns, hidden_shifts
+from spacearm_ident.noise.omitted import held_columns, hidden_shifts
 from spacearm_ident.regression.prior import make_prior
 from spacearm_ident.regression.regression import Regression
 from spacearm_ident.signals.prepare import prepare
