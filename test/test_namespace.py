@@ -20,7 +20,8 @@ from spacearm_ident.nodes import main as entry
 from spacearm_ident.nodes.main import NODES
 from spacearm_ident.nodes.params_file import holding_in_namespace, name_in_full
 from spacearm_ident.recording import cdr, read_recording
-from spacearm_ident.recording.bag import Bag, messages
+from spacearm_ident.recording.bag import messages
+from spacearm_ident.recording.contents import Bag
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted((ROOT / "spacearm_ident" / "nodes").glob("*.py"))

@@ -17,8 +17,8 @@ from mcap_ros2.decoder import DecoderFactory
 
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import Recording, cdr, describe, messages, read_recording, write_recording
-from spacearm_ident.recording.bag import Bag
 from spacearm_ident.recording.bag import messages as bag_messages
+from spacearm_ident.recording.contents import Bag
 from spacearm_ident.recording.intake import increasing
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"

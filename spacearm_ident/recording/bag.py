@@ -10,7 +10,7 @@ import hashlib
 import mmap
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from spacearm_ident.documents import parse_yaml, read_text
 from spacearm_ident.errors import UserError
+from spacearm_ident.recording.contents import Bag, Stream
 from spacearm_ident.recording.mcap_reader import Channel, Defect, McapFile, Message, Progress
 from spacearm_ident.recording.messages import STATES_TOPIC
 from spacearm_ident.recording.recording import Source
@@ -29,32 +30,6 @@ MAX_KEPT_BYTES = 4 * 2**30
 """Most message bytes held at once (three hours of six joints at 1 kHz); beyond it, the bag must be cut."""
 
 _MESSAGE_OVERHEAD = 100  # bytes Python spends on keeping one message, whatever its length
-
-
-@dataclass
-class Stream:
-    """Messages of one topic, in recorded order: receive times in nanoseconds and CDR payloads."""
-
-    channel: Channel
-    log_times_ns: list[int] = field(default_factory=list)
-    payloads: list[bytes] = field(default_factory=list)
-
-
-@dataclass
-class Bag:
-    """What was read from a bag.
-
-    Attributes:
-        streams: Wanted messages by topic.
-        topics: Every topic declared, with its type.
-        defects: What was found wrong.
-        sources: The files.
-    """
-
-    streams: dict[str, Stream] = field(default_factory=dict)
-    topics: dict[str, str] = field(default_factory=dict)
-    defects: list[Defect] = field(default_factory=list)
-    sources: list[Source] = field(default_factory=list)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

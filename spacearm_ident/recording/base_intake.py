@@ -14,7 +14,7 @@ import numpy as np
 
 from spacearm_ident.arrays import BoolArray, FloatArray, IntArray
 from spacearm_ident.recording import cdr, messages
-from spacearm_ident.recording.bag import Bag, Stream
+from spacearm_ident.recording.contents import Bag, Stream
 from spacearm_ident.recording.intake import Finding, Intake, gap_threshold_s, increasing, int64_ns
 from spacearm_ident.recording.recording import BaseSensor
 

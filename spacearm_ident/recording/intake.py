@@ -16,7 +16,7 @@ import numpy as np
 from spacearm_ident.arrays import BoolArray, FloatArray, IntArray
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import cdr, messages
-from spacearm_ident.recording.bag import Stream
+from spacearm_ident.recording.contents import Stream
 from spacearm_ident.recording.recording import Issue
 
 _VELOCITY_LOSS = 0.01  # share of samples without velocity above which velocity is given up, not the samples

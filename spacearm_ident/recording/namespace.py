@@ -13,7 +13,8 @@ from functools import partial
 
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import messages
-from spacearm_ident.recording.bag import Bag, Stream, read_bag
+from spacearm_ident.recording.bag import read_bag
+from spacearm_ident.recording.contents import Bag, Stream
 from spacearm_ident.recording.intake import Finding, listing
 from spacearm_ident.recording.mcap_reader import Progress
 

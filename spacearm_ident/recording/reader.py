@@ -26,8 +26,8 @@ import numpy as np
 from spacearm_ident.arrays import FloatArray, IntArray
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import cdr, messages
-from spacearm_ident.recording.bag import Bag
 from spacearm_ident.recording.base_intake import read_base
+from spacearm_ident.recording.contents import Bag
 from spacearm_ident.recording.intake import Finding, Intake, Samples, gap_threshold_s, increasing, int64_ns, listing
 from spacearm_ident.recording.mcap_reader import Defect, Progress
 from spacearm_ident.recording.namespace import read_arm

@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import zstandard
@@ -21,12 +21,10 @@ import zstandard
 from spacearm_ident.documents import parse_yaml, read_text
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import cdr, messages
+from spacearm_ident.recording.contents import Bag
 from spacearm_ident.recording.mcap_reader import Channel, Defect, Message, Progress
 from spacearm_ident.recording.recording import Source
 from spacearm_ident.recording.tables.optional import optional
-
-if TYPE_CHECKING:
-    from spacearm_ident.recording.bag import Bag
 
 MAX_INFLATED = 64
 """Most a compressed file or message may grow by (and 1 MiB): joint states shrink to a third or so."""
