@@ -1,4 +1,4 @@
-"""Which findings stand: names that leave too much, explain too little, or are another's shadow."""
+"""Which findings are accepted: not names that leave too much, explain too little, or are dominated by another."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from changed_arm import ARM, HEALTHY, ripple, run
 
 from spacearm_ident.dynamics.effects import EFFECTS
-from spacearm_ident.mismatch.competition import GATE, Competition
+from spacearm_ident.mismatch.competition import GATE, Competition, Round
 from spacearm_ident.mismatch.constants import polish, refine
 from spacearm_ident.mismatch.evidence import Candidate
 from spacearm_ident.mismatch.finding import Alternative
@@ -202,6 +202,28 @@ def in_one_moment(planted):
     """Ripple for a second and a half."""
     time = np.linspace(0.0, 1.0, len(planted.torque))[:, None]
     return np.where((time > 0.5) & (time < 0.59), ripple(planted), 0.0)
+
+
+def pushed_away(planted):
+    """A constant torque and a spring that pushes away from where it is slack, which no cable does."""
+    return np.outer(4.0 - 0.5 * planted.q[:, 1], [0.0, 1.0])
+
+
+def test_an_effect_whose_values_are_impossible_in_the_end_gives_way_to_another_of_its_joint():
+    prepared = prepare_evidence(ARM, [HEALTHY], [run(2, pushed_away)], [run(3, pushed_away)])
+    competition = Competition(prepared.evidence, prepared.unseen)
+    spring, offset = (
+        Scored(
+            prepared.evidence.candidate(EFFECTS[kind].at(ARM, {"joint": "elbow"}), ()), 1e4, 1e4, 1e4, plausible=True
+        )
+        for kind in ("harness_spring", "current_offset")
+    )
+    competition.accepted = [spring.candidate]
+    rounds = competition._with_possible_values([Round(spring, (offset,))])
+    assert [one.winner.candidate.effect.kind for one in rounds] == ["current_offset"]
+    assert [candidate.effect.kind for candidate in competition.accepted] == ["current_offset"]
+    competition.accepted = [spring.candidate]
+    assert competition._with_possible_values([Round(spring, ())]) == []
 
 
 @pytest.mark.parametrize(("extra", "lasts"), [(ripple, True), (in_one_moment, False)])
