@@ -11,11 +11,16 @@ import numpy as np
 import pytest
 from planted_arm import Friction, Link, incommensurate, plant
 
+from spacearm_ident.conventions.change import Change, Kind
 from spacearm_ident.conventions.check import check_conventions
 from spacearm_ident.conventions.finding import ConventionReport, Level
+from spacearm_ident.conventions.rows import rows_of
+from spacearm_ident.conventions.search import Scorer, testable
+from spacearm_ident.conventions.setup import Setup
 from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.recording.corrections import Corrections, read_corrections
+from spacearm_ident.signals.prepare import prepare
 
 REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
 LINKS = (
@@ -223,6 +228,16 @@ def test_stamps_that_jitter_where_the_samples_are_even_are_found(run, arm):
     jitter = np.clip(0.002 * np.random.default_rng(1).standard_normal(len(run.time)), -0.0024, 0.0024)
     report = check_conventions([replace(run, time=run.time + jitter)], arm)
     assert [f.kind for f in report.findings if f.kind.startswith("clock")] == ["clock_jitter"]
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.01, False), (0.2, True)])
+def test_a_joint_that_would_be_at_rest_in_radians_tells_no_unit(share, told, arm):
+    """A position that is 57 times smaller takes its noise out of all torques, which are explained better for that."""
+    motions, _ = prepare([sound(share=(share, 1.0, 1.0, 1.0))], arm.joint_names)
+    scorer = Scorer(arm, rows_of(motions))
+    start = scorer.score((), Setup.as_recorded(arm))
+    assert 0 not in scorer.idle
+    assert testable(scorer, start, Change(Kind.DEGREES, (0,))) == told
 
 
 def test_stamps_in_batches_are_found_though_the_positions_are_noisy(run, arm):

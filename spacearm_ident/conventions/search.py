@@ -25,6 +25,7 @@ from .evidence import (
     rms,
     weigh,
 )
+from .plain import REST_RAD
 from .plausible import Ranges
 from .rows import LONGEST_DELAY_S, Rows
 from .setup import Setup, motion_of, torque_of
@@ -328,8 +329,11 @@ def testable(scorer: Scorer, start: Scored, change: Change) -> bool:
         return len(change.joints) != 1 or change.joints[0] in loaded_joints(scorer, start)
     own, silent = set(change.joints), scorer.silent(start.setup)
     if change.kind is Kind.DEGREES:
-        # In degrees the smallest motion is a large one.
-        return len(own) > 1 or start.setup.position_from[change.joints[0]] not in scorer.idle
+        # In degrees the smallest motion is a large one, and a joint that would be at rest in radians tells no unit: a
+        # position that is 57 times smaller takes its noise out of all torques.
+        column = start.setup.position_from[change.joints[0]]
+        moved = np.radians(scorer.ranges.high[column] - scorer.ranges.low[column])
+        return len(own) > 1 or (column not in scorer.idle and bool(moved > REST_RAD))
     if change.kind is Kind.JOINTS_EXCHANGED:
         # Torque stays with its motion.
         return not own <= silent and not own & scorer.dead
