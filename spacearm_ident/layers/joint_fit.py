@@ -28,7 +28,7 @@ from .ceiling import black_box, inputs_of
 from .comparison import Trace
 from .conventions import SPREAD, Wired
 from .estimate import Estimate, estimate
-from .linear import CONSTANT_SPREAD, Linear, Prior, constant_name, weak_prior
+from .linear import CONSTANT_SPREAD, Linear, Prior, weak_prior
 from .parameters import DETERMINED, LEVEL
 from .physics import Added
 from .wiring import kind_and_joint
@@ -118,16 +118,15 @@ class JointFit:
     def _settle(self) -> None:
         """Solve for everything, here and in the held-out recordings by themselves."""
         self.prior = self._prior(None)
-        self.estimate = self._estimate(self.linear, self.prior)
+        # Values with the searched constants as they were found, errors with those open as well.
+        here = estimate(self.linear, self._with_constants(self.prior), self.variance)
+        self.estimate = replace(here, values=self._possible(self.linear, self.prior))
         try:
-            self._there: Estimate | None = self._estimate(self.again, self._prior(None, self._weak_again))
+            prior = self._prior(None, self._weak_again)
+            there = estimate(self.again, prior, self.variance)
+            self._there: Estimate | None = replace(there, values=self._possible(self.again, prior))
         except np.linalg.LinAlgError:
             self._there = None
-
-    def _estimate(self, linear: Linear, prior: Prior) -> Estimate:
-        """Values with the searched constants as they were found, and errors with those open as well."""
-        values = self._possible(linear, prior)
-        return replace(estimate(linear, self._with_constants(linear, prior), self.variance), values=values)
 
     def _possible(self, linear: Linear, prior: Prior, blocks: np.ndarray | None = None) -> FloatArray:
         """(P,) the solution in which no rotor inertia, friction or damping is below zero (active set)."""
@@ -143,21 +142,22 @@ class JointFit:
             values = linear.solve(prior, self.variance, blocks).values
         return values
 
-    def _with_constants(self, linear: Linear, prior: Prior) -> Prior:
+    def _with_constants(self, prior: Prior) -> Prior:
         """A prior in which the constants of what is in the model are free."""
-        free, precision, names = prior.free.copy(), prior.precision.copy(), list(linear.names)
+        linear = self.linear
+        free, precision = prior.free.copy(), prior.precision.copy()
         for term, parameter, first in linear.model.model.numbered():
-            for constant, value in zip(term.constants, linear.model.constants[first:]):
+            for number, constant in enumerate(term.constants, start=first):
                 # A static level that is left out is tied to the Coulomb friction: no speed tells them apart.
                 needs = [
-                    self._is_in(number)
-                    for number, own in enumerate(term.parameters, start=parameter)
+                    self._is_in(k)
+                    for k, own in enumerate(term.parameters, start=parameter)
                     if isinstance(term, Effect) or (own.joint == constant.joint and own.symbol == "f_b")
                 ]
-                if value != 0.0 and (any(needs) or constant.symbol == "d_s"):
-                    number = names.index(constant_name(constant))
-                    free[number] = True
-                    precision[number, number] = CONSTANT_SPREAD**-2
+                if linear.model.constants[number] != 0.0 and (any(needs) or constant.symbol == "d_s"):
+                    column = linear.column_of_constant(number)
+                    free[column] = True
+                    precision[column, column] = CONSTANT_SPREAD**-2
         return Prior(prior.mean, precision, free)
 
     def _prior(self, terms: Sequence[np.ndarray] | None, weak: Prior | None = None) -> Prior:

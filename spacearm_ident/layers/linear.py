@@ -22,7 +22,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.regressor import rigid_body_torque
-from ..dynamics.term import Columns, Constant
+from ..dynamics.term import Columns
 from ..mismatch.noise import Noise
 from ..mismatch.scene import Scene, Whitener
 from ..regression.held_out import time_blocks
@@ -128,7 +128,7 @@ class Linear:
         self.names = (
             *(parameter.name for parameter in model.model.parameters),
             *column_names(joints),
-            *(constant_name(constant) for constant in model.model.constants),
+            *(f"ln {constant.name}" for constant in model.model.constants),
         )
         block_of, self.recording = time_blocks(undone)
         self.blocks = len(self.recording)
@@ -148,6 +148,10 @@ class Linear:
     def count(self) -> int:
         """P."""
         return len(self.names)
+
+    def column_of_constant(self, number: int) -> int:
+        """Which unknown is the logarithm of a constant of the model; names are not enough, two terms may share one."""
+        return self.count - len(self.model.constants) + number
 
     def start(self) -> FloatArray:
         """(P,) values of the model; nothing left to correct."""
@@ -274,11 +278,6 @@ def _model_columns(model: IdentifiedModel, scene: Scene) -> FloatArray:
         columns = [term.columns(motion, constants, b) for motion, b in zip(scene.motions, scene.backgrounds)]
         blocks.append(scene.stack(columns, len(term.parameters)))
     return np.concatenate(blocks, axis=1)
-
-
-def constant_name(constant: Constant) -> str:
-    """What the unknown of a constant's logarithm is called."""
-    return f"ln {constant.name}"
 
 
 def _constant_columns(model: IdentifiedModel, scene: Scene) -> FloatArray:
