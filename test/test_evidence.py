@@ -270,17 +270,17 @@ def test_in_thin_air_the_field_has_no_friction_of_high_order(prepared):
 
 @pytest.mark.parametrize("chosen", [(), (0,), (0, 1, 2, 3)])
 def test_unseen_residuals_are_those_of_the_fitted_model_on_other_rows(prepared, chosen):
-    evidence, unseen = prepared.evidence, prepared.unseen
+    evidence, held_out = prepared.evidence, prepared.held_out
     candidates = [candidates_of(evidence)[k] for k in chosen]
     _, _, base, values = Brute(evidence).solve(candidates)
-    want = unseen.scene.torque() - base_columns(evidence.base, unseen.scene, ()) @ base
+    want = held_out.scene.torque() - base_columns(evidence.base, held_out.scene, ()) @ base
     first = 0
     for candidate in candidates:
         own = values[first : first + len(candidate.effect.parameters)]
         first += len(own)
-        stacked = stacked_effect(unseen.scene, candidate.effect, candidate.constants)
+        stacked = stacked_effect(held_out.scene, candidate.effect, candidate.constants)
         want[stacked.rows] -= stacked.columns @ own
-    found = unseen.residual(candidates, evidence.refit(candidates).values)
+    found = held_out.residual(candidates, evidence.refit(candidates).values)
     np.testing.assert_allclose(found, want, atol=1e-5 * np.abs(want).max())
 
 

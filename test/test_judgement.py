@@ -58,7 +58,7 @@ def test_what_held_out_data_do_not_show_must_be_clear_in_the_field_and_not_excit
     rippled, gain, not_excited, good
 ):
     (finding,) = rippled.findings
-    quiet = replace(finding, gain=gain, unseen_gain=0.05 * gain, explained=0.2, not_excited=not_excited)
+    quiet = replace(finding, gain=gain, held_out_gain=0.05 * gain, explained=0.2, not_excited=not_excited)
     assert shows(0, [quiet], {"shoulder": 0.1, "elbow": 0.1}) == good
 
 
@@ -95,7 +95,7 @@ def test_what_another_explains_better_and_does_not_stand_is_no_finding():
 def test_a_contact_acts_on_the_joints_that_feel_it():
     """A push on the last link, whose own joint it hardly turns, if at all; what is no event acts where it is."""
     prepared = prepare_evidence(ARM, [HEALTHY], [run(2)], [run(3)])
-    competition = Competition(prepared.evidence, prepared.unseen)
+    competition = Competition(prepared.evidence, prepared.held_out)
 
     def acts_on(kind, constants):
         candidate = prepared.evidence.candidate(EFFECTS[kind].at(ARM, {"joint": "elbow"}), constants)
@@ -211,7 +211,7 @@ def pushed_away(planted):
 
 def test_an_effect_whose_values_are_impossible_in_the_end_gives_way_to_another_of_its_joint():
     prepared = prepare_evidence(ARM, [HEALTHY], [run(2, pushed_away)], [run(3, pushed_away)])
-    competition = Competition(prepared.evidence, prepared.unseen)
+    competition = Competition(prepared.evidence, prepared.held_out)
     spring, offset = (
         Scored(
             prepared.evidence.candidate(EFFECTS[kind].at(ARM, {"joint": "elbow"}), ()), 1e4, 1e4, 1e4, plausible=True
@@ -229,11 +229,11 @@ def test_an_effect_whose_values_are_impossible_in_the_end_gives_way_to_another_o
 @pytest.mark.parametrize(("extra", "lasts"), [(ripple, True), (in_one_moment, False)])
 def test_what_shows_in_one_moment_alone_is_no_lasting_effect(extra, lasts):
     prepared = prepare_evidence(ARM, [HEALTHY], [run(2, extra)], [run(3, extra)])
-    competition = Competition(prepared.evidence, prepared.unseen)
+    competition = Competition(prepared.evidence, prepared.held_out)
     scored = competition._scored(
         prepared.evidence.candidate(EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"}), [20.0]),
         prepared.evidence.refit([]),
-        competition._on_unseen([], np.zeros(0)),
+        competition._on_held_out([], np.zeros(0)),
     )
     assert scored.score > GATE
     assert competition._lasts(scored) == lasts

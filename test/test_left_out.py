@@ -69,7 +69,7 @@ def test_left_out_squares_exceed_those_of_the_whole_fit_and_the_error_grows_wher
     own = residuals.rms(residuals.of(healthy.base_parameters([], np.zeros(0)), [], np.zeros(0)))
     assert (left_out.rms_Nm > own).all() and (left_out.rms_Nm < 1.5 * own).all()
     assert (left_out.largest_Nm > own).all() and left_out.times > 2.3
-    judged = Residuals(prepared.evidence, prepared.unseen.scene, prepared.plain)
+    judged = Residuals(prepared.evidence, prepared.held_out.scene, prepared.plain)
     assert (left_out.error_Nm(judged) > 0.0).all() and (left_out.error_Nm(judged) < own).all()
     middle = np.mean(left_out.fits, axis=0)
     left_out.fits = [middle + 3.0 * (fit - middle) for fit in left_out.fits]
@@ -126,7 +126,7 @@ def test_a_real_arm_gets_weights_and_leaves_no_more_of_another_run_than_a_health
     )
     prepared = prepare_evidence(known, runs[:1], runs[1:], runs[1:])
     assert all(own.order == 0 for own in prepared.evidence.field.whiteners)
-    residuals = Residuals(prepared.evidence, prepared.unseen.scene, prepared.plain)
+    residuals = Residuals(prepared.evidence, prepared.held_out.scene, prepared.plain)
     (healthy,) = healthy_levels(prepared.evidence, prepared, [residuals])
     left = residuals.of(healthy.parameters, [], np.zeros(0))
     assert not healthy.beyond(residuals.rms_throughout(left), residuals.rms(left)).any()
@@ -140,7 +140,7 @@ def _detectable_Nm(with_temperatures: bool) -> np.ndarray:
         return replace(recording, temperatures=dict.fromkeys(recording.joints, warm) if with_temperatures else {})
 
     prepared = prepare_evidence(ARM, [recorded(HEALTHY)], [recorded(run(2))], [recorded(run(3))])
-    residuals = Residuals(prepared.evidence, prepared.unseen.scene, prepared.plain)
+    residuals = Residuals(prepared.evidence, prepared.held_out.scene, prepared.plain)
     (healthy,) = healthy_levels(prepared.evidence, prepared, [residuals])
     return healthy.detectable_Nm
 

@@ -80,12 +80,12 @@ UNFIT = [
 @pytest.mark.parametrize(("made", "reason"), UNFIT)
 def test_unfit_data_get_a_reason_and_no_finding(made, reason):
     broken = made()
-    for reference, field, unseen in (
+    for reference, field, held_out in (
         ([HEALTHY], [broken], []),
         ([broken], [HEALTHY], []),
         ([], [HEALTHY], [broken]),
     ):
-        answer = explain(ARM, reference, field, unseen)
+        answer = explain(ARM, reference, field, held_out)
         assert answer.verdict == DATA_UNFIT and answer.findings == () and answer.model is None
         assert any(re.search(reason, text) for text in answer.reasons)
     document = to_document(answer)
@@ -198,14 +198,14 @@ def test_what_vanishes_in_vacuum_is_one_finding_and_the_extended_model_lacks_it(
         planted = [two_link_run(laws, seconds=16.0, rate_hz=250.0, seed=seed, speed=1.0) for seed in seeds]
         return [one.recording(noise=NOISE, seed=seed + 100) for one, seed in zip(planted, seeds)]
 
-    field, unseen = runs(0.0, 2, 3)
-    answer = explain(ARM, runs(1.0, 1), [field], [unseen], SLOW_ONES)
+    field, held_out = runs(0.0, 2, 3)
+    answer = explain(ARM, runs(1.0, 1), [field], [held_out], SLOW_ONES)
     (finding,) = answer.findings
     assert finding.effect == "vacuum_friction" and set(finding.joints) == set(ARM.joint_names)
     assert finding.parameters["share"].value == pytest.approx(1.0, abs=0.1)
     assert finding.explained > 0.9
     save_model(answer.model, tmp_path / EXTENDED_MODEL)
-    (motion,), _ = prepare([unseen], ARM.joint_names, answer.cutoff_hz, average=False)
+    (motion,), _ = prepare([held_out], ARM.joint_names, answer.cutoff_hz, average=False)
     left = motion.torque_rows - motion.reduce(load_model(tmp_path / EXTENDED_MODEL).torque(motion))
     for joint, sound in enumerate(one_way(motion).T):
         assert np.sqrt(np.mean(left[sound, joint] ** 2)) < NOISE[joint]

@@ -96,7 +96,7 @@ def finding(effect: str = "torque_ripple", joint: str = JOINTS[0], **changes: ob
         confidence=0.98,
         alternatives=(Alternative("harness_spring", (joint,), 0.3, "explains 30 %"),),
         gain=900.0,
-        unseen_gain=800.0,
+        held_out_gain=800.0,
         visibility=0.9,
         before_Nm={joint: 0.71},
         after_Nm={joint: 0.1},

@@ -1,4 +1,4 @@
-"""A card for every accepted effect: what it is, how large, how sure, and what it does on unseen data."""
+"""A card for every accepted effect: what it is, how large, how sure, and what it does on held-out data."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Cards:
         effect = self.accepted[number].effect
         values = self._values(number)
         rivals = _others(winner, others)
-        before, after, beside, explained = self._on_unseen(number)
+        before, after, beside, explained = self._on_held_out(number)
         if effect.event:
             beside, explained = self._while_it_lasts(number)
         joints = effect.joints or tuple(before)
@@ -57,7 +57,7 @@ class Cards:
             confidence=_confidence(winner, rivals),
             alternatives=(*_same_torque(winner), *(_alternative(winner, other) for other in rivals[:MOST])),
             gain=winner.gain,
-            unseen_gain=winner.unseen,
+            held_out_gain=winner.held_out,
             not_excited=winner.not_excited,
             visibility=self._visibility(number),
             before_Nm=before,
@@ -79,7 +79,7 @@ class Cards:
         whole = float(np.sum((columns @ values) ** 2))
         return float(values @ gram @ values) / whole if whole > 0 else float("nan")
 
-    def _on_unseen(self, number: int) -> tuple[dict[str, float], dict[str, float], dict[str, float], float]:
+    def _on_held_out(self, number: int) -> tuple[dict[str, float], dict[str, float], dict[str, float], float]:
         """RMS by joint without, with, and with it less its swings; share of the variance above the noise it removes."""
         values = self.outcome.refit.values
         others = [c for k, c in enumerate(self.accepted) if k != number]
@@ -125,7 +125,7 @@ class Cards:
         return {names[k]: float(self.floor[k]) * size for k, size in rms.items()}, explained
 
     def _swings(self, number: int) -> list[tuple[float, float] | None]:
-        """By unseen motion, the band in which an effect rings, if it does."""
+        """By held-out motion, the band in which an effect rings, if it does."""
         scene, candidate = self.residuals.scene, self.accepted[number]
         bands: list[tuple[float, float] | None] = []
         for motion, background in zip(scene.motions, scene.backgrounds):
@@ -198,7 +198,7 @@ def _same_torque(winner: Scored) -> list[Alternative]:
 
 
 def _alternative(winner: Scored, other: Scored) -> Alternative:
-    share = (other.gain + other.unseen) / max(winner.gain + winner.unseen, 1e-9)
+    share = (other.gain + other.held_out) / max(winner.gain + winner.held_out, 1e-9)
     effect = other.candidate.effect
     if other.score > winner.score:
         freer = "with a freedom that no physics has" if not other.named else "is no simpler"

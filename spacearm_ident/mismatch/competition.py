@@ -18,7 +18,7 @@ from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from .constants import grid_points, polish, refine, search
-from .evidence import Candidate, Evidence, Refit, Unseen
+from .evidence import Candidate, Evidence, HeldOut, Refit
 from .finding import Happened
 from .happened import happened, without
 from .residuals import unwhitened
@@ -29,7 +29,7 @@ from .stacked import base_columns
 GATE = 60.0
 """Score an effect must have. The largest on healthy arms is what sets it (bench/concealed.py)."""
 REFINED, RIVALS = 12, 6
-"""So many of the best named effects, and of the generic rivals, are refined and judged on unseen data."""
+"""So many of the best named effects, and of the generic rivals, are refined and judged on held-out data."""
 NAMED_SHARE, NAMED_PAIR = 0.8, 0.9
 """A named effect stands if it explains this share of what the best generic rival does, or two of them this share."""
 SHARED = 0.3
@@ -40,7 +40,7 @@ a little different than a second physics: it is left unexplained, not named."""
 MINOR_UNKNOWN = 0.05
 """The same for a dependence without a name, which has the freedom to follow any such difference."""
 SEEN_AGAIN = 0.1
-"""Share of its drop on the fitted rows that an effect must show, row for row, on unseen ones. A large named one need
+"""Share of its drop on the fitted rows that an effect must show, row for row, on held-out ones. A large named one need
 not be excited there (`scored.is_not_excited`)."""
 CLEARS_UP = 0.5
 """Share of its joints' residual in the field that an effect must explain if the held-out data do not excite it."""
@@ -85,15 +85,15 @@ class Competition:
     """Candidates, and what was accepted so far."""
 
     def __init__(
-        self, evidence: Evidence, unseen: Unseen | None, excluded: Sequence[str] = (), gate: float = GATE
+        self, evidence: Evidence, held_out: HeldOut | None, excluded: Sequence[str] = (), gate: float = GATE
     ) -> None:
         self.evidence = evidence
-        self.unseen = unseen
+        self.held_out = held_out
         self.gate = gate
         self.accepted: list[Candidate] = []
         base = evidence.base
         self._coulomb = {p.joint: float(v) for p, v in zip(base.model.parameters, base.parameters) if p.symbol == "f_c"}
-        scenes = [evidence.field, *([unseen.scene] if unseen else [])]
+        scenes = [evidence.field, *([held_out.scene] if held_out else [])]
         evidence.fit_reversals(scenes)
         if evidence.reference is not None:
             thin, _ = evidence.in_vacuum
@@ -177,10 +177,10 @@ class Competition:
             effect = self.accepted[number].effect
             others = [candidate for k, candidate in enumerate(self.accepted) if k != number]
             beside = self.evidence.refit(others)
-            unseen_before = self._on_unseen(others, beside.values)
+            held_out_before = self._on_held_out(others, beside.values)
             accepted, self.accepted = self.accepted, others
             again = [
-                self._scored(self._renewed(one.candidate), beside, unseen_before)
+                self._scored(self._renewed(one.candidate), beside, held_out_before)
                 for one in kept[number].others
                 if one.named and one.joints == effect.joints
             ]
@@ -202,23 +202,23 @@ class Competition:
         return plausible(self.accepted[number], own, self._coulomb)
 
     def _leave_out_events(self) -> None:
-        """Judge nothing on unseen rows during an event like one that was found."""
-        if self.unseen is not None:
-            found = happened(self.unseen, self.accepted, self.evidence.refit(self.accepted).values, self.gate)
+        """Judge nothing on held-out rows during an event like one that was found."""
+        if self.held_out is not None:
+            found = happened(self.held_out, self.accepted, self.evidence.refit(self.accepted).values, self.gate)
             if found:
                 self.happened += found
-                self.unseen = without(self.unseen, self.happened)
+                self.held_out = without(self.held_out, self.happened)
 
     def _causes(self, rounds: Sequence[Round]) -> int:
         """How many effects there are; the same event in several recordings counts once."""
         effects = [one.winner.candidate.effect for one in rounds]
         return len({effect.kind if effect.event and effect.one_cause else id(effect) for effect in effects})
 
-    def reweigh(self, evidence: Evidence, unseen: Unseen | None) -> None:
+    def reweigh(self, evidence: Evidence, held_out: HeldOut | None) -> None:
         """Go on with the same rows under other weights of the joints."""
-        before, self.evidence, self.unseen = self.evidence, evidence, unseen
-        if unseen is not None and self.happened:
-            self.unseen = without(unseen, self.happened)
+        before, self.evidence, self.held_out = self.evidence, evidence, held_out
+        if held_out is not None and self.happened:
+            self.held_out = without(held_out, self.happened)
         self.accepted = [evidence.reweighted([candidate], before)[0] for candidate in self.accepted]
         self._grids = {key: evidence.reweighted(grid, before) if grid else [] for key, grid in self._grids.items()}
 
@@ -244,16 +244,16 @@ class Competition:
             return named[0] if named else generic
         if generic.score <= named[0].score:
             return named[0]
-        enough = NAMED_SHARE * (generic.gain + generic.unseen)
-        if named[0].gain + named[0].unseen >= enough:
+        enough = NAMED_SHARE * (generic.gain + generic.held_out)
+        if named[0].gain + named[0].held_out >= enough:
             return named[0]
         before = self.evidence.refit(self.accepted)
-        unseen_before = _squares(self._on_unseen(self.accepted, before.values))
+        held_out_before = _squares(self._on_held_out(self.accepted, before.values))
         for one, other in combinations([s for s in named if s.candidate.effect.joints == generic.joints][:6], 2):
             both = [*self.accepted, one.candidate, other.candidate]
             together = self.evidence.refit(both)
-            gain = together.gain - before.gain + unseen_before - _squares(self._on_unseen(both, together.values))
-            if gain > NAMED_PAIR * (generic.gain + generic.unseen):
+            gain = together.gain - before.gain + held_out_before - _squares(self._on_held_out(both, together.values))
+            if gain > NAMED_PAIR * (generic.gain + generic.held_out):
                 return one
         return generic
 
@@ -281,8 +281,8 @@ class Competition:
         if scored.named and share < NAMES_ENOUGH:
             return False
         lasting = not scored.candidate.effect.event
-        if self.unseen is not None and lasting:
-            again = scored.unseen / len(self.unseen.scene) / (scored.gain / self.evidence.rows)
+        if self.held_out is not None and lasting:
+            again = scored.held_out / len(self.held_out.scene) / (scored.gain / self.evidence.rows)
             not_excited = scored.named and share > CLEARS_UP and scored.not_excited
             if again < SEEN_AGAIN and not not_excited:
                 return False
@@ -294,7 +294,7 @@ class Competition:
         return float(mine.sum()) > minor * float(large[felt].sum())
 
     def _lasts(self, scored: Scored) -> bool:
-        """Whether an effect has a score without the best moments of field and unseen rows, too; an event need not."""
+        """Whether an effect has a score without the best moments of field and held-out rows, too; an event need not."""
         effect = scored.candidate.effect
         if effect.event:
             return True
@@ -302,11 +302,12 @@ class Competition:
         drop = throughout(
             self.evidence.field, self.evidence.residual_beside(self.accepted), self.evidence.residual_beside(both)
         )
-        if self.unseen is not None:
+        if self.held_out is not None:
             before, after = (
-                self.unseen.residual(effects, self.evidence.refit(effects).values) for effects in (self.accepted, both)
+                self.held_out.residual(effects, self.evidence.refit(effects).values)
+                for effects in (self.accepted, both)
             )
-            drop += throughout(self.unseen.scene, before, after)
+            drop += throughout(self.held_out.scene, before, after)
         return drop - penalty(effect, self.evidence.rows) > LASTS * self.gate
 
     def _excess(self, effect: Effect) -> FloatArray:
@@ -374,8 +375,8 @@ class Competition:
             return False
         self.common.append(winner)
         self.evidence = new
-        if self.unseen is not None:
-            self.unseen = Unseen(self.evidence, self.unseen.scene)
+        if self.held_out is not None:
+            self.held_out = HeldOut(self.evidence, self.held_out.scene)
         renew = self._renewed
         self.accepted = [renew(candidate) for candidate in self.accepted]
         self._grids = {key: [renew(c) for c in grid] for key, grid in self._grids.items()}
@@ -387,7 +388,7 @@ class Competition:
     def _ranked(self) -> list[Scored]:
         """The best of every effect at every place, best first."""
         beside = self.evidence.refit(self.accepted)
-        unseen_before = self._on_unseen(self.accepted, beside.values)
+        held_out_before = self._on_held_out(self.accepted, beside.values)
         rough: list[tuple[float, int, Candidate]] = []
         for effect in self._pool:
             # Where none of its places was passed there is none to try.
@@ -400,7 +401,7 @@ class Competition:
         generic = [item for item in rough if item[2].effect.kind == UNKNOWN][:RIVALS]
         for _, _, candidate in [*named, *generic]:
             refined = search(refine, candidate, self.evidence, lambda trial: self._gain(trial, beside))
-            scored.append(self._scored(refined, beside, unseen_before))
+            scored.append(self._scored(refined, beside, held_out_before))
         # Which link was touched, only windows that fit well tell.
         scored = [self._polished(s) if s.named and s.candidate.effect.event else s for s in scored]
         return sorted(scored, key=lambda s: -s.score)
@@ -425,20 +426,20 @@ class Competition:
         candidate = search(polish, scored.candidate, self.evidence, lambda trial: self._gain(trial, beside))
         if candidate is scored.candidate:
             return scored
-        return self._scored(candidate, beside, self._on_unseen(self.accepted, beside.values))
+        return self._scored(candidate, beside, self._on_held_out(self.accepted, beside.values))
 
-    def _scored(self, candidate: Candidate, beside: Refit, unseen_before: FloatArray) -> Scored:
+    def _scored(self, candidate: Candidate, beside: Refit, held_out_before: FloatArray) -> Scored:
         together = self.evidence.refit([*self.accepted, candidate], beside)
         gain = together.gain - beside.gain
-        unseen_after = self._on_unseen([*self.accepted, candidate], together.values)
-        unseen = _squares(unseen_before) - _squares(unseen_after)
+        held_out_after = self._on_held_out([*self.accepted, candidate], together.values)
+        held_out = _squares(held_out_before) - _squares(held_out_after)
         values = together.values[len(beside.values) :]
-        score = gain + unseen - penalty(candidate.effect, self.evidence.rows)
-        foretold, count = _squares(unseen_before - unseen_after), len(unseen_after)
+        score = gain + held_out - penalty(candidate.effect, self.evidence.rows)
+        foretold, count = _squares(held_out_before - held_out_after), len(held_out_after)
         not_excited = is_not_excited(
-            gain / self.evidence.rows, gain / self._rows_of(candidate, values), unseen, foretold, count
+            gain / self.evidence.rows, gain / self._rows_of(candidate, values), held_out, foretold, count
         )
-        return Scored(candidate, gain, unseen, score, plausible(candidate, values, self._coulomb), not_excited)
+        return Scored(candidate, gain, held_out, score, plausible(candidate, values, self._coulomb), not_excited)
 
     def _rows_of(self, candidate: Candidate, values: FloatArray) -> int:
         """How many rows of the field feel an effect, at the joints that feel it most."""
@@ -446,9 +447,9 @@ class Competition:
         acts = np.any(candidate.stacked.columns != 0.0, axis=1)
         return max(int(np.sum(acts & feels(self._energy([candidate], values))[joint])), 1)
 
-    def _on_unseen(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
-        """(V,) whitened residual of the unseen rows with these effects; empty where there are none."""
-        return np.zeros(0) if self.unseen is None else self.unseen.residual(candidates, values)
+    def _on_held_out(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
+        """(V,) whitened residual of the held-out rows with these effects; empty where there are none."""
+        return np.zeros(0) if self.held_out is None else self.held_out.residual(candidates, values)
 
     def _without_the_idle(self, rounds: list[Round]) -> list[Round]:
         """Drop what later effects have made idle."""

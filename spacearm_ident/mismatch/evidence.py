@@ -363,7 +363,7 @@ def _inner(one: Candidate, other: Candidate) -> FloatArray:
     return np.asarray(one.stacked.inner(other.stacked) - one.inside.T @ other.inside)
 
 
-class Unseen:
+class HeldOut:
     """A recording that took no part in the fit, and what effects change there."""
 
     def __init__(self, evidence: Evidence, scene: Scene) -> None:

@@ -88,14 +88,14 @@ def explain(
         return unfit(names, (str(error),))
     except np.linalg.LinAlgError:
         return unfit(names, (UNDETERMINED,))
-    competition = Competition(prepared.evidence, prepared.unseen, excluded, gate)
+    competition = Competition(prepared.evidence, prepared.held_out, excluded, gate)
     outcome = competition.run(lambda share, what: report(0.15 + 0.6 * share, what))
     for _ in range(AGAIN if prepared.evidence.reference is None else 0):
         quieter = prepared.beside(outcome.accepted)
         if quieter is None:
             break
         prepared = quieter
-        competition.reweigh(prepared.evidence, prepared.unseen)
+        competition.reweigh(prepared.evidence, prepared.held_out)
         outcome = competition.run(lambda share, what: report(0.75 + 0.15 * share, what))
     report(0.92, "writing the result")
     answer = _answer(prepared, competition, outcome)
@@ -114,10 +114,10 @@ def held_out_ends(recordings: Sequence[Recording]) -> tuple[list[Recording], lis
 
 
 def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> Explanation:
-    evidence, unseen = competition.evidence, competition.unseen
-    assert unseen is not None
+    evidence, held_out = competition.evidence, competition.held_out
+    assert held_out is not None
     joints = evidence.base.model.arm.joint_names
-    residuals, in_field = (Residuals(evidence, scene, prepared.plain) for scene in (unseen.scene, evidence.field))
+    residuals, in_field = (Residuals(evidence, scene, prepared.plain) for scene in (held_out.scene, evidence.field))
     healthy, healthy_field = healthy_levels(evidence, prepared, (residuals, in_field))
     floor = healthy.floor_Nm
     before = residuals.of(healthy.parameters, [], np.zeros(0))
@@ -200,7 +200,7 @@ class _Judge:
 
 def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Finding, ...]:
     """Largest first; what several joints show for one reason is one finding."""
-    ordered = sorted(findings, key=lambda finding: -finding.gain - finding.unseen_gain)
+    ordered = sorted(findings, key=lambda finding: -finding.gain - finding.held_out_gain)
     causes: dict[object, list[Finding]] = {}
     for number, finding in enumerate(ordered):
         one = finding.effect in EFFECTS and EFFECTS[finding.effect].one_cause
@@ -265,7 +265,7 @@ def _unnamed(
             confidence=1.0,
             alternatives=(),
             gain=0.0,
-            unseen_gain=0.0,
+            held_out_gain=0.0,
             visibility=1.0,
             before_Nm={joints[k]: float(before[k]) for k in where},
             after_Nm={joints[k]: float(after[k]) for k in where},

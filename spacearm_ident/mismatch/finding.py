@@ -53,7 +53,7 @@ class Finding:
         parameters: Values.
         confidence: Of the name, 0..1, against the other explanations that were compared.
         alternatives: Other explanations, best first.
-        gain, unseen_gain: Drop in chi-square on the fitted and on the unseen data.
+        gain, held_out_gain: Drop in chi-square on the fitted and on the held-out data.
         visibility: Share of its energy that the base model cannot take over.
         before_Nm, after_Nm: By joint, RMS of the residual without and with it, on held-out data.
         explained: Share of the residual's variance above the noise floor that it removes there; NaN where untestable.
@@ -73,7 +73,7 @@ class Finding:
     confidence: float
     alternatives: tuple[Alternative, ...]
     gain: float
-    unseen_gain: float
+    held_out_gain: float
     visibility: float
     before_Nm: dict[str, float]
     after_Nm: dict[str, float]
@@ -95,7 +95,7 @@ def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
     if len(findings) == 1:
         return largest
     where = {joint for finding in findings for joint in finding.joints}
-    weights = [finding.gain + max(finding.unseen_gain, 0.0) for finding in findings]
+    weights = [finding.gain + max(finding.held_out_gain, 0.0) for finding in findings]
     known = [(w, f.explained) for w, f in zip(weights, findings) if math.isfinite(f.explained)]
     return replace(
         largest,
@@ -108,7 +108,7 @@ def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
         },
         confidence=max(finding.confidence for finding in findings),
         gain=sum(finding.gain for finding in findings),
-        unseen_gain=sum(finding.unseen_gain for finding in findings),
+        held_out_gain=sum(finding.held_out_gain for finding in findings),
         before_Nm={joint: rms for finding in findings for joint, rms in finding.before_Nm.items()},
         after_Nm={joint: rms for finding in findings for joint, rms in finding.after_Nm.items()},
         beside_Nm={joint: rms for finding in findings for joint, rms in finding.beside_Nm.items()},

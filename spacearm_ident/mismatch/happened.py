@@ -15,7 +15,7 @@ from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from ..signals.motion import Motion
 from .constants import grid_points
-from .evidence import Candidate, Unseen
+from .evidence import Candidate, HeldOut
 from .finding import Happened
 from .rivals import UNKNOWN
 from .scene import Scene
@@ -30,11 +30,11 @@ MOST = 4
 """Events in one recording; more is a model that is wrong throughout."""
 
 
-def happened(unseen: Unseen, accepted: Sequence[Candidate], values: FloatArray, gate: float) -> list[Happened]:
+def happened(held_out: HeldOut, accepted: Sequence[Candidate], values: FloatArray, gate: float) -> list[Happened]:
     """Events of the kinds that were found in the field.
 
     Args:
-        unseen: The recordings that no fit sees.
+        held_out: The recordings that no fit sees.
         accepted: What was found.
         values: (k,) parameters of all of it.
         gate: Score from which an event is one.
@@ -42,9 +42,9 @@ def happened(unseen: Unseen, accepted: Sequence[Candidate], values: FloatArray, 
     kinds = {c.effect.kind for c in accepted if c.effect.event and c.effect.kind != UNKNOWN}
     if not kinds:
         return []
-    residual, found = unseen.residual(accepted, values), list[Happened]()
-    for recording in sorted({motion.source for motion in unseen.scene.motions}):
-        tried = [*_tried(unseen, kinds, recording)]
+    residual, found = held_out.residual(accepted, values), list[Happened]()
+    for recording in sorted({motion.source for motion in held_out.scene.motions}):
+        tried = [*_tried(held_out, kinds, recording)]
         for _ in range(MOST):
             gains = [_gain(stacked, residual) - penalty(effect, len(residual)) for effect, _, stacked in tried]
             if not gains or max(gains) < gate:
@@ -54,18 +54,18 @@ def happened(unseen: Unseen, accepted: Sequence[Candidate], values: FloatArray, 
             if max(gains) < EXPLAINS * float(np.sum(own**2 - 1.0)):
                 break
             found.append(Happened(effect.kind, recording, begin - MARGIN_S, begin + length + MARGIN_S))
-            residual[during(unseen.scene, found[-1])] = 0.0
+            residual[during(held_out.scene, found[-1])] = 0.0
     return found
 
 
-def _tried(unseen: Unseen, kinds: set[str], recording: int) -> Iterator[tuple[Effect, tuple[float, ...], Stacked]]:
+def _tried(held_out: HeldOut, kinds: set[str], recording: int) -> Iterator[tuple[Effect, tuple[float, ...], Stacked]]:
     """Events of some kinds everywhere and at any time in one recording."""
-    arm = unseen.evidence.base.model.arm
+    arm = held_out.evidence.base.model.arm
     for kind in sorted(kinds):
         for place in EFFECTS[kind].variants(arm):
             effect = EFFECTS[kind].at(arm, {**place, "recording": recording})
-            for point in grid_points(effect, unseen.scene.motions):
-                yield effect, point, stacked_effect(unseen.scene, effect, point)
+            for point in grid_points(effect, held_out.scene.motions):
+                yield effect, point, stacked_effect(held_out.scene, effect, point)
 
 
 def _gain(stacked: Stacked, residual: FloatArray) -> float:
@@ -105,13 +105,13 @@ def voided(motions: Sequence[Motion], events: Sequence[Happened]) -> list[Motion
     ]
 
 
-def without(unseen: Unseen, events: Sequence[Happened]) -> Unseen:
+def without(held_out: HeldOut, events: Sequence[Happened]) -> HeldOut:
     """The recordings, of which no row counts while an event lasts.
 
     Args:
-        unseen: The recordings that no fit sees.
+        held_out: The recordings that no fit sees.
         events: In them.
     """
-    scene = unseen.scene
+    scene = held_out.scene
     motions = voided(scene.motions, events)
-    return Unseen(unseen.evidence, Scene(unseen.evidence.base, motions, scene.whiteners, scene.backgrounds))
+    return HeldOut(held_out.evidence, Scene(held_out.evidence.base, motions, scene.whiteners, scene.backgrounds))

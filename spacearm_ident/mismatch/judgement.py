@@ -12,14 +12,14 @@ from .finding import Alternative, Finding
 from .rivals import UNKNOWN
 
 NAMES, LAW_LEFT = 0.8, 1.4
-"""A finding that leaves more than a fifth of what there was on unseen data, and more than so many times the noise's
+"""A finding that leaves more than a fifth of what there was on held-out data, and more than so many times the noise's
 variance, has not that name,"""
 ALONE, RIVALLED = 0.65, 0.5
 """unless it removes this share, and nothing else explains so much as this share of what it does: how teeth bounce, say,
 follows from the smallest things, and leaves much of itself."""
 SHOWS = 0.5
-"""A finding beside the first that removes less than this share of what is above the noise on unseen data is not one: it
-is negligible beside the first, whose law is not quite the catalogue's."""
+"""A finding beside the first that removes less than this share of what is above the noise on held-out data is
+negligible beside the first, whose law is not quite the catalogue's."""
 FIRST_SHOWS, ONLY_SHOWS = 0.1, 0.4
 """The first may be one of several at its joints; less than this share, and it is none. With a name, and with no other
 there, it must remove so much."""
@@ -29,11 +29,11 @@ LEAST = 0.1
 """A finding that lowers the mean square on held-out data by less than this share of the noise's, at all its joints, is
 an error of the base model: of friction near a velocity reversal, say."""
 HARM = 1.02
-"""A finding with which the mean square on unseen data is this many times larger is a false one."""
+"""A finding with which the mean square on held-out data is this many times larger is a false one."""
 
 
 def harms(finding: Finding) -> bool:
-    """Whether the residual of unseen data, every row counted alike, is larger with a finding than without."""
+    """Whether the residual of held-out data, every row counted alike, is larger with a finding than without."""
     before, after = (sum(rms**2 for rms in by.values()) for by in (finding.before_Nm, finding.after_Nm))
     return finding.effect != ExternalContact.kind and after > HARM * before
 
@@ -70,7 +70,7 @@ def beyond_healthy(finding: Finding, before: Mapping[str, float], largest: Mappi
     Args:
         finding: An effect. What lasts is judged on the data that no fit has seen; an event, and what those need not
             show, by what it adds in the field.
-        before: By joint, RMS of what the healthy model leaves on the unseen data, N·m.
+        before: By joint, RMS of what the healthy model leaves on the held-out data, N·m.
         largest: By joint, RMS that a healthy arm leaves there at most, N·m.
     """
     if finding.effect == ExternalContact.kind or finding.not_excited:

@@ -32,7 +32,7 @@ from ..regression.held_out import LEVEL, bound, t_of_all
 from ..signals.motion import Motion
 from ..signals.prepare import prepare
 from .base_structure import GATE, choose_base
-from .evidence import Candidate, Evidence, Unseen
+from .evidence import Candidate, Evidence, HeldOut
 from .left_out import LeftOut
 from .noise import Noise, NoiseModel, coloured, floor_in_field, of_field, weighted
 from .residuals import Residuals
@@ -65,7 +65,7 @@ class Prepared:
     Attributes:
         base: Model of the healthy arm (or of the field, where there is no reference).
         evidence: What it leaves over in the field.
-        unseen: Recordings that no fit sees; None where there are none.
+        held_out: Recordings that no fit sees; None where there are none.
         plain: What a row counts for by itself, not whitened, joint by joint.
         noise_floor_Nm: (n,) standard deviation of a reduced torque row that a right model would leave.
         cutoff_hz: Bandwidth that was looked at.
@@ -75,7 +75,7 @@ class Prepared:
 
     base: IdentifiedModel
     evidence: Evidence
-    unseen: Unseen | None
+    held_out: HeldOut | None
     plain: Sequence[Whitener]
     noise_floor_Nm: FloatArray
     cutoff_hz: float
@@ -95,11 +95,11 @@ class Prepared:
             return None
         whiteners = [replace(own, sigma_Nm=float(own.sigma_Nm * r)) for own, r in zip(field.whiteners, ratio)]
         evidence = Evidence(self.base, Scene(self.base, field.motions, whiteners, field.backgrounds), None)
-        unseen = None
-        if self.unseen is not None:
-            held = self.unseen.scene
-            unseen = Unseen(evidence, Scene(self.base, held.motions, whiteners, held.backgrounds))
-        return replace(self, evidence=evidence, unseen=unseen, noise_floor_Nm=self.noise_floor_Nm * ratio)
+        held_out = None
+        if self.held_out is not None:
+            held = self.held_out.scene
+            held_out = HeldOut(evidence, Scene(self.base, held.motions, whiteners, held.backgrounds))
+        return replace(self, evidence=evidence, held_out=held_out, noise_floor_Nm=self.noise_floor_Nm * ratio)
 
 
 def prepare_evidence(
@@ -153,8 +153,8 @@ def prepare_evidence(
         in_other_form = gathered(other)
         if in_other_form.in_vacuum[1] < evidence.in_vacuum[1] - GATE:
             base, evidence = other, in_other_form
-    unseen = Unseen(evidence, Scene(base, judged, noise.whiteners)) if judged else None
-    return Prepared(base, evidence, unseen, noise.plain, noise.floor_Nm, cutoff, known is not None, found.weighted)
+    held_out = HeldOut(evidence, Scene(base, judged, noise.whiteners)) if judged else None
+    return Prepared(base, evidence, held_out, noise.plain, noise.floor_Nm, cutoff, known is not None, found.weighted)
 
 
 @dataclass(frozen=True)

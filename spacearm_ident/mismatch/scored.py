@@ -36,7 +36,7 @@ class Scored:
     Attributes:
         candidate: Effect and constants.
         gain: Drop in chi-square on field and reference.
-        unseen: Drop on the recordings not fitted (0 where there are none).
+        held_out: Drop on the recordings not fitted (0 where there are none).
         score: Both, less the penalty.
         plausible: Whether its values are such as this physics has.
         not_excited: Whether the held-out recordings do not excite it.
@@ -44,7 +44,7 @@ class Scored:
 
     candidate: Candidate
     gain: float
-    unseen: float
+    held_out: float
     score: float
     plausible: bool
     not_excited: bool = False
@@ -141,10 +141,10 @@ def is_not_excited(gain: float, active_gain: float, drop: float, foretold: float
     Args:
         gain: Drop in chi-square a field row.
         active_gain: The same, of those rows alone in which it acts.
-        drop: Drop in chi-square of all unseen rows.
+        drop: Drop in chi-square of all held-out rows.
         foretold: What it would be, were the law right with these values: a change e of the whitened torque lowers
             chi-square by e^2 then, give or take 2 |e|.
-        rows: How many unseen ones.
+        rows: How many held-out ones.
     """
     agrees = drop >= HALF * foretold - 2.0 * np.sqrt(foretold)
     return bool(foretold < NOT_EXCITED * gain * rows and agrees and active_gain > PLAIN)
