@@ -121,7 +121,7 @@ def identify(
     model = TorqueModel(arm, over_temperature(settings.structure or structure_of(arm), arm, settings.temperature))
     if settings.solver == CLOE:
         output_error.require_simulated(model.structure)
-    gravity_loop = _weighing(settings, arm, motions)
+    gravity_loop = _gravity_loop(settings, arm, motions)
     fit, choices = _fitted(model, motions, settings, gravity_loop, report)
     if settings.solver == IDIM_IV:
         report(0.7, "comparing with instrumental variables")
@@ -161,7 +161,7 @@ def _fitted(
     return fit, choices
 
 
-def _weighing(settings: Settings, arm: Arm, motions: list[Motion]) -> GravityLoop[Fit]:
+def _gravity_loop(settings: Settings, arm: Arm, motions: list[Motion]) -> GravityLoop[Fit]:
     """How gravity is estimated, if it is.
 
     Raises:
