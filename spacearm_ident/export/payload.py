@@ -3,7 +3,7 @@
 What the model leaves of the torque is linear in the ten inertial parameters of a body fixed to the last link (Khalil,
 Gautier and Lemoine 2007), beside which friction is let change: a Coulomb and a viscous part a joint, for it differs
 from day to day. Least squares over the rows where a joint moves, weighted by each joint's residual and the joints' mean
-correlation time (as `identification.weights` has it, and why).
+correlation time (as `noise.weights` has it, and why).
 A weak belief in a compact body keeps inertias that a slow motion cannot show near zero; where the result is no body all
 the same, mass and centre are fitted without an inertia of their own.
 """

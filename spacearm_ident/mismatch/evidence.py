@@ -35,7 +35,7 @@ SINGULAR = 1e-13
 """Ratio of singular values below which normal equations are rounding."""
 
 NEARER = 3.0
-"""How many times as near its identified value as to its CAD value (`identification.prior`) a base parameter is expected
+"""How many times as near its identified value as to its CAD value (`regression.prior`) a base parameter is expected
 before the joint refit. Of 0.3, 1, 3, 10 and 30 the one with which the base predicts held-out recordings of four real
 arms best: mean log ratio of its RMS to that of `identify` 0.030, without it 0.059."""
 

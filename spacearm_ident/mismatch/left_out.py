@@ -1,7 +1,7 @@
 """How well the base predicts parts of the reference that its fit leaves out, and how far its fits differ.
 
 What a healthy arm's runs differ by is not in the residual of a fit to all of them. Leaving out whole recordings in
-turn, or parts of the only one (`identification.held_out`), measures it: the squares of the part that was left out, and
+turn, or parts of the only one (`regression.held_out`), measures it: the squares of the part that was left out, and
 the jackknife's standard error of what is predicted on another motion (Efron and Stein 1981, Ann. Statist. 9, 586).
 """
 

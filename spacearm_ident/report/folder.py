@@ -48,7 +48,7 @@ def write_result(
 ) -> Path:
     """Write a result folder; an older result in it is replaced, of whatever command; anything else stays.
 
-    Where the data came from is `identified.model.provenance`, as `report.provenance.provenance` makes it.
+    Where the data came from is `identified.model.provenance`, as `results.provenance.provenance` makes it.
 
     Args:
         identified: The identification.
