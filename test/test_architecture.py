@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import sys
 from pathlib import Path
 
@@ -27,6 +28,20 @@ def test_every_folder_of_modules_is_a_package_that_an_installation_takes_along()
         str(path.parent.relative_to(ROOT)) for path in PACKAGE.rglob("__init__.py")
     }
     assert not missing, f"{missing}: setuptools' find_packages passes over a folder without __init__.py"
+
+
+def test_an_installation_takes_along_what_is_no_module(monkeypatch):
+    found: dict = {}
+    monkeypatch.setattr("setuptools.setup", lambda **given: found.update(given))
+    monkeypatch.chdir(ROOT)
+    runpy.run_path(str(ROOT / "setup.py"))
+    named = {str(Path(*package.split("."), name)) for package, names in found["package_data"].items() for name in names}
+    others = {
+        str(path.relative_to(ROOT))
+        for path in PACKAGE.rglob("*")
+        if path.is_file() and path.suffix != ".py" and "__pycache__" not in path.parts
+    }
+    assert named == others
 
 
 def test_every_package_is_in_the_picture_and_no_other():
