@@ -15,7 +15,7 @@ from spacearm_ident.conventions.change import Change, Kind
 from spacearm_ident.conventions.check import check_conventions
 from spacearm_ident.conventions.finding import ConventionReport, Level
 from spacearm_ident.conventions.rows import rows_of
-from spacearm_ident.conventions.search import Scorer, testable
+from spacearm_ident.conventions.search import Scorer, is_testable
 from spacearm_ident.conventions.setup import Setup
 from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.recording import Recording, read_recording
@@ -237,7 +237,7 @@ def test_a_joint_that_would_be_at_rest_in_radians_tells_no_unit(share, told, arm
     scorer = Scorer(arm, rows_of(motions))
     start = scorer.score((), Setup.as_recorded(arm))
     assert 0 not in scorer.idle
-    assert testable(scorer, start, Change(Kind.DEGREES, (0,))) == told
+    assert is_testable(scorer, start, Change(Kind.DEGREES, (0,))) == told
 
 
 def test_stamps_in_batches_are_found_though_the_positions_are_noisy(run, arm):

@@ -240,7 +240,7 @@ def compete(scorer: Scorer, start: Scored, again: Sequence[Scored] | None = None
         tried = []
         few = scorer.screen()
         for change in discrete_changes(scorer.arm):
-            if testable(scorer, start, change):
+            if is_testable(scorer, start, change):
                 tried.append(few.score((*start.changes, change), change.on(start.setup), scale, SCREEN_ITERATIONS))
         tried += zeros(few, start)
         tried += delays(scorer, start)
@@ -312,7 +312,7 @@ def tilted(believed: FloatArray, gravity: FloatArray) -> bool:
     return bool(sizes == 0.0 or believed @ gravity < np.cos(LEAST_TILT_RAD) * sizes)
 
 
-def testable(scorer: Scorer, start: Scored, change: Change) -> bool:
+def is_testable(scorer: Scorer, start: Scored, change: Change) -> bool:
     """Whether a change is one that this arm and these data can be asked about.
 
     A gain needs CAD inertials, and a single joint's a large gravity torque; a joint without torque says
