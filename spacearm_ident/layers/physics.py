@@ -172,27 +172,34 @@ def with_friction_terms(
             "joints": [*dict.fromkeys([*offsets, *base.get("torque_offset", {}).get("joints", ())])]
         }
     model = TorqueModel(extended.model.arm, structure)
-    # What the extended model has, and the shape of friction that was identified.
-    here, there = extended.by_term, identified.by_term
-    values = {**there, **here}
-    friction = "stribeck_friction"
-    # Elsewhere a static level held at one value beside a Coulomb friction that is fitted would be Stribeck friction.
-    with_level = structure[friction]["stribeck"]
-    for joint in joints:
-        values[friction, f"v_b[{joint}]"] = there.get((friction, f"v_b[{joint}]"), 0.0) if joint in with_level else 0.0
-        values[friction, f"d_s[{joint}]"] = 0.0
-        values[friction, f"f_b[{joint}]"] = values[friction, f"f_c[{joint}]"]
+    values = _starting_values(model, extended, identified)
     terms = model.terms
-    # What a finding stands for is not to stay at the value that it had beside no finding.
-    for term in terms:
-        if term.kind == ViscousFriction.kind:
-            values |= {(term.kind, one.name): 0.0 for one in term.parameters if one.held}
     return IdentifiedModel(
         model,
         np.array([values.get((term.kind, item.name), 0.0) for term in terms for item in term.parameters]),
         np.array([values.get((term.kind, item.name), 0.0) for term in terms for item in term.constants]),
         extended.cutoff_hz,
     )
+
+
+def _starting_values(
+    model: TorqueModel, extended: IdentifiedModel, identified: IdentifiedModel
+) -> dict[tuple[str, str], float]:
+    """Values by kind of term and name: what the extended model has, and the shape of friction that was identified."""
+    here, there = extended.by_term, identified.by_term
+    values = {**there, **here}
+    friction = "stribeck_friction"
+    # Elsewhere a static level held at one value beside a Coulomb friction that is fitted would be Stribeck friction.
+    with_level = model.structure[friction]["stribeck"]
+    for joint in model.arm.joint_names:
+        values[friction, f"v_b[{joint}]"] = there.get((friction, f"v_b[{joint}]"), 0.0) if joint in with_level else 0.0
+        values[friction, f"d_s[{joint}]"] = 0.0
+        values[friction, f"f_b[{joint}]"] = values[friction, f"f_c[{joint}]"]
+    # What a finding stands for is not to stay at the value that it had beside no finding.
+    for term in model.terms:
+        if term.kind == ViscousFriction.kind:
+            values |= {(term.kind, one.name): 0.0 for one in term.parameters if one.held}
+    return values
 
 
 def optional_terms(model: IdentifiedModel, base: TorqueModel) -> list[Added]:
