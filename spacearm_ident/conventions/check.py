@@ -135,13 +135,13 @@ def _beyond_the_limit(scorer: Scorer, final: Scored, findings: Sequence[Finding]
     beyond = [k for k in range(len(names)) if ratios[k] > EFFORT_SLACK]
     if not beyond:
         return []
-    told = ", ".join(f"{names[k]} {ratios[k]:.2g}" for k in beyond)
+    listed = ", ".join(f"{names[k]} {ratios[k]:.2g}" for k in beyond)
     return [
         Finding(
             kind=str(Kind.EFFORT_UNIT),
             level=Level.NOTE,
             joints=tuple(names[k] for k in beyond),
-            statement=f"suspected: effort is not in N·m, or the URDF's limits are wrong; effort over limit is {told}",
+            statement=f"suspected: effort is not in N·m, or the URDF's limits are wrong; effort over limit is {listed}",
             remedy="find the unit of the effort (A, mA, per cent of the limit); effort_scale in the arm YAML mends it",
             values={"over_limit": [round(float(ratios[k]), 3) for k in beyond]},
         )

@@ -236,10 +236,10 @@ def jitter(recording: Recording) -> tuple[float, float] | None:
         by_number = position[1:-1] - 0.5 * (position[:-2] + position[2:])
         speed = np.abs(position[2:] - position[:-2])
         fast = speed > np.percentile(speed, 70, axis=0)
-        told = fast & (np.abs(share - 0.5) > UNEVEN)
-        over_stamps += float(np.sum(by_stamp[told] ** 2))
-        over_numbers += float(np.sum(by_number[told] ** 2))
-        decided += int(told.sum())
+        uneven = fast & (np.abs(share - 0.5) > UNEVEN)
+        over_stamps += float(np.sum(by_stamp[uneven] ** 2))
+        over_numbers += float(np.sum(by_number[uneven] ** 2))
+        decided += int(uneven.sum())
         # The centre's stamp against the middle of its neighbours' has 1.5 times the variance of one stamp.
         errors += float(np.sum((time[1:-1] - 0.5 * (time[:-2] + time[2:])) ** 2)) / 1.5
         count += len(time) - 2

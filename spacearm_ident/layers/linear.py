@@ -110,7 +110,8 @@ class Linear:
             motions: As recorded.
             whiteners: What a row of each joint counts for.
             wiring: What is undone first; columns of gains, zeros and delay are of what is left.
-            by_state: Whether `by_state` is wanted.
+            by_state: Whether what only errors need is wanted: `by_state`, and columns of the constants' logarithms,
+                which are zero else.
         """
         self.model, self.wiring = model, wiring
         undone = wiring.undone(motions, model)
@@ -121,7 +122,7 @@ class Linear:
             [
                 _model_columns(model, scene),
                 scene.stack([_wiring_columns(model, motion) for motion in undone], len(column_names(joints))),
-                _constant_columns(model, scene),
+                _constant_columns(model, scene) if by_state else np.zeros((len(scene), len(model.constants))),
                 scene.torque(),
             ]
         )
@@ -282,19 +283,20 @@ def _model_columns(model: IdentifiedModel, scene: Scene) -> FloatArray:
 
 def _constant_columns(model: IdentifiedModel, scene: Scene) -> FloatArray:
     """(R, c) weighted derivative of the torque by each constant's logarithm; zero where a constant is."""
-    blocks = []
+    derivatives = np.zeros((len(scene), len(model.constants)))
+    along = list(zip(scene.motions, scene.backgrounds))
     for term, parameter, first in model.model.numbered():
         values = model.parameters[parameter : parameter + len(term.parameters)]
         constants = model.constants[first : first + len(term.constants)]
-        for number in range(len(constants)):
+        searched = np.flatnonzero(constants)
+        here = [term.columns(motion, constants, b) for motion, b in along] if len(searched) else []
+        for number in searched:
             moved = constants.copy()
             moved[number] *= 1.0 + CONSTANT_STEP
-            slopes = [
-                _slope_by(term.columns(motion, moved, b), term.columns(motion, constants, b), values)
-                for motion, b in zip(scene.motions, scene.backgrounds)
-            ]
-            blocks.append(scene.stack(slopes, 1))
-    return np.concatenate(blocks, axis=1) if blocks else np.zeros((len(scene), 0))
+            there = [term.columns(motion, moved, b) for motion, b in along]
+            slopes = [_slope_by(*both, values) for both in zip(there, here)]
+            derivatives[:, [first + number]] = scene.stack(slopes, 1)
+    return derivatives
 
 
 def _slope_by(there: Columns, here: Columns, values: FloatArray) -> Columns:

@@ -103,9 +103,7 @@ def _plainness(scored: Scored) -> tuple[int, int]:
 def freedom(effect: Effect) -> int:
     """How many numbers of an effect are fitted."""
     return (
-        sum(parameter.scale != 0.0 for parameter in effect.parameters)
-        + len(effect.per_recording)
-        + len(effect.constants)
+        sum(not parameter.held for parameter in effect.parameters) + len(effect.per_recording) + len(effect.constants)
     )
 
 

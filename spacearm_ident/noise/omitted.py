@@ -32,7 +32,7 @@ def held_columns(regression: Regression) -> list[tuple[int, FloatArray]]:
     """(joint row, (M,) unweighted column) of every parameter held fixed that no constant shapes."""
     held = []
     for term in regression.model.terms:
-        if term.constants or all(parameter.scale != 0.0 for parameter in term.parameters):
+        if term.constants or not any(parameter.held for parameter in term.parameters):
             continue
         per_motion = [term.columns(motion, (), None) for motion in regression.motions]
         for joint, (indices, _) in per_motion[0].items():

@@ -133,7 +133,7 @@ class Regression:
         for motion in self.motions:
             for part in motion.parts() if term.pointwise else (motion,):
                 for joint, (numbers, columns) in term.columns(part, (), None).items():
-                    free = [k for k, number in enumerate(numbers) if term.parameters[number].scale != 0.0]
+                    free = [k for k, number in enumerate(numbers) if not term.parameters[number].held]
                     if free:
                         indices[joint] = [numbers[k] for k in free]
                         reduced.setdefault(joint, []).append(part.reduce(columns[:, free]))
