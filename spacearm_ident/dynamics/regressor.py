@@ -30,12 +30,13 @@ INERTIAL_SYMBOLS = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz",
 
 @dataclass(frozen=True)
 class _LinkMotion:
-    """A link's motion in its own joint frame, and the twists of the joints that carry it."""
+    """A link's motion in its own joint frame, and where that frame is in its carrier's; (3, N), one sample for all."""
 
     omega: FloatArray
     epsilon: FloatArray
     accel: FloatArray
-    twists: dict[int, tuple[FloatArray, FloatArray]]
+    rotation: FloatArray
+    origin: FloatArray
 
 
 BASE_ROWS = range(-6, 0)
@@ -66,11 +67,17 @@ def rigid_body_blocks(
         (joint row, link) -> (10, N) columns, one row a parameter, N·m (N) per unit of it. A base row is numbered as
         in `BASE_ROWS`, the base link `BASE_LINK`.
     """
-    root = _base_motion(arm, len(position), base, base_rows)
-    blocks = {(row, BASE_LINK): _block(*twist, root) for row, twist in root.twists.items()}
+    root = _base_motion(arm, len(position), base)
+    of_base = _base_twists() if base_rows else {}
+    blocks = {(row, BASE_LINK): _block(*twist, root) for row, twist in of_base.items()}
+    twists: list[dict[int, tuple[FloatArray, FloatArray]]] = []
     for link, motion in enumerate(_link_motions(arm, root, position, velocity, acceleration)):
-        for row, (linear, angular) in motion.twists.items():
-            blocks[row, link] = _block(linear, angular, motion)
+        joint = arm.joints[link]
+        carried = of_base if joint.parent < 0 else twists[joint.parent]
+        moved = {row: _twist_in_child(motion, *twist) for row, twist in carried.items()}
+        twists.append({**moved, link: _own_twist(joint)})
+        for row, twist in twists[link].items():
+            blocks[row, link] = _block(*twist, motion)
     return blocks
 
 
@@ -84,7 +91,7 @@ def rigid_body_torque(
 ) -> FloatArray:
     """(N, n) torque of links whose inertials (n, 10) are known, N·m: the regressor times them, sooner.
 
-    The wrench of each link is summed before the twists are.
+    Recursive Newton-Euler (Luh, Walker and Paul 1980): motions from the base to the tip, wrenches back.
 
     Args:
         arm: The arm.
@@ -95,13 +102,23 @@ def rigid_body_torque(
         base: Motion of the base; None: it stands still.
     """
     torque = np.zeros((len(arm.joints), len(position)))
-    root = _base_motion(arm, len(position), base, False)
-    for phi, motion in zip(inertials, _link_motions(arm, root, position, velocity, acceleration)):
-        if not phi.any():
+    root = _base_motion(arm, len(position), base)
+    motions = _link_motions(arm, root, position, velocity, acceleration)
+    carried: dict[int, tuple[FloatArray, FloatArray]] = {}
+    for link in reversed(range(len(arm.joints))):
+        joint, motion, phi = arm.joints[link], motions[link], inertials[link]
+        if link not in carried and not phi.any():
             continue
-        force, moment = _wrench(phi, motion)
-        for row, (linear, angular) in motion.twists.items():
-            torque[row] += (linear * force + angular * moment).sum(axis=0)
+        force, moment = carried.get(link, (np.zeros(1), np.zeros(1)))
+        if phi.any():
+            own_force, own_moment = _wrench(phi, motion)
+            force, moment = force + own_force, moment + own_moment
+        torque[link] = joint.axis @ (moment if joint.revolute else force)
+        if joint.parent >= 0:
+            force = _to_carrier(motion.rotation, force)
+            moment = _to_carrier(motion.rotation, moment) + cross(motion.origin, force)
+            beside = carried.get(joint.parent)
+            carried[joint.parent] = (force, moment) if beside is None else (beside[0] + force, beside[1] + moment)
     return torque.T
 
 
@@ -112,21 +129,35 @@ def _link_motions(
     motions: list[_LinkMotion] = []
     for link, joint in enumerate(arm.joints):
         carrier = root if joint.parent < 0 else motions[joint.parent]
-        motions.append(_child_motion(joint, link, carrier, position[:, link], velocity[:, link], acceleration[:, link]))
+        motions.append(_child_motion(joint, carrier, position[:, link], velocity[:, link], acceleration[:, link]))
     return motions
 
 
-def _base_motion(arm: Arm, samples: int, base: BaseMotion | None, rows: bool) -> _LinkMotion:
-    """Where the recursion starts, and the base's own six twists where they are wanted."""
-    twists = {}
-    if rows:
-        axes = np.eye(3)[:, :, None] * np.ones(samples)
-        zero = np.zeros((3, samples))
-        twists = {row: (axes[k], zero) if k < 3 else (zero, axes[k - 3]) for k, row in enumerate(BASE_ROWS)}
+def _base_motion(arm: Arm, samples: int, base: BaseMotion | None) -> _LinkMotion:
+    """Where the recursion starts."""
+    place = np.eye(3)[:, :, None], np.zeros((3, 1))
     if base is None:
         still = np.zeros((3, samples))
-        return _LinkMotion(still, still, np.tile(-arm.gravity[:, None], samples), twists)
-    return _LinkMotion(base.rate.T, base.rate_dot.T, base.force(arm.gravity).T, twists)
+        return _LinkMotion(still, still, np.tile(-arm.gravity[:, None], samples), *place)
+    return _LinkMotion(base.rate.T, base.rate_dot.T, base.force(arm.gravity).T, *place)
+
+
+def _base_twists() -> dict[int, tuple[FloatArray, FloatArray]]:
+    """The base's own six twists, (3, 1) linear and angular."""
+    axes, zero = np.eye(3)[:, :, None], np.zeros((3, 1))
+    return {row: (axes[k], zero) if k < 3 else (zero, axes[k - 3]) for k, row in enumerate(BASE_ROWS)}
+
+
+def _own_twist(joint: Joint) -> tuple[FloatArray, FloatArray]:
+    """(3, 1) linear and angular twist of a joint in its own frame."""
+    axis, zero = joint.axis[:, None], np.zeros((3, 1))
+    return (zero, axis) if joint.revolute else (axis, zero)
+
+
+def _twist_in_child(motion: _LinkMotion, linear: FloatArray, angular: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A twist of the carrier's frame in a link's."""
+    at_origin = linear + cross(angular, motion.origin)
+    return _to_child(motion.rotation, at_origin), _to_child(motion.rotation, angular)
 
 
 def regressor(arm: Arm, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
@@ -145,9 +176,7 @@ def regressor(arm: Arm, position: FloatArray, velocity: FloatArray, acceleration
     return whole.transpose(2, 0, 1)
 
 
-def _child_motion(
-    joint: Joint, index: int, carrier: _LinkMotion, q: FloatArray, qd: FloatArray, qdd: FloatArray
-) -> _LinkMotion:
+def _child_motion(joint: Joint, carrier: _LinkMotion, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> _LinkMotion:
     """Forward recursion over one joint, velocities and accelerations expressed in the child's frame."""
     axis = joint.axis[:, None]
     if joint.revolute:
@@ -162,35 +191,31 @@ def _child_motion(
         rotation,
         carrier.accel + cross(carrier.epsilon, origin) + cross(carrier.omega, cross(carrier.omega, origin)),
     )
-    ones = np.ones_like(q)
-    zero = np.zeros((3, len(q)))
     if joint.revolute:
         epsilon = epsilon + axis * qdd + cross(omega, axis * qd)
         omega = omega + axis * qd
-        own = (zero, axis * ones)
     else:
         accel = accel + axis * qdd + 2 * cross(omega, axis * qd)
-        own = (axis * ones, zero)
-    twists = {
-        row: (_to_child(rotation, linear + cross(angular, origin)), _to_child(rotation, angular))
-        for row, (linear, angular) in carrier.twists.items()
-    }
-    return _LinkMotion(omega, epsilon, accel, {**twists, index: own})
+    return _LinkMotion(omega, epsilon, accel, rotation, origin)
 
 
 def joint_rotation(joint: Joint, q: FloatArray) -> FloatArray:
     """(3, 3, N) child to parent: the fixed placement, then Rodrigues' formula about the axis."""
     x, y, z = joint.axis
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    cos, sin = np.cos(q), np.sin(q)
-    fixed, turn = joint.rotation, joint.rotation @ skew
     along = joint.rotation @ np.outer(joint.axis, joint.axis)
-    return np.asarray((fixed - along)[..., None] * cos + turn[..., None] * sin + along[..., None])
+    parts = np.stack([joint.rotation - along, joint.rotation @ skew, along], axis=2)
+    return np.asarray((parts.reshape(9, 3) @ np.stack([np.cos(q), np.sin(q), np.ones_like(q)])).reshape(3, 3, -1))
 
 
 def _to_child(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     """The transpose of `rotation` (3, 3, N or 1) applied to `vector` (3, N)."""
     return np.asarray(rotation[0] * vector[0] + rotation[1] * vector[1] + rotation[2] * vector[2])
+
+
+def _to_carrier(rotation: FloatArray, vector: FloatArray) -> FloatArray:
+    """`rotation` (3, 3, N or 1) applied to `vector` (3, N)."""
+    return np.asarray(rotation[:, 0] * vector[0] + rotation[:, 1] * vector[1] + rotation[:, 2] * vector[2])
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -49,7 +49,7 @@ from .parameters import (
     few_causes,
     places_of,
 )
-from .physics import Added, added_terms, missing_physics, optional_terms, with_friction_terms
+from .physics import Added, added_terms, friction_by_load, missing_physics, optional_terms, with_friction_terms
 from .wiring import DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
 Progress = Callable[[float, str], None]
@@ -174,12 +174,14 @@ class _Pass:
         extended = explanation.model or wired.model
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
         wired = find_wiring(whole, self.wired_in, self.simulation.own, wired)
+        laws = wired.laws
+        whole = wired.model if laws else whole
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         idle = found.idle_wiring(SHOWS)
         if idle:
-            wired = without_columns(whole, self.wired_in, self.simulation.own, wired, idle)
+            wired = replace(without_columns(whole, self.wired_in, self.simulation.own, wired, idle), laws=laws)
             found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
-        added = added_terms(whole, base, explanation.findings)
+        added = [*added_terms(whole, base, explanation.findings), *friction_by_load(whole, laws)]
         optional = optional_terms(whole, base)
         report(0.9, "what a flexible function could remove")
         why = "which is within its error of none or lowers no held-out variance"

@@ -6,7 +6,9 @@ a heavier link says the same. The best joins if every recording (each half of a 
 model error is not the same in all; everything is linearised again, until nothing gains; what gains nothing beside the
 others is removed. At a joint with little load a gain is the same as all of its friction and rotor inertia by that
 factor: there it counts how many of them a gain leaves exactly as the file has them (`UNCHANGED`). A stamp is good to
-half a sampling period: so much delay is always estimated, and is no finding.
+half a sampling period, and a torque to two digits: so much delay and gain is always estimated, and is no finding. What
+a joint's residual still has that is a function of its state is the same wherever the joint comes by again: rows count
+for less there (Kish's design effect, `STATE_GROUPS` clusters), once physics has been searched for.
 Signs, units, order and gravity are for `conventions.search`, before this.
 """
 
@@ -26,9 +28,9 @@ from ..conventions.evidence import GAIN_SD as ORDINARY_GAIN_SD
 from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import IdentifiedModel, TorqueModel
-from ..mismatch.noise import weighted
+from ..mismatch.noise import model_error_share, weighted
 from ..signals.motion import Motion
-from .linear import Linear, Prior, Solution, weak_prior
+from .linear import STATE_GROUPS, Linear, Prior, Solution, weak_prior
 from .parameters import OFF, ROTOR_SHARE
 from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
@@ -49,14 +51,16 @@ RIVALS: Mapping[str, tuple[str, Mapping[str, str]]] = {
     DRIVEN: (LoadFriction.kind, {"side": "motor"}),
 }
 """Physics that is easily taken for a gain, a zero or a tilt: parameter -> effect, and options of its place. A cable at
-a vertical first joint is no tilted base, and friction that grows with the load no torque constant. It is no wiring, and
-not reported here."""
+a vertical first joint is no tilted base, and friction that grows with the load no torque constant. A spring is left to
+the search for physics; friction by the load is not, for at a joint with little load it is its friction by a factor, and
+only what the file has tells them apart (`Wired.laws`)."""
 SCALING = frozenset({GAIN, LOADED, DRIVEN})
 """What may leave friction and rotor inertia as the file has them where all of a joint's torque is more or less."""
 UNCHANGED = 1.0 - OFF
 """Prior probability that a joint's own parameter is what the file has."""
 KEPT_SD = 0.01
-"""Relative standard deviation of one that is, for a file has two digits; of one that is not it is `ROTOR_SHARE`."""
+"""Relative standard deviation of one that is, and of a torque that is right, for a file has two digits and a simulator
+its integration step; of a parameter that is not it is `ROTOR_SHARE`."""
 ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5, SPRING: 0.05, LOADED: 0.05, DRIVEN: 0.02}
 """Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes), and of a rival. Of the
 five real arms in hand torque from current is 8 to 43 % off at single joints of two; a zero that is off shows as soon as
@@ -102,7 +106,8 @@ class Wired:
         found: Names of the columns that the data demand, such as `gain[joint_2]`.
         errors: Standard error of each and of the delay: of a gain's logarithm, a zero (rad), a delay (s), a tilt (rad).
         suspected: What else is more probable than not, the most probable first.
-        model: The simulation's terms with values that fit beside it.
+        model: The simulation's terms, and `laws`, with values that fit beside it.
+        laws: Friction by the load that the data demand and the model did not have: parameter -> value, standard error.
     """
 
     wiring: Wiring
@@ -110,6 +115,7 @@ class Wired:
     errors: Mapping[str, float]
     suspected: tuple[Suspicion, ...]
     model: IdentifiedModel
+    laws: Mapping[str, tuple[float, float]]
 
 
 def find_wiring(
@@ -129,6 +135,7 @@ def find_wiring(
     state = _State(_with_rivals(model), motions, model.model, written)
     if known is not None:
         state.begin(known, known.found)
+        state.doubt_what_is_left()
     state.settle()
     while len(state.found) < MOST and (best := state.best_addition()) is not None:
         state.found = [*state.found, *best]
@@ -157,13 +164,20 @@ def without_columns(
 
 def _with_rivals(model: IdentifiedModel) -> IdentifiedModel:
     """With `RIVALS` at every joint, hypotheses beside gains, zeros and tilt; a spring comes with a constant torque."""
-    structure, own = dict(model.model.structure), {parameter.name for parameter in model.model.parameters}
-    for symbol, (kind, options) in RIVALS.items():
+    own = {parameter.name for parameter in model.model.parameters}
+    names = [f"{symbol}[{joint}]" for symbol in RIVALS for joint in model.model.arm.joint_names]
+    return model.carried_to(_with(model.model, [name for name in names if name not in own]))
+
+
+def _with(model: TorqueModel, names: Sequence[str]) -> TorqueModel:
+    """A model with some of the `RIVALS`, such as `mu[joint_2]`."""
+    structure = dict(model.structure)
+    for name in names:
+        symbol, joint = kind_and_joint(name)
+        kind, options = RIVALS[symbol]
         known = structure.get(kind, {"at": []})["at"]
-        joints = [joint for joint in model.model.arm.joint_names if f"{symbol}[{joint}]" not in own]
-        places = [{"joint": joint, **options} for joint in joints]
-        structure[kind] = {"at": [*known, *places]}
-    return model.carried_to(TorqueModel(model.model.arm, structure))
+        structure[kind] = {"at": [*known, {"joint": joint, **options}]}
+    return TorqueModel(model.arm, structure)
 
 
 def _too_large(name: str, value: float) -> bool:
@@ -192,7 +206,8 @@ class _State:
         # About the axis nearest to gravity a tilt changes least: the other two say all.
         axes = sorted(np.argsort(turned)[1:]) if any(turned) else []
         self.tilts = tuple(f"{TILT}[{AXES[k]}]" for k in axes)
-        self.stamp_s = STAMP_PERIODS / min(motion.rate_hz for motion in motions)
+        self.design_effect = np.ones(len(self.arm.joints))
+        self.ordinary = {GAIN: KEPT_SD, DELAY: STAMP_PERIODS / min(motion.rate_hz for motion in motions)}
         self.relinearise()
 
     def begin(self, known: Wired, found: Sequence[str]) -> None:
@@ -201,6 +216,20 @@ class _State:
         self.relinearise()
         for name in found:
             self._keep(name)
+
+    def doubt_what_is_left(self) -> None:
+        """Let joints whose residual is model error count for as many rows as there are states to be wrong in."""
+        share = model_error_share(self.fitted, self.linear.motions)
+        cluster = self.linear.rows.sum(axis=1) * self.relative_weight / STATE_GROUPS
+        self.design_effect = 1.0 + share * np.maximum(cluster - 1.0, 0.0)
+
+    def _tempered(self, odds: float, names: Sequence[str]) -> float:
+        """Log odds of hypotheses with their likelihood as weak as the rows of their joints are dependent."""
+        prior, joints = self._log_prior(names), {kind_and_joint(name)[1] for name in names}
+        effect = max(
+            (self.design_effect[k] for k, name in enumerate(self.arm.joint_names) if name in joints), default=1.0
+        )
+        return prior + (odds - prior) / effect
 
     def settle(self) -> None:
         """Move to the most probable values of what was found; what becomes larger than `LARGEST` leaves."""
@@ -232,12 +261,16 @@ class _State:
 
     def answer(self, model: TorqueModel) -> Wired:
         """What was found, with the values of a model's terms."""
+        errors, values = self.errors(), dict(zip(self.linear.names, self._solved(self.found).values.tolist()))
+        laws = [name for name in self.found if name in self.rivals and kind_and_joint(name)[0] in SCALING]
+        laws = [name for name in laws if self._agreed([name])]
         return Wired(
             self.wiring,
             tuple(name for name in self.found if name not in self.rivals),
-            self.errors(),
+            errors,
             self.suspected(),
-            self.fitted.carried_to(model),
+            self.fitted.carried_to(_with(model, laws)),
+            {name: (values[name], errors[name]) for name in laws},
         )
 
     def best_addition(self) -> tuple[str, ...] | None:
@@ -275,13 +308,15 @@ class _State:
 
     def _additions(self) -> list[tuple[float, tuple[str, ...]]]:
         """What may be off beside what was found: log odds, and the columns; two gains may need each other."""
-        here = self._evidence(self.found)
+        kept = self._kept(self.found)
+        here = self._evidence(self.found, own=kept)
         others = [name for name in self._candidates() if name not in (*self.found, *self.tilts)]
         pairs: list[tuple[str, ...]] = [*combinations([name for name in others if name.startswith(GAIN)], 2)]
         if self.tilts and not set(self.tilts) & set(self.found):
             pairs.append(self.tilts)
         singles = [(self._gained(name, self.found), (name,)) for name in others]
-        return [*singles, *((self._evidence([*self.found, *names]) - here, names) for names in pairs)]
+        together = ((self._evidence([*self.found, *names], own=kept) - here, names) for names in pairs)
+        return [*singles, *((self._tempered(odds, names), names) for odds, names in together)]
 
     def errors(self) -> dict[str, float]:
         """Standard error of each that was found, and of the delay."""
@@ -296,9 +331,9 @@ class _State:
         """Log odds of one hypothesis beside others."""
         with_it = [*beside, name]
         if kind_and_joint(name)[0] not in SCALING:
-            return self._evidence(with_it, blocks) - self._evidence(beside, blocks)
+            return self._tempered(self._evidence(with_it, blocks) - self._evidence(beside, blocks), [name])
         evidence = [self._unchanged(name, names, blocks)[0] for names in (with_it, beside)]
-        return evidence[0] - evidence[1]
+        return self._tempered(evidence[0] - evidence[1], [name])
 
     def _unchanged(
         self, one: str, names: Sequence[str], blocks: np.ndarray | None = None
@@ -337,14 +372,15 @@ class _State:
         return {name: KEPT_SD for joint in joints for name in self.kept.get(joint, ())}
 
     def _agreed(self, names: Sequence[str]) -> bool:
-        """Whether every part of the data supports hypotheses beside those found, and with values that agree."""
-        together = [*self.found, *names]
+        """Whether every part of the data supports hypotheses beside the others found, and with values that agree."""
+        beside = [name for name in self.found if name not in names]
+        together = [*beside, *names]
         for name in names:
             self._keep(name)
         places = [self.linear.names.index(name) for name in names]
         solutions = []
         for part in self.linear.parts():
-            if self._gain_of_part(names, part) < self._log_prior(names):
+            if self._gain_of_part(names, beside, part) < self._log_prior(names):
                 return False
             solution = self._solved(together, blocks=part)
             if any(_too_large(name, float(solution.values[k])) for k, name in zip(places, names)):
@@ -355,11 +391,13 @@ class _State:
         squares = np.sum((values - mean) ** 2 / variances, axis=0)
         return bool(np.all(chi2.sf(squares, max(len(values) - 1, 1)) > AGREE))
 
-    def _gain_of_part(self, names: Sequence[str], part: np.ndarray) -> float:
-        """Log odds of hypotheses beside those found, by a part of the data."""
+    def _gain_of_part(self, names: Sequence[str], beside: Sequence[str], part: np.ndarray) -> float:
+        """Log odds of hypotheses beside others, by a part of the data."""
         if len(names) == 1:
-            return self._gained(names[0], self.found, part)
-        return self._evidence([*self.found, *names], part) - self._evidence(self.found, part)
+            return self._gained(names[0], beside, part)
+        kept = self._kept(beside)
+        odds = self._evidence([*beside, *names], part, kept) - self._evidence(beside, part, kept)
+        return self._tempered(odds, names)
 
     def _log_prior(self, names: Sequence[str]) -> float:
         return sum(float(np.log(ODDS[kind_and_joint(name)[0]])) for name in names)
@@ -379,6 +417,8 @@ class _State:
         self.weak = weak_prior(self.linear)
         everything = self._solved(self._candidates(), np.ones(len(size)))
         self.variance = self.linear.variance(everything.values, noise, LEAST_FACTOR)
+        sigma = np.array([whitener.sigma_Nm for whitener in noise.whiteners])
+        self.relative_weight = np.where(np.isfinite(sigma), (noise.floor_Nm / sigma) ** 2, 0.0)
         self._evidences.clear()
 
     def _prior(self, names: Sequence[str], scale: float, own: Mapping[str, float] | None = None) -> Prior:
@@ -407,14 +447,17 @@ class _State:
                 continue
             # The prior is of the whole; the column is of what is not undone yet.
             mean[number] = -now[name]
-            if name in names or name == DELAY:
+            kind, _ = kind_and_joint(name)
+            if name in names or kind in self.ordinary:
                 free[number] = True
-                sd = SPREAD[kind_and_joint(name)[0]] if name in names else self.stamp_s
+                sd = SPREAD[kind] if name in names else self.ordinary[kind]
                 precision[number, number] = 1.0 / sd**2
         return Prior(mean, precision, free)
 
-    def _evidence(self, names: Sequence[str], blocks: np.ndarray | None = None) -> float:
-        logs = [self._log_evidence(names, scale, None, blocks) for scale in CAD_SCALES]
+    def _evidence(
+        self, names: Sequence[str], blocks: np.ndarray | None = None, own: Mapping[str, float] | None = None
+    ) -> float:
+        logs = [self._log_evidence(names, scale, own, blocks) for scale in CAD_SCALES]
         return float(logsumexp(logs)) + self._log_prior(names)
 
     def _log_evidence(

@@ -31,7 +31,7 @@ from .estimate import Estimate, estimate
 from .linear import CONSTANT_SPREAD, Linear, Prior, weak_prior
 from .parameters import DETERMINED, LEVEL
 from .physics import Added
-from .wiring import kind_and_joint
+from .wiring import DELAY, kind_and_joint
 
 AGREE = 2.58
 """Standard errors of the difference (99 %) within which two estimates of the same thing agree."""
@@ -87,7 +87,7 @@ class JointFit:
         """
         wiring = wired.wiring
         self.simulation, self.wiring, self.names = simulation, wiring, wired.found
-        self._errors, self._judged = dict(wired.errors), judged
+        self._errors, self._laws, self._judged = dict(wired.errors), wired.laws, judged
         noise = weighted(model, wiring.undone(motions, model))
         self.linear = Linear(model, motions, noise.whiteners, wiring, by_state=True)
         self.judge = Linear(model, judged, in_newton_metres(simulation.arm), wiring)
@@ -179,10 +179,15 @@ class JointFit:
             else:
                 free[number], mean[number] = False, 0.0
         for number, name in enumerate(linear.names):
-            if name in self._errors:
+            if name in self.names or name == DELAY:
                 free[number], mean[number] = True, 0.0
                 # Where the data leave it open, the weak prior of an identification would let a gain be a heavier link.
                 precision[number, number] = 1.0 / self._errors[name] ** 2
+            if free[number] and name in self._laws:
+                # A joint's friction by a factor: which of the two it is the file says, not these data.
+                precision[number, :] = precision[:, number] = 0.0
+                mean[number], error = self._laws[name]
+                precision[number, number] = error**-2
         return Prior(mean, precision, free)
 
     def _is_in(self, number: int) -> bool:
@@ -380,6 +385,10 @@ class JointFit:
         for number, parameter in enumerate(self.linear.model.model.parameters):
             if parameter.name in self._known and free[number]:
                 mean[number] = was[parameter.name]
+        for number, parameter in enumerate(self.linear.model.model.parameters):
+            # A static level that was left out is the Coulomb friction: a tie is of values with the same mean.
+            if parameter.symbol == "f_b" and free[number] and not self._is_in(number):
+                mean[number] = mean[self.linear.names.index(f"f_c[{parameter.joint}]")]
         slope = precision @ mean
         for number, near in self._near_the_simulation().items():
             precision[number, number] += near**-2

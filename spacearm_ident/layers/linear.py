@@ -312,7 +312,7 @@ def _wiring_columns(model: IdentifiedModel, motion: Motion) -> Columns:
     n = len(motion.joints)
     torque = model.torque(motion)
     late = -np.gradient(torque, 1.0 / motion.rate_hz, axis=0)
-    slopes = np.stack([_slope(model.model, model.parameters, motion, k) for k in range(n)], axis=2)
+    slopes = _slopes(model.model, model.parameters, motion)
     tilts = np.stack([_by_tilt(model, motion, axis) for axis in np.eye(3)], axis=2)
     columns: Columns = {}
     for row in range(n):
@@ -328,13 +328,12 @@ def _by_tilt(model: IdentifiedModel, motion: Motion, axis: FloatArray) -> FloatA
     return gravity_torque(model, motion.position, np.cross(model.model.arm.gravity, axis))
 
 
-def _slope(model: TorqueModel, parameters: FloatArray, motion: Motion, joint: int) -> FloatArray:
-    """(N, n) derivative of the rigid bodies' torque by one joint's position."""
-    count = 10 * len(model.arm.joints)
-    inertials = parameters[:count].reshape(-1, 10)
-    moved = motion.position.copy()
-    moved[:, joint] += ZERO_STEP
+def _slopes(model: TorqueModel, parameters: FloatArray, motion: Motion) -> FloatArray:
+    """(N, n, n) derivative of the rigid bodies' torque by every joint's position, the last axis."""
+    count = len(model.arm.joints)
+    inertials = parameters[: 10 * count].reshape(-1, 10)
     state = motion.velocity, motion.acceleration
-    there = rigid_body_torque(model.arm, inertials, moved, *state, motion.base)
     here = rigid_body_torque(model.arm, inertials, motion.position, *state, motion.base)
-    return np.asarray((there - here) / ZERO_STEP)
+    beside = (motion.position + ZERO_STEP * unit for unit in np.eye(count))
+    there = [rigid_body_torque(model.arm, inertials, position, *state, motion.base) for position in beside]
+    return (np.stack(there, axis=2) - here[:, :, None]) / ZERO_STEP

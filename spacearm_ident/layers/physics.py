@@ -8,13 +8,14 @@ the last joint fit like any other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..dynamics.arm import Arm
 from ..dynamics.effects import Effect
+from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..dynamics.term import Parameter
@@ -200,6 +201,16 @@ def _starting_values(
         if term.kind == ViscousFriction.kind:
             values |= {(term.kind, one.name): 0.0 for one in term.parameters if one.held}
     return values
+
+
+def friction_by_load(model: IdentifiedModel, laws: Collection[str]) -> list[Added]:
+    """Friction by the load that the wiring's search found (`conventions.Wired.laws`): parameters of the model."""
+    found = []
+    for term, first, _ in model.model.numbered():
+        if isinstance(term, LoadFriction) and term.parameters[0].name in laws:
+            where = term.where(np.array([model.parameters[first]]))
+            found.append(Added(term.kind, term.joints, where, np.array([first])))
+    return found
 
 
 def optional_terms(model: IdentifiedModel, base: TorqueModel) -> list[Added]:

@@ -107,16 +107,27 @@ class Evidence:
         field: Scene,
         reference: Scene | None,
         common: Sequence[tuple[Effect, tuple[float, ...]]] = (),
+        columns: FloatArray | None = None,
     ) -> None:
+        """Fit the base.
+
+        Args:
+            base: Its model.
+            field: Field rows.
+            reference: Reference rows, if any.
+            common: Effects that reference and field share, each with values of its constants.
+            columns: Of the base in the field rows (`base_columns`), where they are known.
+        """
         self.base = base
         self.field = field
         self.reference = reference
         self.common = tuple(common)
         self.rows = len(field)
         scenes = [field] if reference is None else [field, reference]
-        columns = [base_columns(base, scene, self.common) for scene in scenes]
+        known_columns = [] if columns is None else [columns]
+        stacks = [*known_columns, *(base_columns(base, scene, self.common) for scene in scenes[len(known_columns) :])]
         prior = make_prior(base.model, [motion for scene in scenes for motion in scene.motions])
-        width, known = columns[0].shape[1], prior.rows.shape[1]
+        width, known = stacks[0].shape[1], prior.rows.shape[1]
         # Common effects may be as large as they like; this only breaks ties.
         beside = np.full(width - known, 1e-3)
         beside[: self.nuisance] = 1.0 / nuisance_scale(base)
@@ -125,7 +136,7 @@ class Evidence:
         belief[len(prior.rows) :, known:] = np.diag(beside)
         near = NEARER * prior.rows @ base.parameters
         torque = np.concatenate([*(scene.torque() for scene in scenes), near, np.zeros(width - known)])
-        stacked = np.concatenate([*columns, belief])
+        stacked = np.concatenate([*stacks, belief])
         self._used = np.flatnonzero(np.any(stacked != 0, axis=0))
         self._width = width
         self._triangle: FloatArray = np.asarray(np.linalg.qr(stacked[:, self._used], mode="r"))

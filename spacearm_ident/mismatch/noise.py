@@ -22,7 +22,7 @@ from ..signals.motion import Motion
 from .evidence import Evidence
 from .rivals import Rival, rivals
 from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, inflated
-from .stacked import stacked_effect
+from .stacked import base_columns, stacked_effect
 
 ORDER = 6
 """Of the autoregressive model: it covers the length of the low-pass."""
@@ -65,7 +65,7 @@ def coloured(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     """
     plain, scene, residual = _unwhitened(base, motions)
     own = [fit_whitener(*_series(scene, residual, j), ORDER, _least(motions, j)) for j in range(len(plain))]
-    whiteners = _louder(base, motions, _known(own), 2)
+    whiteners, _, _ = _louder(base, motions, _known(own), 2)
     return Noise(whiteners, plain, _floor(whiteners), np.full(len(plain), np.nan))
 
 
@@ -101,7 +101,7 @@ def of_field(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     more than they are.
     """
     plain, scene, residual = _unwhitened(base, motions)
-    noise = residual - _smooth(base, scene, residual)
+    noise = residual - _smooth(base, scene, residual)[0]
     plain, floor = inflated(plain, scene, noise), _spread(scene, noise)
     white = np.mean([white_correlation_time(motion.white_correlation) for motion in motions])
     whiteners = [replace(weights, sigma_Nm=float(sigma * np.sqrt(white))) for weights, sigma in zip(plain, floor)]
@@ -116,7 +116,25 @@ def floor_in_field(base: IdentifiedModel, scene: Scene, residual: FloatArray) ->
         scene: Rows that are not whitened.
         residual: (R,) what base, and effects if any, leave of them.
     """
-    return _spread(scene, residual - _smooth(base, scene, residual))
+    return _spread(scene, residual - _smooth(base, scene, residual)[0])
+
+
+def model_error_share(base: IdentifiedModel, motions: Sequence[Motion]) -> FloatArray:
+    """(n,) share of each joint's residual variance that is a function of its own state: what the base leaves out.
+
+    The coefficient of determination of the splines of `of_field`, adjusted for their number (Ezekiel 1930), rows being
+    as independent as white noise is after the low-pass.
+
+    Args:
+        base: Model of the arm.
+        motions: Recordings.
+    """
+    _, scene, residual = _unwhitened(base, motions)
+    explained, columns = _smooth(base, scene, residual)
+    white = np.mean([white_correlation_time(motion.white_correlation) for motion in motions])
+    chance = columns / np.maximum(scene.by_joint(np.ones(len(scene))) / white, columns + 1.0)
+    share = scene.by_joint(explained**2) / np.maximum(scene.by_joint(residual**2), np.finfo(float).tiny)
+    return np.asarray(np.maximum((share - chance) / (1.0 - chance), 0.0))
 
 
 def _spread(scene: Scene, noise: FloatArray) -> FloatArray:
@@ -129,9 +147,9 @@ def _spread(scene: Scene, noise: FloatArray) -> FloatArray:
     return floor
 
 
-def _smooth(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> FloatArray:
-    """(R,) the part of a residual that smooth functions of each joint's own motion and torque explain."""
-    explained = np.zeros(len(residual))
+def _smooth(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(R,) the part of a residual that smooth functions of a joint's own motion and torque explain; (n,) how many."""
+    explained, independent = np.zeros(len(residual)), np.zeros(len(scene.whiteners))
     places = [place for place in rivals(scene.motions) if place["of"] in SMOOTH and "with" not in place]
     for joint, name in enumerate(scene.motions[0].joints):
         rows = scene.rows_of(joint, joint)
@@ -144,17 +162,17 @@ def _smooth(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> FloatA
                 here[inside] = own[inside]
                 columns.append(here)
         matrix = np.concatenate(columns, axis=1) if columns else np.zeros((rows.stop - rows.start, 0))
-        explained[rows] = matrix @ np.linalg.lstsq(matrix, residual[rows], rcond=1e-9)[0]
-    return explained
+        values, _, independent[joint], _ = np.linalg.lstsq(matrix, residual[rows], rcond=1e-9)
+        explained[rows] = matrix @ values
+    return explained, independent
 
 
 def _unwhitened(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[Whitener], Scene, FloatArray]:
     """What rows count for without their colour, the rows so weighed, and what the base leaves of them."""
     joints = range(len(base.model.arm.joints))
     start = [Whitener(np.zeros(0), 1e4 * _least(motions, j)) for j in joints]
-    plain = _louder(base, motions, start, 3)
-    scene = Scene(base, motions, plain)
-    return plain, scene, Evidence(base, scene, None).residual
+    plain, scene, columns = _louder(base, motions, start, 3)
+    return plain, scene, Evidence(base, scene, None, columns=columns).residual
 
 
 def _least(motions: Sequence[Motion], joint: int) -> float:
@@ -173,12 +191,17 @@ def _known(whiteners: list[Whitener]) -> list[Whitener]:
     return whiteners
 
 
-def _louder(base: IdentifiedModel, motions: Sequence[Motion], whiteners: list[Whitener], times: int) -> list[Whitener]:
-    """What rows count for, found by fitting the base with it again and again."""
+def _louder(
+    base: IdentifiedModel, motions: Sequence[Motion], whiteners: list[Whitener], times: int
+) -> tuple[list[Whitener], Scene, FloatArray]:
+    """What rows count for, found by fitting the base with it again and again; rows so weighed; its columns there."""
+    scene = Scene(base, motions, whiteners)
+    columns = base_columns(base, scene, ())
     for _ in range(times):
-        scene = Scene(base, motions, whiteners)
-        whiteners = inflated(whiteners, scene, Evidence(base, scene, None).residual)
-    return whiteners
+        whiteners = inflated(whiteners, scene, Evidence(base, scene, None, columns=columns).residual)
+        before, scene = scene.weight, scene.reweighted(whiteners)
+        columns *= (scene.weight / before)[:, None]
+    return whiteners, scene, columns
 
 
 def _series(scene: Scene, residual: FloatArray, joint: int) -> tuple[list[FloatArray], list[np.ndarray]]:

@@ -7,6 +7,7 @@ joint by joint into one vector. After that all noise is white with variance one,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -220,9 +221,19 @@ class Scene:
             )
             for by in ([motion.velocity_rows for motion in self.motions], self._travel)
         )
-        self.weight = np.concatenate(
-            [w.weight(self.speed[self.joint == j], self.gone[self.joint == j]) for j, w in enumerate(whiteners)]
-        )
+        self.weight = self._weight()
+
+    def _weight(self) -> FloatArray:
+        """(R,) what each row counts for."""
+        own = (self.joint == j for j in range(len(self.whiteners)))
+        return np.concatenate([w.weight(self.speed[rows], self.gone[rows]) for w, rows in zip(self.whiteners, own)])
+
+    def reweighted(self, whiteners: Sequence[Whitener]) -> Scene:
+        """The same rows under whiteners that differ from its own in their inflation alone."""
+        other = copy(self)
+        other.whiteners = list(whiteners)
+        other.weight = other._weight()
+        return other
 
     def __len__(self) -> int:
         return len(self.joint)
