@@ -30,6 +30,7 @@ from ..mismatch.happened import voided
 from ..mismatch.integrity import faults
 from ..mismatch.preparation import banded, cut_offs
 from ..mismatch.rivals import UNKNOWN
+from ..noise.slow import white_and_slow
 from ..recording.recording import Recording
 from ..signals.motion import Motion
 from ..simulations import Simulation
@@ -60,6 +61,8 @@ SHOWS = 0.02
 at some joint to be named: one per cent of its RMS, as for a model that is no worse than another (`bench/real_arms.py`).
 Errors shrink with the length of the recordings; half a sampling period and a simulator's integration step stay, and
 both look like friction."""
+
+SLOW = "slower than noise; follows nothing that was tried"
 
 SIGNAL, LOWEST_HZ = 0.8, 5.0
 """The bandwidth is halved, to no less than this, where half of it holds less than so much of the accelerations' mean
@@ -215,6 +218,10 @@ class _Pass:
         rms = [simulated, *(gain * found.judge.rms(values) for values in stages)]
         after = rms[-1]
         noise = np.fmin(after, explanation.noise_floor_Nm * gain)
+        traces = found.traces(stages[-1])
+        rows = [trace.measured - trace.mended for trace in traces]
+        white, slow = white_and_slow(found.judge.motions, rows, [np.isfinite(residual) for residual in rows])
+        noise = np.where(slow > white, np.fmin(noise, white), noise)
         torque = gain * found.judge.rms(np.zeros(found.judge.count))
         ceiling = found.ceiling(stages[1]) * gain
         shares = _Shares(found, gain, simulated, after, noise, torque)
@@ -223,10 +230,9 @@ class _Pass:
             Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(suspected)),
             Layer(PARAMETERS, rms[1], rms[2], items, (*self.simulation.notes, *notes)),
             Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, shares), _unnamed(rest, gone)),
-            Layer(REST, after, noise, _rest_items(explanation, after, noise, shares)),
+            Layer(REST, after, noise, _rest_items(explanation, after, noise, slow > white, shares)),
         )
         mended = found.mended(self.cutoff, kept)
-        traces = found.traces(stages[-1])
         return Comparison(
             joints=self.joints,
             layers=layers,
@@ -497,8 +503,10 @@ def _unnamed(small: Sequence[Added], gone: Sequence[Added]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _rest_items(explanation: Explanation, after: FloatArray, noise: FloatArray, shares: _Shares) -> tuple[Item, ...]:
-    """What is left, and what it depends on as far as the search can say."""
+def _rest_items(
+    explanation: Explanation, after: FloatArray, noise: FloatArray, slow: np.ndarray, shares: _Shares
+) -> tuple[Item, ...]:
+    """What is left, and what it depends on as far as the search can say; `slow` (n,): more than the noise is slow."""
     items = []
     for finding in explanation.findings:
         if finding.effect == UNKNOWN:
@@ -509,6 +517,10 @@ def _rest_items(explanation: Explanation, after: FloatArray, noise: FloatArray, 
         if not set(left.joints) <= named:
             rows = [explanation.joints.index(joint) for joint in left.joints]
             items.append(_left_at(rows, explanation.joints, left.where, after, noise, shares))
+    named = {joint for item in items for joint in item.joints}
+    for row, joint in enumerate(explanation.joints):
+        if slow[row] and joint not in named:
+            items.append(_left_at([row], explanation.joints, SLOW, after, noise, shares))
     return _by_share(items)
 
 

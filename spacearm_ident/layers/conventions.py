@@ -284,12 +284,13 @@ class _State:
         return self._possible(names[0]) if names[0] in self.rivals else self._agreed(names)
 
     def _possible(self, rival: str) -> bool:
-        """Whether friction that grows with the load does grow."""
+        """Whether friction that grows with the load does grow, and by no more than such friction does."""
         if kind_and_joint(rival)[0] not in SCALING:
             return True
         self._keep(rival)
-        values = self._solved([*self.found, rival]).values
-        return bool(values[self.linear.names.index(rival)] > 0.0)
+        value = self._solved([*self.found, rival]).values[self.linear.names.index(rival)]
+        own = next(one for one in self.fitted.model.parameters if one.name == rival)
+        return bool(max(own.lower, 0.0) < value < own.upper)
 
     def suspected(self) -> tuple[Suspicion, ...]:
         """The best addition that is more probable than none, and that all parts of the data support."""

@@ -74,18 +74,29 @@ def autocovariance(residual: FloatArray, place: np.ndarray, white: FloatArray) -
         place: (M,) row of the motion that each is of, ascending.
         white: (L,) autocorrelation of reduced white noise, `Motion.white_correlation`.
     """
+    products, pairs = lagged_products(residual, place)
+    lags = max(1, len(products) // 4)
+    covariance = products[:lags] / np.maximum(pairs[:lags], 1.0)
+    reach = min(len(white), lags)
+    covariance[:reach] = np.maximum(covariance[:reach], covariance[0] * white[:reach])
+    return np.asarray(covariance)
+
+
+def lagged_products(residual: FloatArray, place: np.ndarray) -> tuple[FloatArray, FloatArray]:
+    """(L,) sums of products of rows by lag in rows, and (L,) how many pairs of rows each is of.
+
+    Args:
+        residual: (M,) of one joint.
+        place: (M,) row of the motion that each is of, ascending.
+    """
     length = int(place[-1] - place[0]) + 1
     signal, present = np.zeros(length), np.zeros(length)
     signal[place - place[0]] = residual
     present[place - place[0]] = 1.0
     size = 2 * length
-    lags = max(1, length // 4)
-    products = np.fft.irfft(np.abs(np.fft.rfft(signal, size)) ** 2, size)[:lags]
-    pairs = np.fft.irfft(np.abs(np.fft.rfft(present, size)) ** 2, size)[:lags]
-    covariance = products / np.maximum(pairs, 1.0)
-    reach = min(len(white), lags)
-    covariance[:reach] = np.maximum(covariance[:reach], covariance[0] * white[:reach])
-    return np.asarray(covariance)
+    products = np.fft.irfft(np.abs(np.fft.rfft(signal, size)) ** 2, size)[:length]
+    pairs = np.fft.irfft(np.abs(np.fft.rfft(present, size)) ** 2, size)[:length]
+    return np.asarray(products), np.asarray(pairs)
 
 
 def _correlation_time(covariance: FloatArray, white: FloatArray) -> float:
