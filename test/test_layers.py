@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mujoco_arm import JOINTS, mjcf, mujoco_or_skip, recorded
+from scipy.signal import lfilter
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.effects import EFFECTS
@@ -18,7 +19,8 @@ from spacearm_ident.layers.comparison import Comparison
 from spacearm_ident.layers.conventions import find_wiring
 from spacearm_ident.layers.discrete import find_mistakes
 from spacearm_ident.layers.item import Item
-from spacearm_ident.layers.physics import with_friction_terms
+from spacearm_ident.layers.joint_fit import JointFit
+from spacearm_ident.layers.physics import optional_terms, with_friction_terms
 from spacearm_ident.layers.wiring import Wiring
 from spacearm_ident.mismatch.finding import Finding
 from spacearm_ident.mismatch.preparation import banded
@@ -96,9 +98,10 @@ def test_many_changes_become_combinations_with_the_simulations_names(simulation:
         (Wiring(np.ones(3), np.array([0.0, 0.03, 0.0])), ("zero[shoulder]",)),
         (Wiring(np.ones(3), np.zeros(3), 0.006), ("delay",)),
         (Wiring(np.ones(3), np.zeros(3), -0.0025), ()),
+        (Wiring(np.array([1.0, 0.99, 1.0]), np.zeros(3)), ()),
         (Wiring(np.ones(3), np.zeros(3)), ()),
     ],
-    ids=["gain", "zero", "late", "half a sampling period early", "nothing"],
+    ids=["gain", "zero", "late", "half a sampling period early", "gain within a file's two digits", "nothing"],
 )
 def test_wiring_that_is_off_is_found_with_its_size(
     simulation: Simulation, wiring: Wiring, found: tuple[str, ...]
@@ -167,15 +170,80 @@ def test_gain_at_a_joint_without_load_is_told_by_what_it_leaves_as_written(
     np.testing.assert_allclose(wired.wiring.gain[0], 0.8 if found else 1.0, atol=0.02)
 
 
-def test_friction_by_the_load_on_the_motors_side_is_no_gain(simulation: Simulation) -> None:
-    run, share = recorded(mjcf(), 3), 0.15
+def _rubbing(run: Recording, share: float, armature: float) -> Recording:
+    """The recording with friction at the base's motor by a share of the torque that the motor gives to the gear."""
     speed = np.gradient(run.position, run.time, axis=0)
-    load = run.effort - 0.05 * np.gradient(speed, run.time, axis=0)
+    load = run.effort - armature * np.gradient(speed, run.time, axis=0)
     driving = load * speed > 0.0
     rub = np.abs(load) * np.sign(speed) * np.where(driving, share / (1 - share), share / (1 + share))
-    run = replace(run, effort=run.effort + rub * np.array([1.0, 0.0, 0.0]))
+    return replace(run, effort=run.effort + rub * np.array([1.0, 0.0, 0.0]))
+
+
+def test_friction_by_the_load_on_the_motors_side_is_no_gain(simulation: Simulation) -> None:
+    run = _rubbing(recorded(mjcf(), 3), 0.15, 0.05)
     wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.own)
     assert wired.found == () and wired.suspected == ()
+
+
+def test_friction_by_the_load_where_there_is_little_is_named_and_not_friction_that_has_grown(tmp_path: Path) -> None:
+    """There it is all of a joint's friction by one factor: that the file has both right tells which of them it is."""
+    mujoco_or_skip()
+    text = mjcf(armature=1.0, damping=3.0, friction=4.0)
+    path = tmp_path / "heavy.xml"
+    path.write_text(text)
+    runs = [_rubbing(recorded(text, seed, noise_Nm=0.2), 0.15, 1.0) for seed in (1, 2)]
+    others = [kind for kind in EFFECTS if kind != "load_friction"]
+    comparison = compare(read_simulation(path), runs[:1], runs[1:], excluded=others)
+    assert _items(comparison, "conventions") == _items(comparison, "parameters") == ()
+    (item,) = _items(comparison, "physics")
+    assert (item.name, item.joints) == ("load_friction", ("base_turn",))
+    assert item.low < 0.15 / (1 - 0.15) < item.high
+
+
+def test_torque_of_the_position_that_no_term_has_makes_no_gain(tmp_path: Path) -> None:
+    """It is the same function in every recording, so that rows beyond the first of a place say nothing new."""
+    mujoco_or_skip()
+    path = tmp_path / "heavy.xml"
+    path.write_text(mjcf(armature=1.0, damping=3.0, friction=4.0))
+    runs = []
+    for seed in (1, 2, 3):
+        run = recorded(mjcf(armature=1.0, damping=4.5, friction=4.0), seed, noise_Nm=0.05)
+        away = (run.position[:, 0] + 0.1) / 0.15
+        runs.append(replace(run, effort=run.effort + np.outer(-6.0 * away * np.exp(-0.5 * away**2), [1.0, 0.0, 0.0])))
+    comparison = compare(read_simulation(path), runs[:2], runs[2:], excluded=tuple(EFFECTS))
+    assert _items(comparison, "conventions") == ()
+    assert [item.joints for item in _items(comparison, "rest")] == [("base_turn",)]
+
+
+def test_static_level_that_was_left_out_is_not_in_the_corrected_simulation(simulation: Simulation) -> None:
+    """A tie of it to the Coulomb friction is to their values: prior means that differ would stay between them."""
+    model = simulation.model
+    structure = {
+        **model.model.structure,
+        "stribeck_friction": {"presliding": False, "stribeck": ["elbow"], "load": []},
+    }
+    whole = model.carried_to(TorqueModel(model.model.arm, structure))
+    constants = np.array([0.2 if one.name == "v_b[elbow]" else 0.0 for one in whole.model.constants])
+    motions = banded([recorded(mjcf(), seed) for seed in (1, 2)], JOINTS, 20.0, 70.0)
+    whole = replace(whole, constants=constants)
+    fit = JointFit(simulation, whole, find_wiring(whole, motions, simulation.own), motions[:1], motions[1:])
+    fit.leave_out(optional_terms(whole, model.model))
+    corrected = fit.mended(20.0, ())
+    assert corrected.value("f_b", "elbow") == pytest.approx(corrected.value("f_c", "elbow"), rel=1e-3)
+    np.testing.assert_allclose(fit.judge.rms(fit.with_model(corrected)), fit.judge.rms(fit.estimate.values), rtol=0.1)
+
+
+def test_torque_that_follows_nothing_is_said_though_no_recording_tells_it_from_noise(simulation: Simulation) -> None:
+    runs = [recorded(mjcf(), seed) for seed in (1, 2)]
+    dragged = []
+    for seed, run in enumerate(runs):
+        kick = np.random.default_rng(seed).normal(size=len(run.time))
+        step = float(np.median(np.diff(run.time)))
+        wander = lfilter([np.sqrt(2.0 * step)], [1.0, step - 1.0], kick)
+        dragged.append(replace(run, effort=run.effort + 0.3 * np.outer(wander, [0.0, 0.0, 1.0])))
+    for each, joints in ((runs, []), (dragged, [("elbow",)])):
+        comparison = compare(simulation, each[:1], each[1:], excluded=tuple(EFFECTS))
+        assert [item.joints for item in _items(comparison, "rest")] == joints
 
 
 def test_intervals_hold_where_friction_has_physics_that_is_not_in_the_model(simulation: Simulation) -> None:

@@ -22,6 +22,7 @@ from scipy.stats import norm
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
+from ..dynamics.effects.friction import LoadFriction
 from ..errors import UnfitDataError
 from ..identification.identify import Settings, identify
 from ..mismatch.explain import held_out_ends
@@ -174,11 +175,15 @@ class _Pass:
         report(0.8, "fitting all layers together")
         self.judged = voided(self.judged, explanation.happened)
         chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
-        extended = explanation.model or wired.model
-        whole = with_friction_terms(extended, base.structure, chosen, explanation.findings)
+        extended = explanation.model or wired.model.carried_to(base)
+        rubbing = [kind_and_joint(name)[1] for name in wired.laws]
+        whole = with_friction_terms(extended, base.structure, chosen, explanation.findings, rubbing)
         wired = find_wiring(whole, self.wired_in, self.simulation.own, wired)
+        if LoadFriction.kind in excluded:
+            wired = replace(wired, laws={})
+        elif wired.laws:
+            whole = wired.model
         laws = wired.laws
-        whole = wired.model if laws else whole
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         idle = found.idle_wiring(SHOWS)
         if idle:

@@ -132,7 +132,11 @@ def added_terms(model: IdentifiedModel, base: TorqueModel, findings: Sequence[Fi
 
 
 def with_friction_terms(
-    extended: IdentifiedModel, base: Structure, identified: IdentifiedModel, findings: Sequence[Finding]
+    extended: IdentifiedModel,
+    base: Structure,
+    identified: IdentifiedModel,
+    findings: Sequence[Finding],
+    rubbing: Collection[str] = (),
 ) -> IdentifiedModel:
     """The extended model with the friction terms that an identification chose, where no finding says the same.
 
@@ -141,11 +145,13 @@ def with_friction_terms(
         base: The simulation's terms; where they have more than the textbook's friction, nothing is added.
         identified: An identification of the same recordings, its structure chosen by prediction.
         findings: What was found.
+        rubbing: Joints at which the wiring's search found friction by the load.
     """
     chosen = identified.model.structure
     if base["viscous_friction"] != {"vacuum": True} or base["stribeck_friction"].get("stribeck") is not False:
         return extended
     taken = {(finding.effect, joint) for finding in findings for joint in finding.joints}
+    taken |= {(LoadFriction.kind, joint) for joint in rubbing}
 
     def free(term: Optional, joint: str) -> bool:
         return not any((effect, joint) in taken for effect in (term.effect, *term.rivals))
