@@ -135,8 +135,9 @@ def find_wiring(
     state = _State(_with_rivals(model), motions, model.model, written)
     if known is not None:
         state.begin(known, known.found)
-        state.doubt_what_is_left()
     state.settle()
+    if known is not None:
+        state.doubt_what_is_left()
     while len(state.found) < MOST and (best := state.best_addition()) is not None:
         state.found = [*state.found, *best]
         state.settle()

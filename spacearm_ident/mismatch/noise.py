@@ -119,18 +119,22 @@ def floor_in_field(base: IdentifiedModel, scene: Scene, residual: FloatArray) ->
     return _spread(scene, residual - _smooth(base, scene, residual)[0])
 
 
-def model_error_share(base: IdentifiedModel, motions: Sequence[Motion]) -> FloatArray:
-    """(n,) share of each joint's residual variance that is a function of its own state: what the base leaves out.
+def model_error_share(model: IdentifiedModel, motions: Sequence[Motion]) -> FloatArray:
+    """(n,) share of each joint's residual variance that is a function of its own state: what the model leaves out.
 
     The coefficient of determination of the splines of `of_field`, adjusted for their number (Ezekiel 1930), rows being
     as independent as white noise is after the low-pass.
 
     Args:
-        base: Model of the arm.
+        model: With the values whose residual it is.
         motions: Recordings.
     """
-    _, scene, residual = _unwhitened(base, motions)
-    explained, columns = _smooth(base, scene, residual)
+    joints = range(len(model.model.arm.joints))
+    scene = Scene(model, motions, [Whitener(np.zeros(0), 1.0) for _ in joints])
+    left = [motion.reduce(motion.torque - model.torque(motion)) for motion in motions]
+    slots = [(scene.slot(j, m), j, rows) for j in joints for m, rows in enumerate(left)]
+    residual = np.concatenate([rows[scene.place[slot], j] for slot, j, rows in slots])
+    explained, columns = _smooth(model, scene, residual)
     white = np.mean([white_correlation_time(motion.white_correlation) for motion in motions])
     chance = columns / np.maximum(scene.by_joint(np.ones(len(scene))) / white, columns + 1.0)
     share = scene.by_joint(explained**2) / np.maximum(scene.by_joint(residual**2), np.finfo(float).tiny)
