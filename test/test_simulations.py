@@ -106,6 +106,25 @@ def test_mended_mjcf_predicts_in_mujoco_what_the_model_predicts(file: Path, tmp_
         assert right.position[joint] < 0.2 * wrong.position[joint]
 
 
+def test_mended_urdf_is_run_in_mujoco_beside_the_old_one(file: Path, tmp_path: Path) -> None:
+    """Shapes whose meshes are elsewhere do not keep it from that."""
+    mujoco_or_skip()
+    other = tmp_path / "other.xml"
+    other.write_text(mjcf(fore_mass=2.6, damping=0.9, friction=0.3, armature=0.0))
+    truth = read_simulation(other).model
+    mesh = '<visual><geometry><mesh filename="package://nowhere/link.stl"/></geometry></visual></link>'
+    path = tmp_path / "three.urdf"
+    path.write_text(read_simulation(file).arm.urdf.replace("</link>", mesh))
+    simulation = read_simulation(path)
+    motions, _ = prepare([recorded(other.read_text())], JOINTS)
+    mended = mend(simulation, path, truth, motions)
+    assert mended is not None and mended.closed_loop is not None
+    was, now = mended.closed_loop
+    for joint in JOINTS:
+        assert now.feedback_Nm[joint] < 0.2 * was.feedback_Nm[joint]
+        assert now.position[joint] < 0.2 * was.position[joint]
+
+
 def test_mended_mjcf_counts_a_body_behind_a_fixed_joint_once(file: Path) -> None:
     """The elbow is not in the recordings: its bodies are the upper arm's, and weigh nothing by themselves."""
     mujoco = mujoco_or_skip()

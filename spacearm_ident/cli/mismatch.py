@@ -202,11 +202,11 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
         lines.append(
             f"{'joint':24}" + "".join(f"{head:>13}" for head in ("feedback", "corrected", "distance", "corrected"))
         )
-        lines += [
-            f"{joint:24}{was.feedback_Nm[joint]:13.3f}{now.feedback_Nm[joint]:13.3f}"
-            f"{was.position[joint]:13.4f}{now.position[joint]:13.4f}"
-            for joint in comparison.joints
-        ]
+        for joint in comparison.joints:
+            feedback = [(run.feedback_Nm[joint], ".3f") for run in (was, now)]
+            shown = [*feedback, *((run.position[joint], ".4f") for run in (was, now))]
+            cells = (format(value, form) if math.isfinite(value) else "unstable" for value, form in shown)
+            lines.append(f"{joint:24}" + "".join(f"{cell:>13}" for cell in cells))
     return "\n".join(lines)
 
 

@@ -21,6 +21,8 @@ BANDWIDTH_HZ = 2.0
 """Of the feedback, critically damped for a joint's own inertia: an arm whose gravity is wrong stays near its motion."""
 LONGEST_S = 20.0
 """Of the longest recording; more takes longer and says the same."""
+LOST = 2.0 * np.pi
+"""rad or m: further away nothing is near any more, and what it strays and needs is infinite."""
 SETTLING_S = 1.0
 """Left out at the beginning: what the feedback needs to find its level."""
 
@@ -50,7 +52,7 @@ def follow(mujoco: ModuleType, model: Any, gains_of: Any, motions: Sequence[Moti
     for row in range(len(position)):
         away, slow = position[row] - data.qpos[places], velocity[row] - data.qvel[dofs]
         strayed[row], added[row] = away, inertia * (omega**2 * away + 2.0 * omega * slow)
-        if not np.all(np.isfinite(added[row])):
+        if not np.all(np.abs(away) < LOST):
             added[row:] = strayed[row:] = np.inf
             break
         data.qfrc_applied[dofs] = torque[row] + added[row]

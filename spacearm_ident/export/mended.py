@@ -10,10 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
+from ..documents import parse_xml
 from ..dynamics.model import IdentifiedModel
+from ..errors import UserError
 from ..layers.item import Mended
 from ..results.formats import ARMATURE, DAMPING, FRICTION, MJCF, SDF, STIFFNESS, URDF
 from ..results.urdf import identified_urdf
@@ -50,11 +53,43 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
     if simulation.format == "sdf":
         return _mended("mended.sdf", sdf(model, fit, [f"{simulation.source}, mended by spacearm_ident"]), fit)
     dynamics = {joint: (own[DAMPING], own[FRICTION]) for joint, own in fit.values.items()}
-    return _mended("mended.urdf", identified_urdf(model, dynamics), fit)
+    mended = _mended("mended.urdf", identified_urdf(model, dynamics), fit)
+    original, new = (_urdf_in_mujoco(text, simulation) for text in (path.read_text(), mended.text))
+    if original is None or new is None:
+        return mended
+    runs = [follow(mujoco_or_error(), one, original, motions) for one in (original, new)]
+    return replace(mended, closed_loop=(runs[0], runs[1]))
 
 
 def _mended(name: str, text: str, fit: Nearest) -> Mended:
     return Mended(name, text, fit.lost, fit.cost_Nm, fit.torque_Nm)
+
+
+def _urdf_in_mujoco(text: str, simulation: Simulation) -> Any | None:
+    """The `MjModel` of a URDF without its shapes; None where MuJoCo is not installed or refuses it.
+
+    A link that moves and has no mass is given the least that MuJoCo accepts.
+    """
+    try:
+        mujoco = mujoco_or_error()
+    except UserError:
+        return None
+    root = parse_xml(text, simulation.source)
+    for link in root.iter("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    for old in root.findall("mujoco"):
+        root.remove(old)
+    least = {"boundmass": str(LEAST), "boundinertia": str(LEAST), "balanceinertia": "true"}
+    ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", least)
+    try:
+        model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+    except (ValueError, RuntimeError):
+        return None
+    model.opt.gravity = simulation.arm.gravity
+    # Without the rotors, which a URDF cannot hold, damping beside the inertia of a last link is stiff.
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return model
 
 
 def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) -> Any:
