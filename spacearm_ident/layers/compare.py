@@ -64,7 +64,7 @@ Errors shrink with the length of the recordings; half a sampling period and a si
 both look like friction."""
 
 SLOW = "slower than noise; follows nothing that was tried"
-
+"""Where what is left of a joint has a slow part that is larger than the noise (`noise.slow`)."""
 SIGNAL, LOWEST_HZ = 0.8, 5.0
 """The bandwidth is halved, to no less than this, where half of it holds less than so much of the accelerations' mean
 square at the median joint. Noise of an encoder, differentiated twice, grows with the fifth power of the bandwidth:

@@ -167,10 +167,10 @@ def _with_rivals(model: IdentifiedModel) -> IdentifiedModel:
     """With `RIVALS` at every joint, hypotheses beside gains, zeros and tilt; a spring comes with a constant torque."""
     own = {parameter.name for parameter in model.model.parameters}
     names = [f"{symbol}[{joint}]" for symbol in RIVALS for joint in model.model.arm.joint_names]
-    return model.carried_to(_with(model.model, [name for name in names if name not in own]))
+    return model.carried_to(_with_rival_terms(model.model, [name for name in names if name not in own]))
 
 
-def _with(model: TorqueModel, names: Sequence[str]) -> TorqueModel:
+def _with_rival_terms(model: TorqueModel, names: Sequence[str]) -> TorqueModel:
     """A model with some of the `RIVALS`, such as `mu[joint_2]`."""
     structure = dict(model.structure)
     for name in names:
@@ -270,7 +270,7 @@ class _State:
             tuple(name for name in self.found if name not in self.rivals),
             errors,
             self.suspected(),
-            self.fitted.carried_to(_with(model, laws)),
+            self.fitted.carried_to(_with_rival_terms(model, laws)),
             {name: (values[name], errors[name]) for name in laws},
         )
 

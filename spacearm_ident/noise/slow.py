@@ -31,37 +31,42 @@ def white_and_slow(
     The spectrum is that of Blackman and Tukey (1958), rows that do not count left out of the covariance.
 
     Args:
-        motions: Recordings of n joints, of one bandwidth.
+        motions: Recordings of n joints.
         residuals: By motion, (M, n) N m.
         counts: By motion, (M, n) rows that count.
 
     Returns:
-        (2, n) RMS of the white part and of the slow part, N m; NaN where a joint has less than `LONGEST_S` of rows.
+        (2, n) RMS of the white part and of the slow part, N m; NaN where no motion has `LONGEST_S` of a joint's rows.
     """
-    first = motions[0]
-    rate_hz = first.rate_hz / (first.block * first.stride)
-    lags = int(LONGEST_S * rate_hz)
-    taper = 0.5 * (1.0 + np.cos(np.pi * np.arange(lags) / lags))
-    frequency = np.linspace(0.0, 0.5, FREQUENCIES)
-    cosines = 2.0 * np.cos(2.0 * np.pi * np.outer(frequency, np.arange(lags))) * taper
-    cosines[:, 0] = 1.0
-    white = np.zeros(lags)
-    white[: len(first.white_correlation)] = first.white_correlation[:lags]
-    noise = cosines @ white
-    low, high = (share * first.cutoff_hz / rate_hz for share in UPPER_HALF)
-    upper = (frequency >= low) & (frequency <= high)
-    found = np.full((2, residuals[0].shape[1]), np.nan)
-    for joint in range(found.shape[1]):
-        products, pairs = np.zeros((2, lags))
-        for residual, count in zip(residuals, counts):
-            place = np.flatnonzero(count[:, joint])
-            if len(place):
-                own = [part[:lags] for part in lagged_products(residual[place, joint], place)]
-                products[: len(own[0])] += own[0]
-                pairs[: len(own[1])] += own[1]
-        if pairs[0] < lags:
-            continue
+    variance, rows = np.zeros((2, residuals[0].shape[1])), np.zeros(residuals[0].shape[1])
+    for motion, residual, count in zip(motions, residuals, counts):
+        spectrum = _Spectrum(motion)
+        for joint, counted in enumerate(count.T):
+            place = np.flatnonzero(counted)
+            if len(place) >= spectrum.lags:
+                variance[:, joint] += len(place) * spectrum.variances(residual[place, joint], place)
+                rows[joint] += len(place)
+    return np.sqrt(variance / np.where(rows > 0, rows, np.nan))
+
+
+class _Spectrum:
+    """The cosine transform of covariances of a motion's rows, beside that of white noise."""
+
+    def __init__(self, motion: Motion) -> None:
+        rate_hz = motion.rate_hz / (motion.block * motion.stride)
+        self.lags = int(LONGEST_S * rate_hz)
+        taper = 0.5 * (1.0 + np.cos(np.pi * np.arange(self.lags) / self.lags))
+        frequency = np.linspace(0.0, 0.5, FREQUENCIES)
+        low, high = (share * motion.cutoff_hz / rate_hz for share in UPPER_HALF)
+        upper = frequency[(frequency >= low) & (frequency <= high)]
+        self._cosines = 2.0 * np.cos(2.0 * np.pi * np.outer(upper, np.arange(self.lags))) * taper
+        self._cosines[:, 0] = 1.0
+        known = motion.white_correlation[: self.lags]
+        self._white = self._cosines[:, : len(known)] @ known
+
+    def variances(self, residual: FloatArray, place: np.ndarray) -> FloatArray:
+        """(2,) of the white part and of the slow part of one joint's rows (M,), at rows `place` of the motion."""
+        products, pairs = (part[: self.lags] for part in lagged_products(residual, place))
         covariance = products / np.maximum(pairs, 1.0)
-        level = max(float(np.median((cosines[upper] @ covariance) / noise[upper])), 0.0)
-        found[:, joint] = np.sqrt([min(level, covariance[0]), max(covariance[0] - level, 0.0)])
-    return found
+        level = max(float(np.median((self._cosines[:, : len(covariance)] @ covariance) / self._white)), 0.0)
+        return np.array([min(level, covariance[0]), max(covariance[0] - level, 0.0)])
