@@ -208,7 +208,7 @@ def test_share_of_a_residual_that_is_a_function_of_the_joints_state(simulation: 
     bump = away * np.exp(-0.5 * away**2) * np.array([1.0, 0.0, 0.0])
     for size, least, most in ((0.0, 0.0, 0.1), (0.5, 0.6, 1.0)):
         motions = banded([replace(run, effort=run.effort + size * bump)], JOINTS, 20.0, 70.0)
-        share = model_error_share(simulation.model, motions)
+        share = model_error_share(simulation.model, motions, np.ones(3))
         assert least <= share[0] <= most
         assert np.all(share[1:] < 0.1)
 

@@ -7,8 +7,8 @@ model error is not the same in all; everything is linearised again, until nothin
 others is removed. At a joint with little load a gain is the same as all of its friction and rotor inertia by that
 factor: there it counts how many of them a gain leaves exactly as the file has them (`UNCHANGED`). A stamp is good to
 half a sampling period, and a torque to two digits: so much delay and gain is always estimated, and is no finding. What
-a joint's residual still has that is a function of its state is the same wherever the joint comes by again: rows count
-for less there (Kish's design effect, `STATE_GROUPS` clusters), once physics has been searched for.
+is a function of a joint's state is the same wherever the joint comes by again: where a residual is mostly that, once
+physics has been searched for, its rows count for less (Kish's design effect, `STATE_GROUPS` clusters).
 Signs, units, order and gravity are for `conventions.search`, before this.
 """
 
@@ -74,6 +74,8 @@ AGREE = 0.001
 for noise."""
 LEAST_FACTOR = 1e-4
 """Smallest factor on a joint's variance: a hundredth of its residual's standard deviation."""
+MODEL_ERROR = 0.5
+"""Share of a joint's residual variance that is a function of its state from which it is model error more than noise."""
 SHORT_LIST = 4
 """Best hypotheses that the parts are asked about."""
 MOST = 8
@@ -219,10 +221,13 @@ class _State:
             self._keep(name)
 
     def doubt_what_is_left(self) -> None:
-        """Let joints whose residual is model error count for as many rows as there are states to be wrong in."""
-        share = model_error_share(self.fitted, self.linear.motions)
+        """Let joints whose residual is mostly model error count for as many rows as there are states to be wrong in."""
+        # The values are those beside the small gains that are no finding.
+        values = dict(zip(self.linear.names, self._solved(self.found).values.tolist()))
+        gains = np.exp([values[f"{GAIN}[{joint}]"] for joint in self.arm.joint_names])
+        share = model_error_share(self.fitted, self.linear.motions, gains)
         cluster = self.linear.rows.sum(axis=1) * self.relative_weight / STATE_GROUPS
-        self.design_effect = 1.0 + share * np.maximum(cluster - 1.0, 0.0)
+        self.design_effect = np.where(share > MODEL_ERROR, 1.0 + share * np.maximum(cluster - 1.0, 0.0), 1.0)
 
     def _tempered(self, odds: float, names: Sequence[str]) -> float:
         """Log odds of hypotheses with their likelihood as weak as the rows of their joints are dependent."""
