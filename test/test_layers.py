@@ -187,7 +187,7 @@ def test_friction_by_the_load_on_the_motors_side_is_no_gain(simulation: Simulati
 
 
 def test_friction_by_the_load_where_there_is_little_is_named_and_not_friction_that_has_grown(tmp_path: Path) -> None:
-    """There it is all of a joint's friction by one factor: that the file has both right tells which of them it is."""
+    """There it is all of a joint's friction by one factor: that the file has both right distinguishes the two."""
     mujoco_or_skip()
     text = mjcf(armature=1.0, damping=3.0, friction=4.0)
     path = tmp_path / "heavy.xml"

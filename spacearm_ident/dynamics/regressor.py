@@ -200,7 +200,12 @@ def _child_motion(joint: Joint, carrier: _LinkMotion, q: FloatArray, qd: FloatAr
 
 
 def joint_rotation(joint: Joint, q: FloatArray) -> FloatArray:
-    """(3, 3, N) child to parent: the fixed placement, then Rodrigues' formula about the axis."""
+    """(3, 3, N) child to parent: the fixed placement, then Rodrigues' formula about the axis.
+
+    Args:
+        joint: A revolute joint.
+        q: (N,) rad.
+    """
     x, y, z = joint.axis
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     along = joint.rotation @ np.outer(joint.axis, joint.axis)

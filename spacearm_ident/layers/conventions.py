@@ -53,7 +53,7 @@ RIVALS: Mapping[str, tuple[str, Mapping[str, str]]] = {
 """Physics that is easily taken for a gain, a zero or a tilt: parameter -> effect, and options of its place. A cable at
 a vertical first joint is no tilted base, and friction that grows with the load no torque constant. A spring is left to
 the search for physics; friction by the load is not, for at a joint with little load it is its friction by a factor, and
-only what the file has tells them apart (`Wired.laws`)."""
+only the values in the file distinguish the two (`Wired.laws`)."""
 SCALING = frozenset({GAIN, LOADED, DRIVEN})
 """What may leave friction and rotor inertia as the file has them where all of a joint's torque is more or less."""
 UNCHANGED = 1.0 - OFF

@@ -210,7 +210,12 @@ def _starting_values(
 
 
 def friction_by_load(model: IdentifiedModel, laws: Collection[str]) -> list[Added]:
-    """Friction by the load that the wiring's search found (`conventions.Wired.laws`): parameters of the model."""
+    """Friction by the load that the wiring's search found (`conventions.Wired.laws`).
+
+    Args:
+        model: A model with those terms.
+        laws: Names of their parameters, such as `mu_in[joint_2]`.
+    """
     found = []
     for term, first, _ in model.model.numbered():
         if isinstance(term, LoadFriction) and term.parameters[0].name in laws:

@@ -16,11 +16,12 @@ from ..signals.motion import Motion
 from .weights import lagged_products
 
 LONGEST_S = 2.0
-"""Longest lag of the covariance that the spectrum is computed from: half a hertz is told from the next."""
+"""Longest lag of the covariance that the spectrum is computed from: its resolution is half a hertz."""
 FREQUENCIES = 256
 """Frequencies from zero to half the rate of the rows."""
 UPPER_HALF = 0.5, 1.0
-"""Of the cut-off: the band that says how large the noise is."""
+"""Of the cut-off: the band that says how large the noise is; mechanisms are slower, and above it the low-pass leaves
+nothing."""
 
 
 def white_and_slow(
