@@ -10,8 +10,8 @@ from typing import Any
 from ..dynamics.model import FRICTION_LAWS
 from ..environment.gravity import GRAVITY_CHOICES, VECTOR
 from ..estimate.counts import counts
+from ..estimate.coupling import CouplingTrial
 from ..estimate.identified import GAIN_DEVIATION, Identified, OptionalTerm, Validation
-from ..identification.coupling_trial import CouplingTrial
 from ..identification.verdict import judge_result
 from ..results.tables import validation_dict
 from ..sessions.bags import Options, identify_bags
@@ -171,7 +171,7 @@ def run(options: argparse.Namespace) -> int:
         common.print_json({"result": str(options.out), **figures, **data, "environment": surroundings})
     else:
         about = "\n".join(conventions.lines()) if conventions.findings else ""
-        result = summary(identified, validation, session.page, session.coupling)
+        result = summary(identified, validation, session.page)
         # Data that are unfit come before the model made from them, all other data after it.
         print("\n".join(part for part in ((result, about) if conventions.fit else (about, result)) if part))
     for line in findings:
@@ -198,21 +198,20 @@ def _symbols(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def summary(identified: Identified, validation: Validation, page: Path, coupling: CouplingTrial | None = None) -> str:
+def summary(identified: Identified, validation: Validation, page: Path) -> str:
     """The result as text for a terminal: verdict, next step, figures of merit, and how they were obtained.
 
     Args:
         identified: Identified model with estimates and bandwidth.
         validation: Figures of merit of that model by joint.
         page: The HTML report written.
-        coupling: Outcome of the test for coupled motors; None: it was not made.
     """
     bandwidth = identified.bandwidth
     units = {joint.name: joint.units.effort for joint in identified.model.model.arm.joints}
     verdict = judge_result(identified, validation)
     lines = [
         *verdict.lines,
-        f"next: {_next_step(verdict.usable, page, coupling)}",
+        f"next: {_next_step(verdict.usable, page, identified.coupling)}",
         f"report: {page}",
         f"validated {validation.what}",
         f"{'joint':<24}{'RMSE':>10}{'max':>10} {'unit':<5}{'R':>8}{'rel. RMS':>10}{'moving':>9}{'unfiltered':>12}",
@@ -243,7 +242,7 @@ def summary(identified: Identified, validation: Validation, page: Path, coupling
 
 def _next_step(usable: bool, page: Path, coupling: CouplingTrial | None) -> str:
     """What to do with the result."""
-    if coupling is not None and coupling.helps:
+    if coupling is not None and coupling.helps and not coupling.adopted:
         return f"add this line to the arm YAML (--arm) and identify again: {coupling.line}"
     if usable:
         return f"look at {page}; 'spacearm export {page.parent}' writes the model for a simulator or a controller"

@@ -12,6 +12,7 @@ from ..arrays import FloatArray
 from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model import IdentifiedModel
 from ..signals.bandwidth import Bandwidth
+from .coupling import CouplingTrial
 from .environment import Environment
 
 GAIN_DEVIATION = 0.07
@@ -187,6 +188,7 @@ class Identified:
         environment: Vacuum or air, gravity, temperatures.
         moves: What was updated since the prior model, those of an update that have a spread; else empty.
         base_body: The body that carries the arm, where its motion was recorded and nothing else holds it.
+        coupling: Whether a motor that turns with the last two joints was tried, and what it brought.
     """
 
     model: IdentifiedModel
@@ -206,6 +208,7 @@ class Identified:
     environment: Environment = field(default_factory=Environment)
     moves: tuple[Move, ...] = ()
     base_body: BaseBody | None = None
+    coupling: CouplingTrial | None = None
 
 
 @dataclass(frozen=True)

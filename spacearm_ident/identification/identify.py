@@ -18,6 +18,7 @@ from ..bayes.from_prior import GroundPrior
 from ..bayes.updated import identify_from_prior
 from ..dynamics.arm import Arm
 from ..dynamics.base_link import base_notes, placed
+from ..dynamics.coupling import CoupledMotor
 from ..dynamics.model import (
     IdentifiedModel,
     Structure,
@@ -30,6 +31,7 @@ from ..environment.gravity_loop import GravityLoop
 from ..environment.momentum import base_body
 from ..errors import UnfitDataError, UserError
 from ..estimate.consistency import make_consistent
+from ..estimate.coupling import CouplingTrial
 from ..estimate.determination import judge, open_ended
 from ..estimate.environment import Environment, GravityEstimate, judge_vacuum, without_temperature
 from ..estimate.identified import Choice, Identified
@@ -41,6 +43,7 @@ from ..solvers.choice import CLOE, IDIM_IV, LEAST_SQUARES, PSO_LM, SEEDED, SEPAR
 from ..solvers.separable import Solution, system
 from . import output_error
 from .blend import blend_notes, blended
+from .coupled_wrist import try_coupling
 from .cross_check import fit_instrumental, fit_output_error
 from .fit import Fit, covariance_of, fit_as_published, fit_model, freedom, revealed
 from .structure import choose_structure
@@ -68,6 +71,8 @@ class Settings:
         gains: Torque gains from a known mass, by which the recordings' torque has been divided; None: as recorded.
         blend: Whether torque is predicted by what predicts held-out data best (`blend.py`); not where the physically
             consistent parameters alone are used.
+        couple: Whether a coupled motor is looked for where the wrist fits badly (`coupled_wrist.py`), and is in the
+            model where held-out data show it and no structure was asked for.
     """
 
     cutoff_hz: float | None = None
@@ -79,6 +84,7 @@ class Settings:
     prior: GroundPrior | None = None
     gains: TorqueGains | None = None
     blend: bool = True
+    couple: bool = True
     choose: Callable[[Fit], tuple[Structure, tuple[Choice, ...]]] = choose_structure
 
 
@@ -122,7 +128,7 @@ def identify(
     if settings.solver == CLOE:
         output_error.require_simulated(model.structure)
     gravity_loop = _gravity_loop(settings, arm, motions)
-    fit, choices = _fitted(model, motions, settings, gravity_loop, report)
+    fit, choices, coupling = _fitted(model, motions, settings, gravity_loop, report)
     if settings.solver == IDIM_IV:
         report(0.7, "comparing with instrumental variables")
         fit = fit_instrumental(fit, recordings, bandwidth.cutoff_hz)
@@ -138,27 +144,34 @@ def identify(
     if settings.blend and settings.solver in LEAST_SQUARES and result.consistency_shift > 0.0:
         result = replace(result, model=blended(result.model, fit, settings.structure is None))
     weighed = () if settings.gains is None else (settings.gains.words,)
-    notes = (*weighed, *result.notes, *on_base, *on_body, *blend_notes(result.model))
-    result = replace(result, base_body=body, notes=notes)
+    coupled = () if coupling is None else (coupling.words,)
+    notes = (*weighed, *result.notes, *on_base, *on_body, *blend_notes(result.model), *coupled)
+    result = replace(result, base_body=body, notes=notes, coupling=coupling)
     report(1.0, "done")
     return result
 
 
 def _fitted(
     model: TorqueModel, motions: list[Motion], settings: Settings, gravity_loop: GravityLoop[Fit], report: Progress
-) -> tuple[Fit, tuple[Choice, ...]]:
+) -> tuple[Fit, tuple[Choice, ...], CouplingTrial | None]:
     """The fit by least squares in the torque, and what was decided about the structure unless the user had."""
     if settings.solver == PSO_LM:
         published = TorqueModel(model.arm, pso_lm.as_published(model.structure))
-        return fit_as_published(published, motions, settings.seed), ()
+        return fit_as_published(published, motions, settings.seed), (), None
     search = search_of(settings.solver, settings.seed)
     fit = gravity_loop.settle(fit_model(model, motions, search))
+    coupling = try_coupling(fit) if settings.couple else None
     if settings.structure is not None:
-        return fit, ()
+        return fit, (), coupling
+    if coupling is not None and coupling.helps:
+        coupling = replace(coupling, adopted=True)
+        arm = replace(fit.regression.model.arm, couplings=(coupling.coupling,))
+        model = TorqueModel(arm, {**model.structure, CoupledMotor.kind: {}})
+        fit = gravity_loop.settle(fit_model(model, motions, search))
     report(0.5, "choosing the terms that predict held-out data better")
     structure, choices = settings.choose(fit)
     fit = gravity_loop.settle(fit_model(TorqueModel(fit.regression.model.arm, structure), motions, search, fit))
-    return fit, choices
+    return fit, choices, coupling
 
 
 def _gravity_loop(settings: Settings, arm: Arm, motions: list[Motion]) -> GravityLoop[Fit]:

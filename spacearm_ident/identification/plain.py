@@ -47,16 +47,17 @@ def plain_structure(arm: Arm, presliding: Sequence[str] = ()) -> Structure:
     return structure
 
 
-def plain_fit(fit: Fit) -> tuple[Regression, Prior, Solution]:
+def plain_fit(fit: Fit, arm: Arm | None = None) -> tuple[Regression, Prior, Solution]:
     """The plain model fitted to the rows of another fit.
 
     Args:
-        fit: Whose arm, motions and columns are used.
+        fit: Whose motions and columns are used.
+        arm: The fit's arm with other couplings; None: the fit's.
 
     Returns:
         Weighted rows, the prior that keeps unexcited directions regular, and the solution.
     """
-    arm, fitted = fit.regression.model.arm, fit.regression.model.constants
+    arm, fitted = arm or fit.regression.model.arm, fit.regression.model.constants
     distance = {
         constant.name: value
         for constant, value in zip(fitted, fit.solution.constants.tolist())

@@ -130,10 +130,11 @@ def prepare_evidence(
     referred, examined = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field))
     judged = banded(validation, arm.joint_names, cutoff, wide, first=len(field))
     if known is None:
-        start = _identified(healthy or field, arm, cutoff, choose)
+        # A coupled motor of the healthy arm is base; where the field alone says what the arm is, it is a finding.
+        start = _identified(healthy or field, arm, cutoff, choose, couple=bool(healthy))
         found = _with_noise(start, referred or examined, coloured if healthy else of_field)
         if healthy:
-            found = _suited(found, _identified(healthy, arm, cutoff, choose_structure), referred)
+            found = _suited(found, _identified(healthy, arm, cutoff, choose_structure, couple=True), referred)
     else:
         found = _with_noise(_Start(_possible(known, cutoff), ()), examined, coloured)
     base, noise = found.start.base, found.noise
@@ -196,8 +197,10 @@ def _identified(
     arm: Arm,
     cutoff_hz: float,
     choose: ChooseStructure,
+    couple: bool,
 ) -> _Start:
-    identified = identify(recordings, arm, Settings(cutoff_hz=cutoff_hz, choose=choose, blend=False))
+    settings = Settings(cutoff_hz=cutoff_hz, choose=choose, blend=False, couple=couple)
+    identified = identify(recordings, arm, settings)
     return _Start(_possible(identified.model, cutoff_hz), identified.choices)
 
 

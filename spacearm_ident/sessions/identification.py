@@ -24,7 +24,6 @@ from ..dynamics.urdf_chain import JointTree
 from ..environment.gravity import require_gravity_choice
 from ..errors import UnfitDataError, UserError
 from ..estimate.identified import Identified, Validation
-from ..identification.coupling_trial import CouplingTrial, try_coupling
 from ..identification.identify import Progress, Settings, identify, with_provenance
 from ..identification.validation import split, validate
 from ..logs.read import read_log
@@ -47,13 +46,12 @@ ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fi
 
 @dataclass(frozen=True)
 class Session:
-    """What came out: model, validation, report, what is wrong with the data, and a coupling where one was tried."""
+    """What came out: model, validation, report, and what is wrong with the data."""
 
     identified: Identified
     validation: Validation
     page: Path
     conventions: ConventionReport
-    coupling: CouplingTrial | None = None
 
 
 def identify_session(
@@ -104,19 +102,15 @@ def identify_session(
     report(0.6, "validating")
     validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
     identified = with_provenance(identified, _origin(fitted, validated or fitted[-1:], command, settings, asked))
-    trial = None
-    if validation.held_out and known is None and settings.prior is None:
-        trial = try_coupling(whole, judged, arm, validation, settings)
-    if trial is not None:
-        identified = replace(identified, notes=(*identified.notes, trial.words))
-    further: dict[str, Any] = {"conventions": conventions.as_dict(), "coupling_tried": trial and trial.as_dict()}
+    tried = identified.coupling
+    further: dict[str, Any] = {"conventions": conventions.as_dict(), "coupling_tried": tried and tried.as_dict()}
     if settings.gains is not None:
         further["torque_gains"] = settings.gains.as_dict()
     report(0.7, "writing the report")
     runs = recorded_runs(fitted, [] if validated is fitted else (validated or ()), arm)
     page = write_result(identified, validation, directory, further, runs)
     report(1.0, "done")
-    return Session(identified, validation, page, conventions, trial)
+    return Session(identified, validation, page, conventions)
 
 
 def _origin(
