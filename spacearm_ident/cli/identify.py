@@ -40,7 +40,7 @@ def add(commands: Any) -> None:
         default=[],
         type=Path,
         metavar="BAG",
-        help="recordings to validate on; default: the last third of the last BAG is held out of the fit",
+        help="recordings to validate on; default: the last third of the motion in the last BAG is held out of the fit",
     )
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="result folder")
     add_options(command)

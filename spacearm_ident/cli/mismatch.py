@@ -60,7 +60,7 @@ def add(commands: Any) -> None:
         default=[],
         type=Path,
         metavar="BAG",
-        help="recordings to validate on; default: the last third of each BAG is held out",
+        help="recordings to validate on; default: the last third of the motion in each BAG is held out",
     )
     common.add_arm_options(command)
     common.add_base_option(command)

@@ -16,6 +16,7 @@ from ..estimate.identified import Fit, JointValidation, LackOfFit, Trace, Valida
 from ..noise.weights import residual_noise
 from ..recording.recording import Recording
 from ..signals.motion import Motion
+from ..signals.moving_span import cut_by_motion, moving_span
 from ..signals.prepare import prepare
 from .residual_spectrum import residual_spectrum
 
@@ -76,18 +77,18 @@ def _moving_samples(motion: Motion) -> np.ndarray:
 
 
 def split(recording: Recording, share: float = HOLD_OUT) -> tuple[Recording, Recording]:
-    """A recording cut in time: what to fit, and the last part to validate on.
+    """A recording cut in time: what to fit, and the last part of the motion to validate on.
 
     Raises:
-        UnfitDataError: Either part would be too short to use.
+        UnfitDataError: The last part would be too short to use.
     """
-    cut = recording.time[0] + (1.0 - share) * (recording.time[-1] - recording.time[0])
-    if recording.time[-1] - cut < SHORTEST_HOLD_OUT_S:
+    start, stop = moving_span(recording)
+    if share * (stop - start) < SHORTEST_HOLD_OUT_S:
         raise UnfitDataError(
-            f"{recording.time[-1] - recording.time[0]:.1f} s are too short to hold {share:.0%} out, at least "
+            f"{stop - start:.1f} s of motion are too short to hold {share:.0%} out, at least "
             f"{SHORTEST_HOLD_OUT_S:g} s: record a longer run, or give another recording with --validate"
         )
-    return recording.between(-np.inf, cut), recording.between(cut, np.inf)
+    return cut_by_motion(recording, share)
 
 
 def fit_figures(measured: FloatArray, predicted: FloatArray) -> Fit:

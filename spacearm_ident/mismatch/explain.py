@@ -17,6 +17,7 @@ from ..dynamics.effects import EFFECTS
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
+from ..signals.moving_span import cut_by_motion
 from .base_structure import choose_base
 from .cards import Cards
 from .competition import GATE, Competition, Outcome
@@ -104,13 +105,9 @@ def explain(
 
 
 def held_out_ends(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
-    """Recordings without their last third (`HOLD_OUT`), and those thirds."""
-    first, last = [], []
-    for recording in recordings:
-        cut = recording.time[-1] - HOLD_OUT * (recording.time[-1] - recording.time[0])
-        first.append(recording.between(-np.inf, cut))
-        last.append(recording.between(cut, np.inf))
-    return first, last
+    """Recordings without the last third of their motion (`HOLD_OUT`), and those thirds."""
+    parts = [cut_by_motion(recording, HOLD_OUT) for recording in recordings]
+    return [first for first, _ in parts], [last for _, last in parts]
 
 
 def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> Explanation:
