@@ -23,7 +23,7 @@ from ..regression.prior import make_prior
 from ..signals.motion import Motion
 from .reversals import learnt
 from .scene import Scene, quiet
-from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, sharpness, stacked_effect
+from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, ordinary_friction, sharpness, stacked_effect
 
 INVISIBLE = 1e-12
 """Share of its energy below which what the base leaves of a column is rounding."""
@@ -108,6 +108,7 @@ class Evidence:
         reference: Scene | None,
         common: Sequence[tuple[Effect, tuple[float, ...]]] = (),
         columns: FloatArray | None = None,
+        days: float = 0.0,
     ) -> None:
         """Fit the base.
 
@@ -117,6 +118,8 @@ class Evidence:
             reference: Reference rows, if any.
             common: Effects that reference and field share, each with values of its constants.
             columns: Of the base in the field rows (`base_columns`), where they are known.
+            days: Standard deviation of how the field's friction differs from the reference's, of that by which it
+                ordinarily differs from recording to recording (`ordinary_friction`); 0: it is the same.
         """
         self.base = base
         self.field = field
@@ -126,11 +129,19 @@ class Evidence:
         scenes = [field] if reference is None else [field, reference]
         known_columns = [] if columns is None else [columns]
         stacks = [*known_columns, *(base_columns(base, scene, self.common) for scene in scenes[len(known_columns) :])]
+        self.days = days
+        self._day = 0
+        if days > 0.0:
+            day = days * ordinary_friction(base, stacks[0])
+            self._day = day.shape[1]
+            elsewhere = [np.zeros((len(made), self._day)) for made in stacks[1:]]
+            stacks = [np.hstack(both) for both in zip(stacks, [day, *elsewhere])]
         prior = make_prior(base.model, [motion for scene in scenes for motion in scene.motions])
         width, known = stacks[0].shape[1], prior.rows.shape[1]
         # Common effects may be as large as they like; this only breaks ties.
         beside = np.full(width - known, 1e-3)
         beside[: self.nuisance] = 1.0 / nuisance_scale(base)
+        beside[width - known - self._day :] = 1.0
         belief = np.zeros((len(prior.rows) + width - known, width))
         belief[: len(prior.rows), :known] = NEARER * prior.rows
         belief[len(prior.rows) :, known:] = np.diag(beside)
@@ -300,10 +311,14 @@ class Evidence:
         return torque
 
     def base_parameters(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
-        """Parameters of the base (nuisance and common effects last) when these effects stand beside it."""
+        """Parameters of the base (nuisance and common effects last) when these effects stand beside it.
+
+        By how much the field's friction differs from the reference's is not among them: in another recording it is
+        another.
+        """
         whole = np.zeros(self._width)
         whole[self._used] = solve_triangular(self._triangle, self._beside(candidates, values))
-        return whole
+        return whole[: self._width - self._day]
 
     def base_parameters_without(self, rows: np.ndarray) -> FloatArray:
         """Parameters of the base as fitted to all rows but some of the field's: (F,) true where left out.
@@ -316,7 +331,7 @@ class Evidence:
         whole = np.zeros(self._width)
         inside = np.linalg.lstsq(gram, self._inside - basis.T @ torque, rcond=SINGULAR)[0]
         whole[self._used] = solve_triangular(self._triangle, inside)
-        return whole
+        return whole[: self._width - self._day]
 
     def base_parameters_with(
         self, known: FloatArray, candidates: Sequence[Candidate], values: FloatArray
@@ -333,7 +348,7 @@ class Evidence:
         free = np.concatenate([np.isnan(known), np.ones(self._width - len(known), dtype=bool)])[self._used]
         target = self._beside(candidates, values) - self._triangle[:, ~free] @ whole[self._used[~free]]
         whole[self._used[free]] = np.linalg.lstsq(self._triangle[:, free], target, rcond=None)[0]
-        return whole
+        return whole[: self._width - self._day]
 
     def _beside(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(b,) what these effects leave to the base, in its orthonormal basis."""

@@ -3,7 +3,9 @@
 The whitened fit says how far noise alone moves a value. No law is quite the catalogue's, though, and what it leaves
 is no noise: what one part of the time says of the value and what another does may differ by more. A value's variance
 is the larger of the two: the fit's, and that of the parts' scores (the sandwich of Liang and Zeger 1986, with parts
-as clusters). An error that is the same all the time, in a length that was given say, shows in neither.
+as clusters). An error that is the same all the time, in a length that was given say, shows in neither. One of them is
+always there, and its variance is added: a body is weighed by torques whose gains are not exact
+(`identification/torque_gain.py`).
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import numpy as np
 from scipy.stats import norm, t
 
 from ..arrays import FloatArray
+from ..estimate.identified import GAIN_DEVIATION
 from .evidence import Candidate, Evidence, inverse_among, with_own
 from .scored import PARTS
 from .stacked import stacked_effect
@@ -29,7 +32,7 @@ class Intervals:
     """95 % intervals of effects that were fitted together with the base.
 
     Attributes:
-        fit: By effect, (k, k) covariance of its parameters and constants by the whitened fit.
+        fit: By effect, (k, k) covariance of its parameters and constants by the whitened fit and what lasts.
         parts: The same by what parts of the time disagree.
     """
 
@@ -47,11 +50,13 @@ class Intervals:
         # What the reference says of the base is not in these rows; there the fit is believed.
         elsewhere = information - beyond.T @ beyond
         sandwich = inverse @ (blame.T @ blame + elsewhere) @ inverse
+        moved = inverse @ (beyond.T @ _gains(evidence, accepted, values))
+        lasting = moved @ moved.T
         first = 0
         for candidate in accepted:
             own = slice(first, first + len(candidate.held) + len(candidate.constants))
-            self.fit.append(inverse[own, own])
-            self.parts.append(sandwich[own, own])
+            self.fit.append((inverse + lasting)[own, own])
+            self.parts.append((sandwich + lasting)[own, own])
             first = own.stop
 
     def half_width(self, number: int, slope: FloatArray) -> float:
@@ -98,3 +103,13 @@ def _scores(rows: FloatArray, part: np.ndarray) -> FloatArray:
     sums = np.zeros((PARTS, rows.shape[1]))
     np.add.at(sums, part, rows)
     return sums
+
+
+def _gains(evidence: Evidence, accepted: Sequence[Candidate], values: FloatArray) -> FloatArray:
+    """(F, n) whitened torque by which joints' gains are off where bodies are weighed, one standard deviation each."""
+    torque = np.zeros(evidence.rows)
+    for candidate, own in with_own(accepted, values):
+        if candidate.effect.weighs:
+            torque[candidate.stacked.rows] += candidate.stacked.columns @ own
+    joints = np.arange(len(evidence.field.whiteners))
+    return np.asarray(GAIN_DEVIATION * torque[:, None] * (evidence.field.joint[:, None] == joints))

@@ -143,9 +143,9 @@ def prepare_evidence(
         referred = [replace(motion, torque=base.torque(motion)) for motion in examined]
 
     def gathered(base: IdentifiedModel) -> Evidence:
-        scenes = [Scene(base, motions, noise.whiteners) if motions else None for motions in (examined, referred)]
-        assert scenes[0] is not None
-        return Evidence(base, scenes[0], scenes[1])
+        scene = Scene(base, examined, noise.whiteners)
+        other = Scene(base, referred, noise.whiteners) if referred else None
+        return Evidence(base, scene, other, days=_days(healthy, scene, other))
 
     evidence = gathered(base)
     if healthy and _form_is_open(found.start.choices):
@@ -267,6 +267,16 @@ def banded(
     """
     motions = prepare(recordings, joints, wide_hz, average=False)[0] if recordings else []
     return [replace(coarse(motion, cutoff_hz), source=first + motion.source) for motion in motions]
+
+
+def _days(healthy: Sequence[Recording], field: Scene, reference: Scene | None) -> float:
+    """Standard deviation of the field's friction from the reference's, of that from recording to recording.
+
+    None without a recorded reference; nor where temperatures were recorded, whose effect is then one to be found.
+    """
+    if not healthy or reference is None or (field.temperatures_known and reference.temperatures_known):
+        return 0.0
+    return float(np.sqrt(1.0 + 1.0 / len(healthy)))
 
 
 def _form_is_open(choices: Sequence[Choice]) -> bool:

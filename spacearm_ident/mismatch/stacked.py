@@ -15,6 +15,7 @@ from ..dynamics.effects.effect import Effect, direction
 from ..dynamics.friction import bristle_state
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Columns, Values
+from ..noise.between import friction_kinds
 from ..signals.motion import Motion
 from .scene import Scene
 
@@ -128,6 +129,23 @@ def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Eff
     for effect, values in common:
         blocks.append(stacked_effect(scene, effect, values).whole(len(scene)))
     return np.concatenate(blocks, axis=1)
+
+
+def ordinary_friction(base: IdentifiedModel, columns: FloatArray) -> FloatArray:
+    """(R, s) whitened torque by which friction ordinarily differs between two recordings of a healthy arm.
+
+    One standard deviation a column: by joint of what depends on direction, and of what grows with speed.
+
+    Args:
+        base: Base model with its values.
+        columns: (R, p or more) its columns, from `base_columns`.
+    """
+    model, causes = base.model, dict[tuple[str, str, float], list[int]]()
+    for number, (kind, size) in friction_kinds(model).items():
+        if number < len(model.parameters):
+            causes.setdefault((model.parameters[number].joint, kind, size), []).append(number)
+    made = [size * (columns[:, own] @ base.parameters[own]) for (_, _, size), own in causes.items()]
+    return np.stack(made, axis=1) if made else np.zeros((len(columns), 0))
 
 
 def nuisance_scale(base: IdentifiedModel) -> FloatArray:

@@ -31,6 +31,7 @@ class Payload(Effect):
     source: ClassVar[str] = "Khalil, Gautier and Lemoine 2007"
     confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "base_tilt", "harness_spring")
     experiment: ClassVar[str] = "the same motion with the gripper turned by a right angle"
+    weighs: ClassVar[bool] = True
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:

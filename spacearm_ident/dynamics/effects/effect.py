@@ -43,6 +43,8 @@ class Effect(Term):
     """Whether several joints show it for one reason (the arm got warm, the clock is late): one finding then."""
     exact: ClassVar[bool] = False
     """Whether nature has its very equation, so that whatever explains more than it has seen something else."""
+    weighs: ClassVar[bool] = False
+    """Whether its parameters are those of a body: then torque gains that are off are in their intervals."""
     follows: ClassVar[str] = ""
     """What it is a function of at its joint, if of one thing alone: `velocity`, `position`, or `friction_position`,
     which is position times the direction of motion."""
