@@ -130,17 +130,18 @@ class Evidence:
         known_columns = [] if columns is None else [columns]
         stacks = [*known_columns, *(base_columns(base, scene, self.common) for scene in scenes[len(known_columns) :])]
         self.days = days
-        count = 0
+        self._day = 0
         if days > 0.0:
-            day = self._with_day(stacks[0])
-            count = day.shape[1] - stacks[0].shape[1]
-            stacks = [day, *(np.hstack([made, np.zeros((len(made), count))]) for made in stacks[1:])]
+            day = days * ordinary_friction(base, stacks[0])
+            self._day = day.shape[1]
+            elsewhere = [np.zeros((len(made), self._day)) for made in stacks[1:]]
+            stacks = [np.hstack(both) for both in zip(stacks, [day, *elsewhere])]
         prior = make_prior(base.model, [motion for scene in scenes for motion in scene.motions])
         width, known = stacks[0].shape[1], prior.rows.shape[1]
         # Common effects may be as large as they like; this only breaks ties.
         beside = np.full(width - known, 1e-3)
         beside[: self.nuisance] = 1.0 / nuisance_scale(base)
-        beside[width - known - count :] = 1.0
+        beside[width - known - self._day :] = 1.0
         belief = np.zeros((len(prior.rows) + width - known, width))
         belief[: len(prior.rows), :known] = NEARER * prior.rows
         belief[len(prior.rows) :, known:] = np.diag(beside)
@@ -205,18 +206,6 @@ class Evidence:
                 load, friction = load_and_friction(motion)
                 rows = [way(motion, row, friction[:, row]) for row, way in enumerate(ways)]
                 background.with_whole(load + np.stack(rows, axis=1))
-
-    def columns_in(self, scene: Scene) -> FloatArray:
-        """(R, w) columns of the base in a scene of the field's day, as `base_parameters` has their parameters.
-
-        Those of the base model, of nuisance, of common effects, and of how friction differs from the reference's.
-        """
-        return self._with_day(base_columns(self.base, scene, self.common))
-
-    def _with_day(self, columns: FloatArray) -> FloatArray:
-        if self.days == 0.0:
-            return columns
-        return np.hstack([columns, self.days * ordinary_friction(self.base, columns)])
 
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect with given constants as a candidate in the field.
@@ -322,14 +311,14 @@ class Evidence:
         return torque
 
     def base_parameters(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
-        """Parameters for `columns_in` when these effects stand beside the base.
+        """Parameters of the base (nuisance and common effects last) when these effects stand beside it.
 
-        The base's own, of nuisance and of common effects, and by how much the field's friction differs from the
-        reference's.
+        By how much the field's friction differs from the reference's is not among them: in another recording it is
+        another.
         """
         whole = np.zeros(self._width)
         whole[self._used] = solve_triangular(self._triangle, self._beside(candidates, values))
-        return whole
+        return whole[: self._width - self._day]
 
     def base_parameters_without(self, rows: np.ndarray) -> FloatArray:
         """Parameters of the base as fitted to all rows but some of the field's: (F,) true where left out.
@@ -342,7 +331,7 @@ class Evidence:
         whole = np.zeros(self._width)
         inside = np.linalg.lstsq(gram, self._inside - basis.T @ torque, rcond=SINGULAR)[0]
         whole[self._used] = solve_triangular(self._triangle, inside)
-        return whole
+        return whole[: self._width - self._day]
 
     def base_parameters_with(
         self, known: FloatArray, candidates: Sequence[Candidate], values: FloatArray
@@ -359,7 +348,7 @@ class Evidence:
         free = np.concatenate([np.isnan(known), np.ones(self._width - len(known), dtype=bool)])[self._used]
         target = self._beside(candidates, values) - self._triangle[:, ~free] @ whole[self._used[~free]]
         whole[self._used[free]] = np.linalg.lstsq(self._triangle[:, free], target, rcond=None)[0]
-        return whole
+        return whole[: self._width - self._day]
 
     def _beside(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(b,) what these effects leave to the base, in its orthonormal basis."""
@@ -406,7 +395,7 @@ class HeldOut:
     def __init__(self, evidence: Evidence, scene: Scene) -> None:
         self.evidence = evidence
         self.scene = scene
-        self.columns = evidence.columns_in(scene)
+        self.columns = base_columns(evidence.base, scene, evidence.common)
         self.torque = scene.torque()
         self._kept: dict[tuple[int, tuple[float, ...]], tuple[Effect, Stacked]] = {}
 

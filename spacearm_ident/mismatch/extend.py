@@ -14,7 +14,6 @@ from ..estimate.consistency import make_consistent
 from ..regression.prior import make_prior
 from .evidence import Candidate, Evidence
 from .rivals import UNKNOWN
-from .stacked import ordinary_shifts
 
 
 def extended_model(evidence: Evidence, accepted: Sequence[Candidate], values: FloatArray) -> IdentifiedModel:
@@ -33,9 +32,7 @@ def extended_model(evidence: Evidence, accepted: Sequence[Candidate], values: Fl
         removed = np.where(base.model.of_high_order, evidence.in_vacuum[0], np.nan)
         whole = evidence.base_parameters_with(removed, accepted, values)
     scale = make_prior(base.model, evidence.field.motions).scale
-    shifts = evidence.days * ordinary_shifts(base) if evidence.days > 0.0 else np.zeros((count, 0))
-    of_field = whole[:count] + shifts @ whole[len(whole) - shifts.shape[1] :]
-    parameters = np.where(scale > 0, of_field, base.parameters)
+    parameters = np.where(scale > 0, whole[:count], base.parameters)
     parameters = make_consistent(base.model, evidence.base_triangle, parameters, scale)
     structure: Structure = {kind: dict(options) for kind, options in base.model.structure.items()}
     found: list[tuple[Effect, FloatArray, tuple[float, ...]]] = []

@@ -18,7 +18,7 @@ from .evidence import Candidate, Evidence, without_effects
 from .finding import Trace
 from .scene import FEWEST_ROWS, Scene, Whitener
 from .scored import BEST, PARTS
-from .stacked import stacked_effect
+from .stacked import base_columns, stacked_effect
 
 HIGHEST = 0.45
 """Of the sampling rate: where a filter's band ends at the latest."""
@@ -42,7 +42,7 @@ class Residuals:
         self.scene = unwhitened(evidence.base, scene)
         weights = [whitener.weight(*self._rows(j)) for j, whitener in enumerate(plain)]
         self.information = np.concatenate(weights) ** 2
-        self._columns = evidence.columns_in(self.scene)
+        self._columns = base_columns(evidence.base, self.scene, evidence.common)
         self._torque = self.scene.torque()
         self._few = self.scene.by_joint(np.ones(len(self.scene))) < FEWEST_ROWS
 
@@ -54,13 +54,12 @@ class Residuals:
         """(V,) measured minus predicted, N·m.
 
         Args:
-            base: Parameters of the base, as from `Evidence.base_parameters`; those of a reference alone are fewer, as
-                it says nothing of the field's day.
+            base: Parameters of the base, nuisance and common effects last, as from `Evidence.base_parameters`.
             candidates: Effects in the model beside the base.
             values: (k,) their parameters, one candidate after the other.
         """
         return without_effects(
-            self._torque - self._columns[:, : len(base)] @ base,
+            self._torque - self._columns @ base,
             candidates,
             values,
             lambda candidate: stacked_effect(self.scene, candidate.effect, candidate.constants),
