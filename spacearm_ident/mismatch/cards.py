@@ -26,7 +26,10 @@ MOST = 4
 class Cards:
     """Turns an outcome into findings."""
 
-    def __init__(self, evidence: Evidence, residuals: Residuals, outcome: Outcome, floor: FloatArray) -> None:
+    def __init__(
+        self, evidence: Evidence, residuals: Residuals, outcome: Outcome, floor: FloatArray, on_a_day: Evidence
+    ) -> None:
+        """Take what was fitted, and `on_a_day`, the same rows with friction of another day, for the intervals."""
         self.evidence = evidence
         self.residuals = residuals
         self.outcome = outcome
@@ -35,7 +38,7 @@ class Cards:
         counts = [len(candidate.effect.parameters) for candidate in self.accepted]
         self._starts = np.concatenate([[0], np.cumsum(counts)]).astype(int)
         self._field = unwhitened(evidence.base, evidence.field)
-        self._intervals = Intervals(evidence, self.accepted, outcome.refit.values)
+        self._intervals = Intervals(on_a_day, on_a_day.again(self.accepted), outcome.refit.values)
 
     def finding(self, number: int) -> Finding:
         """The card of one accepted effect."""

@@ -207,6 +207,10 @@ class Evidence:
                 rows = [way(motion, row, friction[:, row]) for row, way in enumerate(ways)]
                 background.with_whole(load + np.stack(rows, axis=1))
 
+    def with_days(self, days: float) -> Evidence:
+        """The same rows where friction of the field is another day's: `days` as in the constructor."""
+        return Evidence(self.base, self.field, self.reference, self.common, days=days)
+
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect with given constants as a candidate in the field.
 
@@ -218,6 +222,10 @@ class Evidence:
         """
         stacked = stacked or stacked_effect(self.field, effect, constants)
         return self._candidate(effect, constants, stacked, self._basis[stacked.rows].T @ stacked.columns)
+
+    def again(self, known: Sequence[Candidate]) -> list[Candidate]:
+        """Candidates of the same rows beside another base."""
+        return [self.candidate(one.effect, one.constants, one.stacked) for one in known]
 
     def candidates(self, effect: Effect, points: Iterable[Values]) -> list[Candidate]:
         """The same at many values of its constants: the basis, most of the work, is gone through once."""

@@ -71,6 +71,7 @@ class Prepared:
         cutoff_hz: Bandwidth that was looked at.
         modelled: Whether the reference's torque is a model's, without noise, not a recording's.
         weighted: Whether the residual is what the base lacks, not noise (`noise.weighted`).
+        days: Standard deviation of the field's friction from the reference's, of that from recording to recording.
     """
 
     base: IdentifiedModel
@@ -81,6 +82,7 @@ class Prepared:
     cutoff_hz: float
     modelled: bool = False
     weighted: bool = False
+    days: float = 0.0
 
     def beside(self, effects: Sequence[Candidate]) -> Prepared | None:
         """The same with the noise that is left beside effects, where the field's own residual is what says it.
@@ -145,7 +147,7 @@ def prepare_evidence(
     def gathered(base: IdentifiedModel) -> Evidence:
         scene = Scene(base, examined, noise.whiteners)
         other = Scene(base, referred, noise.whiteners) if referred else None
-        return Evidence(base, scene, other, days=_days(healthy, scene, other))
+        return Evidence(base, scene, other)
 
     evidence = gathered(base)
     if healthy and _form_is_open(found.start.choices):
@@ -155,7 +157,9 @@ def prepare_evidence(
         if in_other_form.in_vacuum[1] < evidence.in_vacuum[1] - GATE:
             base, evidence = other, in_other_form
     held_out = HeldOut(evidence, Scene(base, judged, noise.whiteners)) if judged else None
-    return Prepared(base, evidence, held_out, noise.plain, noise.floor_Nm, cutoff, known is not None, found.weighted)
+    days = _days(healthy, evidence)
+    floor = noise.floor_Nm
+    return Prepared(base, evidence, held_out, noise.plain, floor, cutoff, known is not None, found.weighted, days)
 
 
 @dataclass(frozen=True)
@@ -269,12 +273,13 @@ def banded(
     return [replace(coarse(motion, cutoff_hz), source=first + motion.source) for motion in motions]
 
 
-def _days(healthy: Sequence[Recording], field: Scene, reference: Scene | None) -> float:
+def _days(healthy: Sequence[Recording], evidence: Evidence) -> float:
     """Standard deviation of the field's friction from the reference's, of that from recording to recording.
 
     None without a recorded reference; nor where temperatures were recorded, whose effect is then one to be found.
     """
-    if not healthy or reference is None or (field.temperatures_known and reference.temperatures_known):
+    known = evidence.reference is not None and evidence.reference.temperatures_known
+    if not healthy or (known and evidence.field.temperatures_known):
         return 0.0
     return float(np.sqrt(1.0 + 1.0 / len(healthy)))
 
