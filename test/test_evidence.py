@@ -200,7 +200,8 @@ def candidates_of(evidence):
 class Brute:
     """Everything in one least-squares problem of all rows, base and effects side by side."""
 
-    def __init__(self, evidence):
+    def __init__(self, evidence, shifts=None):
+        """Take evidence, and (F, s) torque that the field alone may have, one standard deviation a column."""
         scenes = [evidence.field, evidence.reference]
         base = np.concatenate([base_columns(evidence.base, scene, ()) for scene in scenes])
         prior = make_prior(evidence.base.model, [motion for scene in scenes for motion in scene.motions])
@@ -211,8 +212,15 @@ class Brute:
         self.columns = np.concatenate([base, belief])
         near = NEARER * prior.rows @ evidence.base.parameters
         self.torque = np.concatenate([*(scene.torque() for scene in scenes), near, np.zeros(beside)])
-        self.used = np.any(self.columns != 0, axis=0)
         self.rows = len(evidence.field)
+        if shifts is not None:
+            count = shifts.shape[1]
+            elsewhere = np.zeros((len(self.columns) - self.rows, count))
+            self.columns = np.hstack([self.columns, np.concatenate([shifts, elsewhere])])
+            of_their_own = np.hstack([np.zeros((count, self.columns.shape[1] - count)), np.eye(count)])
+            self.columns = np.concatenate([self.columns, of_their_own])
+            self.torque = np.concatenate([self.torque, np.zeros(count)])
+        self.used = np.any(self.columns != 0, axis=0)
 
     def solve(self, candidates):
         """Chi-square, base's parameters, effects' values."""
@@ -254,6 +262,31 @@ def test_a_gain_is_the_drop_of_the_sum_of_squares_of_everything_fitted_together(
     np.testing.assert_allclose(found.values, values, rtol=1e-5, atol=1e-7)
     np.testing.assert_allclose(evidence.residual_beside(candidates), residual, atol=1e-5 * np.abs(residual).max())
     assert np.all((found.visibility >= 0) & (found.visibility <= 1 + 1e-9))
+
+
+@pytest.mark.parametrize("chosen", [(1,), (0, 1, 2, 3)])
+def test_friction_of_another_day_is_least_squares_with_shifts_of_the_field_alone(prepared, chosen):
+    """Coulomb friction off by 3 % and viscous by 6 % at each joint, 1.5 times that, beside everything else."""
+    evidence, day = prepared.evidence, prepared.evidence.with_days(1.5)
+    model, columns = evidence.base.model, base_columns(evidence.base, evidence.field, ())
+    sizes = {"f_c": 0.03, "f_b": 0.03, "k_v1": 0.06, "k_v2": 0.06, "k_v3": 0.06}
+    shifts = np.zeros((evidence.rows, 4))
+    for number, parameter in enumerate(model.parameters):
+        if parameter.symbol in sizes:
+            column = 2 * (parameter.joint == "elbow") + parameter.symbol.startswith("k_v")
+            value = evidence.base.parameters[number]
+            shifts[:, column] += 1.5 * sizes[parameter.symbol] * value * columns[:, number]
+    brute = Brute(evidence, shifts)
+    candidates = [candidates_of(evidence)[k] for k in chosen]
+    without, *_ = brute.solve([])
+    squares, _, _, values = brute.solve(candidates)
+    found = day.refit(day.again(candidates))
+    assert found.gain == pytest.approx(without - squares, rel=1e-6, abs=1e-5 * without)
+    np.testing.assert_allclose(found.values, values, rtol=1e-5, atol=1e-7)
+    # What a day may bring is no longer the effect's, and the effect's size is less sure.
+    same = evidence.refit(candidates)
+    assert found.gain < same.gain
+    assert (np.diag(found.covariance) >= np.diag(same.covariance) * (1.0 - 1e-9)).all()
 
 
 def test_in_thin_air_the_field_has_no_friction_of_high_order(prepared):

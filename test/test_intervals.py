@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spacearm_ident.dynamics.term import Constant
+from spacearm_ident.estimate.identified import GAIN_DEVIATION
 from spacearm_ident.mismatch import intervals
 from spacearm_ident.mismatch.intervals import PER_FIT, PER_PARTS, Intervals
 from spacearm_ident.mismatch.scored import PARTS
@@ -19,8 +20,8 @@ LEVEL, WAVE = np.ones(ROWS), np.sin(40.0 * TIME)
 RATE = Constant("rate", "hip", "rad/s", (10.0, 90.0))
 
 
-def fitted(torque, columns, base=LEVEL, held=(), constants=()):
-    """Least squares of base and columns, and their intervals; noise has variance one."""
+def fitted(torque, columns, base=LEVEL, held=(), constants=(), weighs=False):
+    """Least squares of base and columns at one joint, and their intervals; noise has variance one."""
     columns = np.stack(columns, axis=1)
     basis = base[:, None] / np.linalg.norm(base)
     beyond = columns - basis @ (basis.T @ columns)
@@ -30,12 +31,14 @@ def fitted(torque, columns, base=LEVEL, held=(), constants=()):
     residual = torque - basis @ (basis.T @ torque) - beyond @ values
     evidence = SimpleNamespace(
         rows=ROWS,
-        field=SimpleNamespace(part=lambda count: count * np.arange(ROWS) // ROWS),
+        field=SimpleNamespace(
+            part=lambda count: count * np.arange(ROWS) // ROWS, joint=np.zeros(ROWS, int), whiteners=[None]
+        ),
         residual_beside=lambda accepted: residual,
         beyond_base=lambda whole: whole - basis @ (basis.T @ whole),
     )
     candidate = SimpleNamespace(
-        effect=SimpleNamespace(parameters=columns[0], constants=[RATE] * len(constants)),
+        effect=SimpleNamespace(parameters=columns[0], constants=[RATE] * len(constants), weighs=weighs),
         constants=constants,
         held=~free,
         stacked=Stacked(slice(0, ROWS), columns),
@@ -51,6 +54,16 @@ def test_noise_alone_moves_a_value_by_what_the_fit_says():
     assert made.parts[0][0, 0] == pytest.approx(made.fit[0][0, 0], rel=0.8)
     widest = max(PER_FIT * made.fit[0][0, 0] ** 0.5, PER_PARTS * made.parts[0][0, 0] ** 0.5)
     assert made.half_width(0, np.array([-2.0])) == pytest.approx(2.0 * widest)
+
+
+def test_body_is_known_no_better_than_the_gain_of_the_torque_that_weighs_it():
+    """At one joint the gain is in the value as it is: 7 % of it, whatever the noise."""
+    torque = 1000.0 * WAVE + np.random.default_rng(0).standard_normal(ROWS)
+    (mass,), as_recorded = fitted(torque, [WAVE])
+    _, weighed = fitted(torque, [WAVE], weighs=True)
+    added = weighed.fit[0][0, 0] - as_recorded.fit[0][0, 0]
+    assert added == pytest.approx((GAIN_DEVIATION * mass) ** 2)
+    assert weighed.half_width(0, np.ones(1)) > 30.0 * as_recorded.half_width(0, np.ones(1))
 
 
 @pytest.mark.parametrize("unruly", [0.0, 1.0])

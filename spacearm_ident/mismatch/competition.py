@@ -97,8 +97,9 @@ class Competition:
         evidence.fit_reversals(scenes)
         if evidence.reference is not None:
             thin, _ = evidence.in_vacuum
+            resisting = evidence.field.where_high_orders_resist(thin)
             for scene in scenes:
-                scene.set_high_orders(thin)
+                scene.set_high_orders(thin, resisting)
         self._pool = list(self._candidates(excluded))
         self._grids: dict[int, list[Candidate]] = {}
         self._rounds: list[Round] = []
@@ -238,7 +239,7 @@ class Competition:
         named = [s for s in above if s.named]
         generic = next((s for s in above if not s.named), None)
         if named:
-            first = simplest(named)
+            first = self._joint_by_joint(simplest(named), named)
             named = [first, *(s for s in named if s is not first)]
         if generic is None or not named:
             return named[0] if named else generic
@@ -256,6 +257,27 @@ class Competition:
             if gain > NAMED_PAIR * (generic.gain + generic.held_out):
                 return one
         return generic
+
+    def _joint_by_joint(self, first: Scored, named: Sequence[Scored]) -> Scored:
+        """The first, or what explains as much of its joints one by one: the best of these then.
+
+        An effect of several joints is ranked beside effects of one, which explain less of the whole.
+        """
+        effect = first.candidate.effect
+        if not effect.imitated_by or len(effect.joints) < 2:
+            return first
+        best: dict[tuple[str, ...], Scored] = {}
+        for one in named:
+            if one.candidate.effect.kind == effect.imitated_by and set(one.joints) <= set(effect.joints):
+                best.setdefault(one.candidate.effect.joints, one)
+        alone = [one.candidate for one in best.values()]
+        before, all_of_them = self.evidence.refit(self.accepted), [*self.accepted, *alone]
+        after = self.evidence.refit(all_of_them)
+        score = after.gain - before.gain - sum(penalty(one.effect, self.evidence.rows) for one in alone)
+        if self.held_out is not None:
+            score += _squares(self._on_held_out(self.accepted, before.values))
+            score -= _squares(self._on_held_out(all_of_them, after.values))
+        return max(best.values(), key=lambda one: one.score) if best and score > first.score else first
 
     def _values_of(self, scored: Scored) -> FloatArray:
         """Parameters and constants of a candidate beside what is accepted."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import norm
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
@@ -40,10 +41,9 @@ AGAIN = 2
 """Times that the search goes on with a smaller noise, where only what it leaves says how large that is."""
 HOLD_OUT = 0.35
 """Share of every recording that is held out where no recording is given to judge on."""
-BEYOND_A_DAY = 2.0 * float(np.log(len(EFFECTS) / LEVEL))
-"""Weighted squares that an effect must gain where the field's friction may be another day's (`Evidence.with_days`): odds
-of `LEVEL` for the best of so many kinds. Of 25 findings in trials of the blind series, false ones of friction gained 0.4
-to 1.3, true ones 75 and more."""
+BEYOND_A_DAY = float(norm.isf(LEVEL)) ** 2
+"""Weighted squares that an effect must gain where the field's friction may be another day's (`Evidence.with_days`): one
+that is the day's gains so many with a probability of `LEVEL`."""
 UNDETERMINED = (
     "the data do not determine the base model (its normal equations are singular): record a longer run, or a motion of "
     "all joints"

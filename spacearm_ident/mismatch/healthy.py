@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import norm
 
 from ..arrays import FloatArray
-from ..noise.between import PSEUDO_RECORDINGS
+from ..noise.between import day_share
 from .evidence import Evidence
 from .left_out import LEVEL, LeftOut
 from .preparation import Prepared
@@ -104,11 +104,6 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
 
 
 def _another_day(reference: Scene, ordinary_Nm: FloatArray) -> FloatArray:
-    """(n,) RMS that friction adds on another day with a probability of `LEVEL`.
-
-    What it ordinarily differs by counts as `PSEUDO_RECORDINGS` beside the recordings of the reference, which a few
-    days alike would else make too sure.
-    """
-    recordings = len({motion.source for motion in reference.motions})
-    share = PSEUDO_RECORDINGS / (PSEUDO_RECORDINGS + recordings)
+    """(n,) RMS that friction adds on another day with a probability of `LEVEL`."""
+    share = day_share(len({motion.source for motion in reference.motions}))
     return np.asarray(norm.isf(LEVEL) * np.sqrt(share) * np.nan_to_num(ordinary_Nm))

@@ -27,6 +27,7 @@ from ..estimate.identified import Choice, OptionalTerm
 from ..identification.fit import Fit
 from ..identification.identify import Settings, identify
 from ..identification.structure import choose_structure
+from ..noise.between import day_share
 from ..recording.recording import Recording
 from ..regression.held_out import LEVEL, bound, t_of_all
 from ..signals.motion import Motion
@@ -274,14 +275,14 @@ def banded(
 
 
 def _days(healthy: Sequence[Recording], evidence: Evidence) -> float:
-    """Standard deviation of the field's friction from the reference's, of that from recording to recording.
+    """Standard deviation of the field's friction from the reference's, of the ordinary one between recordings.
 
     None without a recorded reference; nor where temperatures were recorded, whose effect is then one to be found.
     """
     known = evidence.reference is not None and evidence.reference.temperatures_known
     if not healthy or (known and evidence.field.temperatures_known):
         return 0.0
-    return float(np.sqrt(1.0 + 1.0 / len(healthy)))
+    return float(np.sqrt(day_share(len(healthy))))
 
 
 def _form_is_open(choices: Sequence[Choice]) -> bool:

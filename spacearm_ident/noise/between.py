@@ -84,6 +84,17 @@ def friction_shifts(
     return np.concatenate(shifts)
 
 
+def day_share(recordings: int) -> float:
+    """Share of the ordinary variance of friction between recordings that is left beside what so many of them show.
+
+    Ordinary variance counts as `PSEUDO_RECORDINGS`, which a few days alike would else make too sure.
+
+    Args:
+        recordings: Recordings of the healthy arm.
+    """
+    return PSEUDO_RECORDINGS / (PSEUDO_RECORDINGS + recordings)
+
+
 def friction_kinds(model: TorqueModel) -> dict[int, tuple[str, float]]:
     """Which factor of friction an unknown belongs to, and how much that ordinarily differs between recordings.
 

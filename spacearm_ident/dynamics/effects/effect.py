@@ -43,6 +43,8 @@ class Effect(Term):
     """Whether several joints show it for one reason (the arm got warm, the clock is late): one finding then."""
     exact: ClassVar[bool] = False
     """Whether nature has its very equation, so that whatever explains more than it has seen something else."""
+    imitated_by: ClassVar[str] = ""
+    """Kind that can follow it joint by joint; then it is that, unless it explains more than all of these together."""
     weighs: ClassVar[bool] = False
     """Whether its parameters are those of a body: then torque gains that are off are in their intervals."""
     follows: ClassVar[str] = ""

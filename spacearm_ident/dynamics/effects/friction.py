@@ -378,6 +378,7 @@ class VacuumFriction(_Friction):
     kind: ClassVar[str] = "vacuum_friction"
     one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "the high-order terms of friction are gone"
+    imitated_by: ClassVar[str] = FrictionDrift.kind
     equation: ClassVar[str] = "-share (k_v2 qd^2 + k_v3 qd^3)"
     source: ClassVar[str] = "paper §2.2.2"
     confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
