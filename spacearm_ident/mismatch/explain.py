@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import norm
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
@@ -27,8 +26,7 @@ from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Happened, Unexplained, joined, unfit
 from .healthy import Healthy, healthy_levels
 from .integrity import faults
-from .judgement import beyond_healthy, contradicted, doubted, harms, shows
-from .left_out import LEVEL
+from .judgement import BEYOND_A_DAY, beyond_healthy, contradicted, doubted, harms, shows
 from .null import exceeds_null
 from .power import would_have_seen
 from .preparation import ChooseStructure, Prepared, prepare_evidence
@@ -41,9 +39,6 @@ AGAIN = 2
 """Times that the search goes on with a smaller noise, where only what it leaves says how large that is."""
 HOLD_OUT = 0.35
 """Share of every recording that is held out where no recording is given to judge on."""
-BEYOND_A_DAY = float(norm.isf(LEVEL)) ** 2
-"""Weighted squares that an effect must gain where the field's friction may be another day's (`Evidence.with_days`): one
-that is the day's gains so many with a probability of `LEVEL`."""
 UNDETERMINED = (
     "the data do not determine the base model (its normal equations are singular): record a longer run, or a motion of "
     "all joints"
@@ -127,7 +122,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     known = np.isfinite(floor)
     if not np.isfinite(rms_before[known]).any():
         return unfit(joints, (*_not_compared(joints, known, rms_before), "record a longer run, or give --validate"))
-    on_a_day = evidence.with_days(prepared.days) if outcome.accepted and prepared.days > 0.0 else evidence
+    on_a_day = evidence.with_days(prepared.days) if prepared.days > 0.0 else evidence
     judge = _Judge(evidence, healthy, dict(zip(joints, rms_before.tolist())), on_a_day)
     while True:
         cards = Cards(evidence, residuals, outcome, floor, on_a_day)
@@ -174,7 +169,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         model=extended_model(evidence, accepted, outcome.refit.values) if accepted else None,
         traces=residuals.traces(before, added),
         cutoff_hz=prepared.cutoff_hz,
-        would_have_seen=would_have_seen(evidence, competition.tried(), findings, healthy, competition.gate),
+        would_have_seen=would_have_seen(evidence, on_a_day, competition.tried(), findings, healthy, competition.gate),
     )
 
 

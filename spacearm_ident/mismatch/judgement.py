@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from scipy.stats import norm
+
 from ..dynamics.effects.body import ExternalContact
 from ..dynamics.effects.effect import Effect
 from .competition import GATE
 from .finding import Alternative, Finding
+from .left_out import LEVEL
 from .rivals import UNKNOWN
 
 NAMES, LAW_LEFT = 0.8, 1.4
@@ -28,6 +31,9 @@ SURE = 5.0
 LEAST = 0.1
 """A finding that lowers the mean square on held-out data by less than this share of the noise's, at all its joints, is
 an error of the base model: of friction near a velocity reversal, say."""
+BEYOND_A_DAY = float(norm.isf(LEVEL)) ** 2
+"""Weighted squares that an effect must gain where the field's friction may be another day's (`Evidence.with_days`): one
+that is the day's gains so many with a probability of `LEVEL`."""
 HARM = 1.02
 """A finding with which the mean square on held-out data is this many times larger is a false one."""
 

@@ -1,10 +1,10 @@
 """Power: for effects that were not found, the size from which they would have been.
 
 What an effect must show to be a finding (`competition.GATE`, `judgement`) is turned round: the smallest size with which
-the field's rows, whitened and beside the base, gain the gate and the penalty, and with which a joint's residual is
-beyond what a healthy arm leaves. An effect of this size is found, unless another explains as much or the held-out data
-do not show it; a smaller one may be, where it exceeds what it seems to be in parts of the reference (`null.py`), which
-is not computed for effects that nothing spoke for.
+the field's rows, whitened and beside the base, gain the gate and the penalty, which is no friction of another day, and
+with which a joint's residual is beyond what a healthy arm leaves. An effect of this size is found, unless another
+explains as much or the held-out data do not show it; a smaller one may be, where it exceeds what it seems to be in
+parts of the reference (`null.py`), which is not computed for effects that nothing spoke for.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ..arrays import FloatArray
 from .evidence import INVISIBLE, UNDERFLOW, Candidate, Evidence
 from .finding import Detectable, Finding
 from .healthy import Healthy
-from .judgement import LEAST
+from .judgement import BEYOND_A_DAY, LEAST
 from .residuals import unwhitened
 from .scored import penalty
 from .stacked import stacked_effect
@@ -25,6 +25,7 @@ from .stacked import stacked_effect
 
 def would_have_seen(
     evidence: Evidence,
+    on_a_day: Evidence,
     tried: Iterable[Sequence[Candidate]],
     findings: Sequence[Finding],
     healthy: Healthy,
@@ -34,6 +35,7 @@ def would_have_seen(
 
     Args:
         evidence: Base, field and reference.
+        on_a_day: The same, with friction of the field that may be another day's.
         tried: Effects that were compared, each at the points of its constants' grids; of several forms of one effect
             at its joints the first is taken.
         findings: What was found; the same effect at one of its joints is left out.
@@ -45,7 +47,7 @@ def would_have_seen(
         would not show at any size that they can have.
     """
     seen = {(finding.effect, joint) for finding in findings for joint in finding.joints}
-    power = _Power(evidence, healthy, gate)
+    power = _Power(evidence, on_a_day, healthy, gate)
     sizes: dict[tuple[str, tuple[str, ...]], Detectable] = {}
     for grid in tried:
         if not grid or (effect := grid[0].effect).event or (effect.kind, effect.joints) in sizes:
@@ -61,8 +63,8 @@ def would_have_seen(
 class _Power:
     """The size of an effect from what its columns add to the field's rows."""
 
-    def __init__(self, evidence: Evidence, healthy: Healthy, gate: float) -> None:
-        self._evidence, self._gate = evidence, gate
+    def __init__(self, evidence: Evidence, on_a_day: Evidence, healthy: Healthy, gate: float) -> None:
+        self._evidence, self._on_a_day, self._gate = evidence, on_a_day, gate
         self._scene = unwhitened(evidence.base, evidence.field)
         self._rows = self._scene.by_joint(np.ones(len(self._scene)))
         # A joint whose noise is not known shows nothing.
@@ -107,7 +109,9 @@ class _Power:
         squares[stacked.rows] = (stacked.columns @ values) ** 2
         with np.errstate(divide="ignore", invalid="ignore"):
             beyond = visibility * self._scene.by_joint(squares) / (self._rows * self._needed)
-        return min(self._by_gate(candidate, values), float(np.max(np.nan_to_num(beyond, posinf=0.0))))
+        (day,) = self._on_a_day.again([candidate])
+        by_day = float(values @ day.gram @ values) / BEYOND_A_DAY
+        return min(self._by_gate(candidate, values), by_day, float(np.max(np.nan_to_num(beyond, posinf=0.0))))
 
 
 def _visibility(candidate: Candidate, values: FloatArray) -> float:
