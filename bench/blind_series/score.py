@@ -42,19 +42,23 @@ NAMES = {
     ("encoder_eccentricity", "amplitude"): "amplitude|eccentricity",
     ("time_delay", "delay"): "delay",
     ("filter_lag", "time_constant"): "time_constant|lag|tau",
-    ("friction_drift", "coulomb_change"): "coulomb",
-    ("friction_drift", "viscous_change"): "viscous",
+    ("friction_drift", "coulomb_change"): "coulomb|df_c",
+    ("friction_drift", "viscous_change"): "viscous|dk_v1",
     ("temperature_friction", "alpha"): "alpha|slope",
     ("load_friction", "mu"): "mu|load|coefficient",
-    ("gear_efficiency", "efficiency"): "efficiency",
+    ("gear_efficiency", "efficiency"): "efficiency|^eta$",
     ("external_contact", "force"): "force",
     ("presliding_hysteresis", "displacement"): "displacement|stroke",
     ("position_friction", "amplitude"): "amplitude",
     ("asymmetric_friction", "half_difference"): "difference|asymmetry",
-    ("stribeck", "velocity"): "velocity|speed",
+    ("stribeck", "velocity"): "velocity|speed|^v_b$",
     ("stribeck", "level"): "level|amplitude|stribeck|f_b",
     ("rotor_coupling", "inertia"): "inertia|coupling",
 }
+
+
+#: truths of which the program states the inverse: torque recorded for true torque, where the law has it the other way
+INVERSE = {("torque_constant", "ratio")}
 
 
 def shares(finding: dict, law: dict) -> bool:
@@ -82,8 +86,11 @@ def intervals(finding: dict, law: dict):
             scale = 1.0 if have == unit or (have in ("", "-") and unit == "1") else FACTOR.get((have, unit))
             if scale is None:
                 continue
-            low, high = sorted(x * scale for x in p["ci95"])
-            yield name, true, p["value"] * scale, low, high
+            value, *ends = (x * scale for x in (p["value"], *p["ci95"]))
+            if (law["name"], name) in INVERSE:
+                value, *ends = (1.0 / x for x in (value, *ends))
+            low, high = sorted(ends)
+            yield name, true, value, low, high
             break
 
 
