@@ -136,6 +136,18 @@ def test_a_link_without_inertia_follows_its_spring_however_it_is_loaded(inertia,
     assert np.isfinite(gap([link, link], np.array([1e-3]), np.array([1e5]), np.array([0.7]))).all()
 
 
+@pytest.mark.filterwarnings("error")
+def test_swing_that_no_stop_holds_has_no_torque_and_leaves_the_others_alone():
+    """A link that its neighbours' motion drives ever faster, beside one that rests on its flank."""
+    load = np.full(4000, 20.0)
+    resting = swung(2.0, load)
+    driven = replace(resting, own_coriolis=np.full(4000, -1e9))
+    both, acceleration = gap([resting, driven], np.array([8e-3]), np.array([1e5]), np.array([0.01]))
+    assert not both[:, 1].any() and not acceleration[:, 1].any()
+    np.testing.assert_allclose(both[:, 0], gap([resting], *np.array([[8e-3], [1e5], [0.01]]))[0][:, 0], atol=1e-6)
+    assert np.abs(both[:, 0]).min() > 3.9e-3
+
+
 @pytest.mark.parametrize("gravity", [0.0, -150.0, 150.0])
 def test_a_link_flies_from_flank_to_flank_as_its_load_and_its_weight_let_it(gravity):
     """To the middle M d'' = F - G d takes it along a parabola, a cosine, or a catenary where it would fall over."""

@@ -391,7 +391,7 @@ class Competition:
         """
         old = self.evidence
         shared = [*old.common, (winner.candidate.effect, winner.candidate.constants)]
-        new = Evidence(old.base, old.field, old.reference, shared, days=old.days)
+        new = Evidence(old.base, old.field, old.reference, shared)
         acts = [name in self._acts_on(winner) for name in old.base.model.arm.joint_names]
         if _left_of_reference(new)[acts].sum() > _left_of_reference(old)[acts].sum():
             return False

@@ -9,11 +9,12 @@ chi-square. Nothing of that needs a row again: Gram matrices of a few columns do
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 
 from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
@@ -23,7 +24,7 @@ from ..regression.prior import make_prior
 from ..signals.motion import Motion
 from .reversals import learnt
 from .scene import Scene, quiet
-from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, ordinary_friction, sharpness, stacked_effect
+from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, ordinary_shifts, sharpness, stacked_effect
 
 INVISIBLE = 1e-12
 """Share of its energy below which what the base leaves of a column is rounding."""
@@ -108,7 +109,6 @@ class Evidence:
         reference: Scene | None,
         common: Sequence[tuple[Effect, tuple[float, ...]]] = (),
         columns: FloatArray | None = None,
-        days: float = 0.0,
     ) -> None:
         """Fit the base.
 
@@ -118,8 +118,6 @@ class Evidence:
             reference: Reference rows, if any.
             common: Effects that reference and field share, each with values of its constants.
             columns: Of the base in the field rows (`base_columns`), where they are known.
-            days: Standard deviation of how the field's friction differs from the reference's, of that by which it
-                ordinarily differs from recording to recording (`ordinary_friction`); 0: it is the same.
         """
         self.base = base
         self.field = field
@@ -129,19 +127,11 @@ class Evidence:
         scenes = [field] if reference is None else [field, reference]
         known_columns = [] if columns is None else [columns]
         stacks = [*known_columns, *(base_columns(base, scene, self.common) for scene in scenes[len(known_columns) :])]
-        self.days = days
-        self._day = 0
-        if days > 0.0:
-            day = days * ordinary_friction(base, stacks[0])
-            self._day = day.shape[1]
-            elsewhere = [np.zeros((len(made), self._day)) for made in stacks[1:]]
-            stacks = [np.hstack(both) for both in zip(stacks, [day, *elsewhere])]
         prior = make_prior(base.model, [motion for scene in scenes for motion in scene.motions])
         width, known = stacks[0].shape[1], prior.rows.shape[1]
         # Common effects may be as large as they like; this only breaks ties.
         beside = np.full(width - known, 1e-3)
         beside[: self.nuisance] = 1.0 / nuisance_scale(base)
-        beside[width - known - self._day :] = 1.0
         belief = np.zeros((len(prior.rows) + width - known, width))
         belief[: len(prior.rows), :known] = NEARER * prior.rows
         belief[len(prior.rows) :, known:] = np.diag(beside)
@@ -152,7 +142,8 @@ class Evidence:
         self._width = width
         self._triangle: FloatArray = np.asarray(np.linalg.qr(stacked[:, self._used], mode="r"))
         basis = solve_triangular(self._triangle, stacked[:, self._used].T, trans="T").T
-        self._basis = basis[: self.rows]
+        # A copy: a view would keep the reference's rows in memory.
+        self._basis = basis[: self.rows] if reference is None else basis[: self.rows].copy(order="K")
         self._inside = basis.T @ torque
         self._squares = float(torque @ torque)
         self.residual: FloatArray = torque[: self.rows] - self._basis @ self._inside
@@ -208,8 +199,29 @@ class Evidence:
                 background.with_whole(load + np.stack(rows, axis=1))
 
     def with_days(self, days: float) -> Evidence:
-        """The same rows where friction of the field is another day's: `days` as in the constructor."""
-        return Evidence(self.base, self.field, self.reference, self.common, days=days)
+        """The same rows where friction of the field is another day's than the reference's.
+
+        Columns that the field alone has, with a prior of their own, join the base: one step of the factorisation more.
+
+        Args:
+            days: Standard deviation of the difference, of the ordinary one between recordings (`ordinary_shifts`).
+        """
+        ordinary = days * ordinary_shifts(self.base)
+        shifts = np.vstack([ordinary, np.zeros((self._width - len(ordinary), ordinary.shape[1]))])[self._used]
+        columns = self._basis @ (self._triangle @ shifts)
+        across = self._basis.T @ columns
+        corner = cholesky(columns.T @ columns + np.eye(columns.shape[1]) - across.T @ across)
+        beyond = solve_triangular(corner, (columns - self._basis @ across).T, trans="T").T
+        slope = columns.T @ (self.residual + self._basis @ self._inside) - across.T @ self._inside
+        inside = solve_triangular(corner, slope, trans="T")
+        other = copy(self)
+        other._basis = np.hstack([self._basis, beyond])
+        other._inside = np.concatenate([self._inside, inside])
+        other._triangle = np.block([[self._triangle, across], [np.zeros((len(corner), len(self._used))), corner]])
+        other._used = np.concatenate([self._used, self._width + np.arange(len(corner))])
+        other._width = self._width + len(corner)
+        other.residual = self.residual - beyond @ inside
+        return other
 
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect with given constants as a candidate in the field.
@@ -319,14 +331,10 @@ class Evidence:
         return torque
 
     def base_parameters(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
-        """Parameters of the base (nuisance and common effects last) when these effects stand beside it.
-
-        By how much the field's friction differs from the reference's is not among them: in another recording it is
-        another.
-        """
+        """Parameters of the base (nuisance and common effects last) when these effects stand beside it."""
         whole = np.zeros(self._width)
         whole[self._used] = solve_triangular(self._triangle, self._beside(candidates, values))
-        return whole[: self._width - self._day]
+        return whole
 
     def base_parameters_without(self, rows: np.ndarray) -> FloatArray:
         """Parameters of the base as fitted to all rows but some of the field's: (F,) true where left out.
@@ -339,7 +347,7 @@ class Evidence:
         whole = np.zeros(self._width)
         inside = np.linalg.lstsq(gram, self._inside - basis.T @ torque, rcond=SINGULAR)[0]
         whole[self._used] = solve_triangular(self._triangle, inside)
-        return whole[: self._width - self._day]
+        return whole
 
     def base_parameters_with(
         self, known: FloatArray, candidates: Sequence[Candidate], values: FloatArray
@@ -356,7 +364,7 @@ class Evidence:
         free = np.concatenate([np.isnan(known), np.ones(self._width - len(known), dtype=bool)])[self._used]
         target = self._beside(candidates, values) - self._triangle[:, ~free] @ whole[self._used[~free]]
         whole[self._used[free]] = np.linalg.lstsq(self._triangle[:, free], target, rcond=None)[0]
-        return whole[: self._width - self._day]
+        return whole
 
     def _beside(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(b,) what these effects leave to the base, in its orthonormal basis."""

@@ -131,21 +131,18 @@ def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Eff
     return np.concatenate(blocks, axis=1)
 
 
-def ordinary_friction(base: IdentifiedModel, columns: FloatArray) -> FloatArray:
-    """(R, s) whitened torque by which friction ordinarily differs between two recordings of a healthy arm.
+def ordinary_shifts(base: IdentifiedModel) -> FloatArray:
+    """(p, s) by how much friction ordinarily differs between two recordings of a healthy arm.
 
-    One standard deviation a column: by joint of what depends on direction, and of what grows with speed.
-
-    Args:
-        base: Base model with its values.
-        columns: (R, p or more) its columns, from `base_columns`.
+    One standard deviation a column: at each joint of what depends on direction, and of what grows with speed.
     """
-    model, causes = base.model, dict[tuple[str, str, float], list[int]]()
-    for number, (kind, size) in friction_kinds(model).items():
-        if number < len(model.parameters):
-            causes.setdefault((model.parameters[number].joint, kind, size), []).append(number)
-    made = [size * (columns[:, own] @ base.parameters[own]) for (_, _, size), own in causes.items()]
-    return np.stack(made, axis=1) if made else np.zeros((len(columns), 0))
+    causes: dict[tuple[str, str], FloatArray] = {}
+    for number, (kind, size) in friction_kinds(base.model).items():
+        if number < len(base.parameters):
+            cause = base.model.parameters[number].joint, kind
+            shift = causes.setdefault(cause, np.zeros(len(base.parameters)))
+            shift[number] = size * base.parameters[number]
+    return np.stack([*causes.values()], axis=1) if causes else np.zeros((len(base.parameters), 0))
 
 
 def nuisance_scale(base: IdentifiedModel) -> FloatArray:

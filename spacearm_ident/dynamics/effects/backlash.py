@@ -67,10 +67,20 @@ def gap(
         columns = [signal.ravel().tolist() for signal in signals]
         flights = [_rattle_alone(half, columns, h) for half in halves.ravel().tolist()]
         deflection, acceleration = np.mean(flights, axis=0).T
-        return deflection[:, None, None], acceleration[:, None, None]
-    flight = _rattle(halves[:, None], signals, h)
-    deflection, acceleration = (np.stack([at.mean(axis=0) for at in signal]) for signal in zip(*flight))
-    return deflection, acceleration
+        return _held_by_its_stops(deflection[:, None, None], acceleration[:, None, None])
+    with np.errstate(over="ignore", invalid="ignore"):
+        flight = _rattle(halves[:, None], signals, h)
+        deflection, acceleration = (np.stack([at.mean(axis=0) for at in signal]) for signal in zip(*flight))
+    return _held_by_its_stops(deflection, acceleration)
+
+
+def _held_by_its_stops(deflection: FloatArray, acceleration: FloatArray) -> FloatArrays:
+    """D and d'' (N, n, p); zero where a link leaves its stops by half a turn, as one may that they cannot hold.
+
+    Such a swing says nothing of a gap: without any torque it explains nothing, and no comparison is lost in infinities.
+    """
+    held = (np.abs(deflection) < np.pi).all(axis=0)
+    return np.where(held, deflection, 0.0), np.where(held, acceleration, 0.0)
 
 
 def _rattle(half: FloatArray, signals: Sequence[FloatArray], h: float) -> list[FloatArrays]:
