@@ -106,19 +106,21 @@ def test_mended_mjcf_predicts_in_mujoco_what_the_model_predicts(file: Path, tmp_
         assert right.position[joint] < 0.2 * wrong.position[joint]
 
 
-def test_mended_urdf_is_run_in_mujoco_beside_the_old_one(file: Path, tmp_path: Path) -> None:
-    """Shapes whose meshes are elsewhere do not keep it from that."""
+@pytest.mark.parametrize("suffix", ["urdf", "sdf"])
+def test_mended_description_is_run_in_mujoco_beside_the_old_one(file: Path, tmp_path: Path, suffix: str) -> None:
+    """Shapes of a URDF whose meshes are elsewhere do not keep it from that, nor that MuJoCo reads no SDF."""
     mujoco_or_skip()
     other = tmp_path / "other.xml"
     other.write_text(mjcf(fore_mass=2.6, damping=0.9, friction=0.3, armature=0.0))
     truth = read_simulation(other).model
     mesh = '<visual><geometry><mesh filename="package://nowhere/link.stl"/></geometry></visual></link>'
-    path = tmp_path / "three.urdf"
-    path.write_text(read_simulation(file).arm.urdf.replace("</link>", mesh))
-    simulation = read_simulation(path)
+    path, old = tmp_path / f"three.{suffix}", read_simulation(file)
     motions, _ = prepare([recorded(other.read_text())], JOINTS)
+    as_sdf = sdf(old.model, nearest(old.model, SDF, motions), [])
+    path.write_text(as_sdf if suffix == "sdf" else old.arm.urdf.replace("</link>", mesh))
+    simulation = read_simulation(path)
     mended = mend(simulation, path, truth, motions)
-    assert mended is not None and mended.closed_loop is not None
+    assert mended is not None and mended.name == f"mended.{suffix}" and mended.closed_loop is not None
     was, now = mended.closed_loop
     for joint in JOINTS:
         assert now.feedback_Nm[joint] < 0.2 * was.feedback_Nm[joint]

@@ -50,15 +50,27 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
         spec, original = _mjcf(mujoco, path, model, fit), mujoco.MjModel.from_xml_path(str(path))
         runs = [follow(mujoco, one, original, motions) for one in (original, spec.compile())]
         return replace(_mended("mended.xml", str(spec.to_xml()), fit), closed_loop=(runs[0], runs[1]))
-    if simulation.format == "sdf":
-        return _mended("mended.sdf", sdf(model, fit, [f"{simulation.source}, mended by spacearm_ident"]), fit)
     dynamics = {joint: (own[DAMPING], own[FRICTION]) for joint, own in fit.values.items()}
-    mended = _mended("mended.urdf", identified_urdf(model, dynamics), fit)
-    original, new = (_urdf_in_mujoco(text, simulation) for text in (path.read_text(), mended.text))
+    text = identified_urdf(model, dynamics)
+    if simulation.format == "sdf":
+        mended = _mended("mended.sdf", sdf(model, fit, [f"{simulation.source}, mended by spacearm_ident"]), fit)
+        if _springs(simulation, fit):
+            return mended
+        # MuJoCo reads no SDF; a URDF holds the same bodies, damping and friction.
+        before = identified_urdf(simulation.model)
+    else:
+        mended, before = _mended("mended.urdf", text, fit), path.read_text()
+    original, new = (_urdf_in_mujoco(one, simulation) for one in (before, text))
     if original is None or new is None:
         return mended
     runs = [follow(mujoco_or_error(), one, original, motions) for one in (original, new)]
     return replace(mended, closed_loop=(runs[0], runs[1]))
+
+
+def _springs(simulation: Simulation, fit: Nearest) -> bool:
+    """Whether a joint has a spring, before or after, which a URDF has no place for."""
+    was = (value for name, value in simulation.values.items() if name.startswith(f"{STIFFNESS}["))
+    return any(was) or any(own.get(STIFFNESS, 0.0) for own in fit.values.values())
 
 
 def _mended(name: str, text: str, fit: Nearest) -> Mended:
