@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
@@ -57,7 +57,7 @@ def spectrum(spectrum: Spectrum, cutoff_hz: float, arm: Arm) -> Markup:
             for axis in (axes.xaxis, axes.yaxis):
                 axis.set_major_locator(LogLocator(numticks=5))
                 axis.set_major_formatter(FuncFormatter(lambda value, _: power_of_ten(value)))
-                axis.set_minor_formatter(NullFormatter())
+                axis.set_minor_locator(NullLocator())
             axes.axvline(cutoff_hz, color=COLOUR["muted"], linewidth=0.8, linestyle="--")
             unit = "(N·m)²/Hz" if joint.revolute else "N²/Hz"
             axes.set_title(short(joint.name, 26))
