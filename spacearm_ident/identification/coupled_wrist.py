@@ -42,7 +42,7 @@ def try_coupling(fit: Fit) -> CouplingTrial | None:
         return None
     if not any(_share(fit, joint) > GOOD for joint in (-2, -1)):
         return None
-    torque = _blocks(fit, [rows.torque for rows in fit.regression.rows])[:, -2:]
+    torque = _torque(fit)
     if ((torque > 0.0).sum(axis=0) < FEWEST_BLOCKS).any():
         return None
     first, last = arm.joint_names[-2:]
@@ -62,13 +62,11 @@ def _share(fit: Fit, joint: int) -> float:
     return float(np.linalg.norm(fit.residuals[joint])) / torque if torque > 0.0 else 0.0
 
 
-def _blocks(fit: Fit, signals: list[FloatArray]) -> FloatArray:
-    """(blocks, n) sums of squares by block of time of a signal of the moving rows of every joint."""
+def _torque(fit: Fit) -> FloatArray:
+    """(blocks, 2) squares of the last two joints' torque, N²·m², summed over their moving rows by block of time."""
     block_of, recording = time_blocks(fit.regression.motions)
-    sums = [
-        np.bincount(rows.group(block_of), signal**2, len(recording))
-        for rows, signal in zip(fit.regression.rows, signals)
-    ]
+    both = fit.regression.rows[-2:]
+    sums = [np.bincount(rows.group(block_of), rows.torque**2, len(recording)) for rows in both]
     return np.asarray(np.column_stack(sums))
 
 

@@ -193,7 +193,7 @@ class _Judge:
         return beyond_healthy(finding, self._before, self._largest) or self._exceeds_null(number, outcome)
 
     def _is_of_the_day(self, number: int, outcome: Outcome) -> bool:
-        """Whether friction of another day would explain one of the effects, about as well."""
+        """Whether friction that ordinarily differs between days explains about as much as one of the effects."""
         if self._on_a_day is self._evidence:
             return False
         own = self._on_a_day.again(outcome.accepted)

@@ -3,9 +3,9 @@
 The whitened fit says how far noise alone moves a value. No law is quite the catalogue's, though, and what it leaves
 is no noise: what one part of the time says of the value and what another does may differ by more. A value's variance
 is the larger of the two: the fit's, and that of the parts' scores (the sandwich of Liang and Zeger 1986, with parts
-as clusters). An error that is the same all the time, in a length that was given say, shows in neither. One of them is
-always there, and its variance is added: a body is weighed by torques whose gains are not exact
-(`identification/torque_gain.py`).
+as clusters). An error that is the same all the time, in a length that was given say, shows in neither. The variance of
+two such errors is added: of friction that ordinarily differs between days, by the evidence (`Evidence.with_days`), and
+of torque gains where a body is weighed (`identification/torque_gain.py`).
 """
 
 from __future__ import annotations
