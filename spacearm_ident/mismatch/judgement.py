@@ -32,8 +32,8 @@ LEAST = 0.1
 """A finding that lowers the mean square on held-out data by less than this share of the noise's, at all its joints, is
 an error of the base model: of friction near a velocity reversal, say."""
 BEYOND_A_DAY = float(norm.isf(LEVEL)) ** 2
-"""Weighted squares that an effect must gain where friction of the field may differ from the reference's as it ordinarily
-does between days (`Evidence.with_days`): such a difference gains so many with a probability of `LEVEL`."""
+"""Weighted squares that an effect must gain where friction of the field may differ from the reference's as it does
+between ordinary days (`Evidence.with_days`): such a difference gains so many with a probability of `LEVEL`."""
 HARM = 1.02
 """A finding with which the mean square on held-out data is this many times larger is a false one."""
 
