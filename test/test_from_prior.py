@@ -74,7 +74,7 @@ def test_intervals_cover_what_they_say(seconds, rate, ar):
         low, high = result.intervals.T
         held = (low <= truth) & (truth <= high)
         inside.append(held[free])
-        decided.extend(held[free & (result.told > 0.5)])
+        decided.extend(held[free & (result.variance_reduction > 0.5)])
     assert 0.93 <= np.mean(inside) <= 0.97
     # What the data decided: some 1500 intervals, twelve or so of them of one run.
     assert len(decided) > 900
@@ -92,11 +92,11 @@ def test_data_that_say_much_say_all():
     result = update([orbit(prior, truth, 1, 60.0, 200.0, 0.0)], prior)
     for name in ("f_c[shoulder]", "k_v1[elbow]"):
         number = names.index(name)
-        assert result.told[number] > 0.99
+        assert result.variance_reduction[number] > 0.99
         assert abs(result.model.parameters[number] - truth[number]) < 4 * result.standard_errors[number] < 0.3
     for name in ("Ixx[shoulder]", "mcy[elbow]"):
         number = names.index(name)
-        assert result.told[number] == pytest.approx(0.0, abs=1e-6)
+        assert result.variance_reduction[number] == pytest.approx(0.0, abs=1e-6)
         assert result.model.parameters[number] == pytest.approx(centre[number], abs=1e-9)
         assert result.standard_errors[number] == pytest.approx(np.sqrt(prior.covariance[number, number]), rel=1e-6)
 
@@ -113,7 +113,7 @@ def test_constants_are_found_where_the_ground_is_far_off():
     result = update([orbit(prior, truth, 1, 30.0, 200.0, 0.0)], replace(prior, covariance=covariance))
     found = np.concatenate([result.model.parameters, result.model.constants])
     misses = np.abs(found - truth)[[number, peak]] / result.standard_errors[[number, peak]]
-    assert result.told[number] > 0.8 and misses.max() < 3.0
+    assert result.variance_reduction[number] > 0.8 and misses.max() < 3.0
 
 
 def test_changes_widen_friction_only_and_f_b_follows_f_c():

@@ -43,8 +43,8 @@ def run(gravity, seed: int = 1, links=THREE_LINKS, seconds: float = 20.0, noise:
     return plant(links, laws, motion, 100.0, tuple(gravity)).recording(noise, seed)
 
 
-def estimated(gravity, choice: str, believed=EARTH, **options) -> tuple[GravityEstimate, object]:
-    arm = arm_from_urdf(urdf_of(options.get("links", THREE_LINKS)), np.array(believed))
+def estimated(gravity, choice: str, stated=EARTH, **options) -> tuple[GravityEstimate, object]:
+    arm = arm_from_urdf(urdf_of(options.get("links", THREE_LINKS)), np.array(stated))
     result = identify([run(gravity, **options)], arm, Settings(5.0, STRUCTURE, gravity=choice))
     return result.environment.gravity, result
 
@@ -96,7 +96,7 @@ def test_a_direction_that_is_quite_wrong_is_found():
 
 def test_what_no_joint_feels_stays_as_it_was_believed():
     """The planar arm does not feel gravity along its axes."""
-    found, result = estimated((0.0, 0.0, 0.0), VECTOR, links=TWO_LINKS, believed=(0.0, 0.3, -9.81))
+    found, result = estimated((0.0, 0.0, 0.0), VECTOR, links=TWO_LINKS, stated=(0.0, 0.3, -9.81))
     assert list(found.seen) == [True, False, True] and found.errors[1] == pytest.approx(10.0, rel=0.01)
     assert any("y not excited, from the prior" in note for note in result.notes)
 

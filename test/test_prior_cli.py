@@ -89,9 +89,9 @@ def test_the_result_says_what_is_the_datas_and_what_the_priors(folder):
     assert float(weighed["standard_error"]) < 0.05
     assert weighed["determined_by"] == "from the prior"
     result = load_result(out)
-    told = {move.name: move for move in result.identified.moves}
-    assert told["f_c[shoulder]"].before == pytest.approx(5.0, abs=0.3)
-    assert told["f_c[shoulder]"].told > 0.95 and told["f_c[shoulder]"].deviations < -0.4
+    moves = {move.name: move for move in result.identified.moves}
+    assert moves["f_c[shoulder]"].before == pytest.approx(5.0, abs=0.3)
+    assert moves["f_c[shoulder]"].variance_reduction > 0.95 and moves["f_c[shoulder]"].deviations < -0.4
     page = (out / "report.html").read_text()
     assert "Since the prior" in page and "f_c[shoulder]" in page
     assert not result.validation.held_out and str(folder / "ground") in page

@@ -298,9 +298,9 @@ def _levels(model: IdentifiedModel, motions: Sequence[Motion], residuals: Sequen
         found, weight = _offsets(columns, residual + motion.reduce(slopes.torque(motion, kinds)), motion)
         offset[motion.source] += found * weight
         information[motion.source] += weight
-    told = information > 0.0
-    level[told] = (start + offset / np.where(told, information, 1.0))[told]
-    error[told] = 1.0 / np.sqrt(information[told])
+    informed = information > 0.0
+    level[informed] = (start + offset / np.where(informed, information, 1.0))[informed]
+    error[informed] = 1.0 / np.sqrt(information[informed])
     for run in range(runs):
         known = [motion.temperature for motion in motions if motion.source == run and motion.temperature is not None]
         if known:

@@ -63,18 +63,18 @@ def _gone(adaptation: Adaptation) -> bool:
 
 
 def _gravity(adaptation: Adaptation) -> Cause:
-    before, told = adaptation.ground.model.arm.gravity, adaptation.weightless.model.arm.gravity
+    before, stated = adaptation.ground.model.arm.gravity, adaptation.weightless.model.arm.gravity
     found, error = adaptation.gravity, adaptation.gravity_error
     known = np.isfinite(found)
     if not known.any():
         return Cause("gravity", None, "no joint of this arm feels gravity in these runs")
-    off = np.abs(found - told)[known]
+    off = np.abs(found - stated)[known]
     seen = ", ".join(with_error(x, e) if np.isfinite(x) else "not felt" for x, e in zip(found, error))
     apart = float(np.max(np.abs(found - before)[known] / np.maximum(error[known], 1e-12)))
-    text = f"set to {_vector(told)} m/s²; the torque itself says ({seen})"
+    text = f"set to {_vector(stated)} m/s²; the torque itself says ({seen})"
     if bool(((off > CLEAR * error[known]) & (off > GRAVITY_m_s2)).any()):
         return Cause("gravity", None, f"{text}, which is not that: check the gravity that was set")
-    if np.allclose(before, told):
+    if np.allclose(before, stated):
         return Cause("gravity", False, f"{text}, as on the ground")
     far = f"{apart:.0f}" if apart < 1000.0 else "more than a thousand"
     return Cause("gravity", True, f"{text}; the ground's {_vector(before)} is {far} standard errors away")

@@ -54,7 +54,7 @@ SMALLEST_EIGENVALUE = 1e-12
 
 @dataclass(frozen=True)
 class GroundPrior:
-    """What is believed before: values, and their covariance (p + c, p + c) over parameters, then constants.
+    """The prior: values, and their covariance (p + c, p + c) over parameters, then constants.
 
     `source` says where it is from.
     """
@@ -117,7 +117,7 @@ class Updated:
     Attributes:
         model: Posterior mean.
         covariance: (p + c, p + c) of parameters and constants.
-        told: (p + c,) share of the prior's variance that the data took away: 0 is all prior, 1 all data.
+        variance_reduction: (p + c,) share of the prior's variance that the data took away: 0 is all prior, 1 all data.
         noise_Nm: (n,) standard deviation of a row.
         effective_rows: (n,) rows over their correlation time.
         freedom: (n,) degrees of freedom of what the data say of a joint.
@@ -131,7 +131,7 @@ class Updated:
 
     model: IdentifiedModel
     covariance: FloatArray
-    told: FloatArray
+    variance_reduction: FloatArray
     noise_Nm: FloatArray
     effective_rows: FloatArray
     freedom: FloatArray
@@ -156,7 +156,7 @@ class Updated:
         least = self.freedom.min()
         freedom = [self.freedom[joints.index(joint)] if joint in joints else least for joint in places]
         normal = float(student.ppf(0.975, np.inf))
-        return np.asarray(normal + self.told * (student.ppf(0.975, np.array(freedom)) - normal))
+        return np.asarray(normal + self.variance_reduction * (student.ppf(0.975, np.array(freedom)) - normal))
 
     @property
     def intervals(self) -> FloatArray:
@@ -177,7 +177,7 @@ def update(
 
     Args:
         recordings: As short as a second each, five together are enough as a rule; joints as the model's.
-        ground: Prior, under the gravity that there is, or that is believed.
+        ground: Prior, under the gravity that there is, or that is stated.
         changes: Room for changes since, by symbol; `CHANGES` where None.
         cutoff_hz: Bandwidth; the ground model's where None.
         gravity: How gravity is estimated, one of `gravity.GRAVITY_CHOICES`; empty: it is not.
@@ -210,10 +210,10 @@ def update(
 
 @dataclass(frozen=True)
 class _Field:
-    """Gravity as an unknown: one of `GRAVITY_CHOICES`, what is believed (3,), the parameters with the masses."""
+    """Gravity as an unknown: one of `GRAVITY_CHOICES`, what is stated (3,), the parameters with the masses."""
 
     choice: str
-    believed: FloatArray
+    stated: FloatArray
     parameters: FloatArray
 
 
@@ -244,7 +244,7 @@ def _linear_update(
     rank, ways, expected = factor.shape[1], np.zeros((3, 0)), np.zeros(0)
     if field is not None:
         ways = tangents(model.arm.gravity, field.choice)
-        expected = ways.T @ (field.believed - model.arm.gravity)
+        expected = ways.T @ (field.stated - model.arm.gravity)
         for joint, weight in enumerate(weight_columns(gravity_columns(regression), model, field.parameters)):
             targets[joint] = targets[joint] - weight @ ways @ expected
             matrices[joint] = np.column_stack([matrices[joint], GRAVITY_SCALE * weight @ ways])
@@ -253,7 +253,7 @@ def _linear_update(
     departure = factor @ mean[:rank]
     covariance = factor @ spread[:rank, :rank] @ factor.T * np.outer(unit, unit)
     before = np.diag(wider.covariance)
-    told = 1.0 - np.diag(covariance) / np.where(before > 0, before, 1.0)
+    reduction = 1.0 - np.diag(covariance) / np.where(before > 0, before, 1.0)
     count = len(ground.parameters)
     values = replace(
         ground,
@@ -265,14 +265,14 @@ def _linear_update(
     if field is not None:
         vector = model.arm.gravity + ways @ (expected + GRAVITY_SCALE * mean[rank:])
         if field.choice == DIRECTION:
-            vector = vector * np.linalg.norm(field.believed) / np.linalg.norm(vector)
+            vector = vector * np.linalg.norm(field.stated) / np.linalg.norm(vector)
         spread_of = GRAVITY_SCALE**2 * ways @ spread[rank:, rank:] @ ways.T
-        found = gravity_result(vector, field.believed, spread_of, field.choice, float(result.freedom.sum()))
+        found = gravity_result(vector, field.stated, spread_of, field.choice, float(result.freedom.sum()))
         values = replace(values, model=TorqueModel(model.arm.with_gravity(vector), model.structure))
     return Updated(
         values,
         covariance,
-        np.where(before > 0, told, 0.0),
+        np.where(before > 0, reduction, 0.0),
         result.sigma,
         result.effective_rows,
         result.freedom,

@@ -24,7 +24,7 @@ from ..recording.recording import Recording
 from ..regression.prior import WIDENING
 from .from_prior import GroundPrior, Updated, update
 
-TOLD = 0.5
+REDUCED = 0.5
 """Share of the prior's variance the data must take away for a value to be theirs."""
 HELD_SHARE = 1e-6
 """An inertial the prior is certain of may move by this share of its CAD scale, for consistency's sake."""
@@ -44,7 +44,7 @@ def identify_from_prior(
 
     Args:
         recordings: Each with every joint of the model; a few seconds in all are enough.
-        ground: Prior, under the gravity that there is, or that is believed.
+        ground: Prior, under the gravity that there is, or that is stated.
         cutoff_hz: Bandwidth; the ground model's where None.
         gravity: How gravity is estimated, one of `gravity.GRAVITY_CHOICES`; empty: it is not.
         provenance: Kept in the model file.
@@ -59,8 +59,8 @@ def identify_from_prior(
     values = _consistent(model, result)
     base = base_parameters(model)
     errors = base.errors(result.covariance)
-    # Seen is here what the data told more of than the prior did.
-    scale = result.before[:count] * np.sqrt(1.0 - TOLD) / SEEN_SHARE
+    # Seen is here what the data determine better than the prior did.
+    scale = result.before[:count] * np.sqrt(1.0 - REDUCED) / SEEN_SHARE
     freedom = dict(zip(model.arm.joint_names, map(float, result.freedom)))
     environment = Environment(
         judge_vacuum(model.parameters, result.model.parameters, result.covariance, scale, freedom),
@@ -122,9 +122,9 @@ def _estimates(result: Updated, values: FloatArray) -> tuple[Estimate, ...]:
                 Estimate(item.symbol, item.joint, item.unit, value, float("nan"), Determination.FIXED, note)
             )
             continue
-        told = float(result.told[k])
-        kind = Determination.DATA if told > TOLD else Determination.PRIOR
-        note = f"the data took {told:.0%} of the prior's variance"
+        reduction = float(result.variance_reduction[k])
+        kind = Determination.DATA if reduction > REDUCED else Determination.PRIOR
+        note = f"the data took {reduction:.0%} of the prior's variance"
         estimates.append(Estimate(item.symbol, item.joint, item.unit, value, error, kind, note, float(factors[k])))
     return tuple(estimates)
 
@@ -138,18 +138,20 @@ def _moves(ground: GroundPrior, result: Updated, values: FloatArray) -> tuple[Mo
     model = result.model.model
     was = np.concatenate([ground.model.parameters, ground.model.constants])
     now = np.concatenate([values, result.model.constants])
-    errors = result.standard_errors
+    columns = np.column_stack([was, result.before, now, result.standard_errors, result.variance_reduction])
     return tuple(
-        Move(item.name, item.unit, *(float(x) for x in (was[k], result.before[k], now[k], errors[k], result.told[k])))
+        Move(item.name, item.unit, *columns[k].tolist())
         for k, item in enumerate(_unknowns(model))
         if result.before[k] > 0
     )
 
 
 def _notes(ground: GroundPrior, result: Updated, moves: Sequence[Move]) -> tuple[str, ...]:
-    told = sum(move.told > TOLD for move in moves)
+    decided = sum(move.variance_reduction > REDUCED for move in moves)
     source = f" {ground.source}" if ground.source else ""
-    lines = [f"updated the prior model{source}: the data decided {told} of {len(moves)} values, the prior the others"]
+    lines = [
+        f"updated the prior model{source}: the data decided {decided} of {len(moves)} values, the prior the others"
+    ]
     joints = result.model.model.arm.joint_names
     figures = [
         f"{joint} {before:.3g} to {after:.3g}"

@@ -157,9 +157,9 @@ def _orders(arm: Arm) -> list[tuple[int, ...]]:
 
 
 def _gravities(arm: Arm) -> list[FloatArray]:
-    """Gravity along the axes of the base frame but the one believed, and none."""
+    """Gravity along the axes of the base frame but the stated one, and none."""
     size = float(np.linalg.norm(arm.gravity)) or 9.81
-    believed = arm.gravity / size
+    stated = arm.gravity / size
     axes = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
-    others = [size * axis for axis in axes if axis @ believed < 0.99]
+    others = [size * axis for axis in axes if axis @ stated < 0.99]
     return [*others, np.zeros(3)] if arm.gravity.any() else others

@@ -306,10 +306,10 @@ def _apart(found: Sequence[Scored]) -> list[Scored]:
     return kept
 
 
-def tilted(believed: FloatArray, gravity: FloatArray) -> bool:
+def tilted(stated: FloatArray, gravity: FloatArray) -> bool:
     """Whether one gravity is another by size, or by at least `LEAST_TILT_RAD`."""
-    sizes = float(np.linalg.norm(believed) * np.linalg.norm(gravity))
-    return bool(sizes == 0.0 or believed @ gravity < np.cos(LEAST_TILT_RAD) * sizes)
+    sizes = float(np.linalg.norm(stated) * np.linalg.norm(gravity))
+    return bool(sizes == 0.0 or stated @ gravity < np.cos(LEAST_TILT_RAD) * sizes)
 
 
 def is_testable(scorer: Scorer, start: Scored, change: Change) -> bool:
@@ -447,7 +447,7 @@ def reduced(scorer: Scorer, here: Scored, along: FloatArray) -> tuple[FloatArray
 
 
 def tilts(scorer: Scorer, start: Scored) -> list[Scored]:
-    """Gravity that explains best what is left, of the size believed: a base mounted at any angle."""
+    """Gravity that explains best what is left, of the size stated: a base mounted at any angle."""
     size = float(np.linalg.norm(start.setup.gravity))
     if size == 0.0:
         return []

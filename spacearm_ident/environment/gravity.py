@@ -7,10 +7,10 @@ Torque is linear in gravity and linear in the masses, not in both:
 Y_0 the regressor without gravity, Y_k the torque of unit gravity along an axis. All columns of it are compressed
 once, Y_k x as one column for each product of a component with a mass or first moment; then a search over the three
 components, with the exact x at every trial (variable projection, as in `separable.py`), costs milliseconds. It starts
-from what is believed, from zero and from the six axes, so that a belief that is quite wrong does not hold it.
+from the stated gravity, from zero and from the six axes, so that one stated quite wrongly does not hold it.
 
 What tells the size: masses and first moments act inertially, too. On the ground that is little beside their weight,
-and the standard error says so; the direction is what one estimates there. Each component is believed at the arm's, give
+and the standard error says so; the direction is what one estimates there. Each component has a prior at the arm's, give
 or take `GRAVITY_SCALE`, so that one that no motion reveals stays there.
 """
 
@@ -127,7 +127,7 @@ def estimate_gravity(
     solution: Solution,
     columns: list[tuple[list[int], FloatArray]],
     choice: str,
-    believed: FloatArray,
+    stated: FloatArray,
 ) -> FloatArray:
     """The gravity that fits best, masses and all other linear parameters fitted with it.
 
@@ -137,13 +137,13 @@ def estimate_gravity(
         solution: Its constants are kept.
         columns: From `gravity_columns`.
         choice: One of `GRAVITY_CHOICES`.
-        believed: (3,) gravity before any data, m/s^2.
+        stated: (3,) gravity before any data, m/s^2.
 
     Returns:
         (3,) m/s^2 in the base frame.
     """
     matrix, weight, vector = _compressed(regression, prior, solution, columns)
-    here, size = regression.model.arm.gravity, float(np.linalg.norm(believed))
+    here, size = regression.model.arm.gravity, float(np.linalg.norm(stated))
 
     def gravity_of(point: FloatArray) -> FloatArray:
         return point if choice == VECTOR else size * point / max(float(np.linalg.norm(point)), 1e-12)
@@ -153,7 +153,7 @@ def estimate_gravity(
         whole = matrix + np.tensordot(gravity - here, weight, axes=1)
         free = lstsq(whole[:, prior.free], vector - prior.fixed_part(whole), lapack_driver="gelsy")[0]
         left = whole[:, prior.free] @ free + prior.fixed_part(whole) - vector
-        return np.concatenate([left, (gravity - believed) / GRAVITY_SCALE])
+        return np.concatenate([left, (gravity - stated) / GRAVITY_SCALE])
 
     length = size or -EARTH[2]
     starts = [here, *(sign * length * axis for sign, axis in itertools.product((1.0, -1.0), np.eye(3)))]
@@ -199,13 +199,13 @@ def _compressed(
 
 
 def gravity_result(
-    gravity: FloatArray, believed: FloatArray, covariance: FloatArray, choice: str, freedom: float
+    gravity: FloatArray, stated: FloatArray, covariance: FloatArray, choice: str, freedom: float
 ) -> GravityEstimate:
     """The estimate with its covariance and the test against zero.
 
     Args:
         gravity: (3,) estimate in the base frame, m/s².
-        believed: (3,) gravity before any data, m/s².
+        stated: (3,) gravity before any data, m/s².
         covariance: (3, 3) of the estimate, (m/s²)².
         choice: One of `GRAVITY_CHOICES`. Only `VECTOR` is tested against zero; otherwise the p value is 0.
         freedom: Degrees of freedom of the residual.
@@ -214,7 +214,7 @@ def gravity_result(
     if choice == VECTOR:
         p_zero = wald(gravity, covariance, freedom)[1]
     plain = tuple(tuple(float(value) for value in row) for row in covariance)
-    return GravityEstimate(tuple(map(float, gravity)), plain, tuple(map(float, believed)), choice == DIRECTION, p_zero)
+    return GravityEstimate(tuple(map(float, gravity)), plain, tuple(map(float, stated)), choice == DIRECTION, p_zero)
 
 
 def is_zero(found: GravityEstimate) -> bool:

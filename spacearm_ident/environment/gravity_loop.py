@@ -48,14 +48,14 @@ class GravityLoop(Generic[F]):
 
     Attributes:
         choice: One of `gravity.GRAVITY_CHOICES`; empty: it is not.
-        believed: (3,) before any data, m/s^2.
+        stated: (3,) before any data, m/s^2.
         refit: Fits a model again, its constants refined from those of a fit, or searched anew.
         covariance: Of a fit's unknowns and of further ones, given by their columns (M, d) a joint, numbered last.
         freedom: Effective rows of a fit beyond its unknowns.
     """
 
     choice: str
-    believed: FloatArray
+    stated: FloatArray
     refit: Callable[[TorqueModel, F | None], F]
     covariance: Callable[[F, Sequence[FloatArray]], FloatArray]
     freedom: Callable[[F], float]
@@ -66,7 +66,7 @@ class GravityLoop(Generic[F]):
             return fit
         columns = gravity_columns(fit.regression)
         for _ in range(ROUNDS):
-            found = estimate_gravity(fit.regression, fit.prior, fit.solution, columns, self.choice, self.believed)
+            found = estimate_gravity(fit.regression, fit.prior, fit.solution, columns, self.choice, self.stated)
             moved = float(np.linalg.norm(found - fit.regression.model.arm.gravity))
             fit = self._under(fit, found, moved > NEAR)
             if moved < STAYS:
@@ -101,4 +101,4 @@ class GravityLoop(Generic[F]):
         ways = tangents(gravity, self.choice)
         count = ways.shape[1]
         spread = ways @ self.covariance(fit, self.further(fit))[-count:, -count:] @ ways.T
-        return gravity_result(gravity, self.believed, spread, self.choice, self.freedom(fit))
+        return gravity_result(gravity, self.stated, spread, self.choice, self.freedom(fit))

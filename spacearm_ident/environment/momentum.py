@@ -37,7 +37,7 @@ from ..signals.motion import Motion
 ROUNDS = 2
 """Of instruments made with the last estimate."""
 VAGUE = 100.0
-"""The prior believes the base's mass known to so many times its CAD mass or the arm's, about a metre from its frame."""
+"""Standard deviation of the base's mass before the data, times its CAD mass or the arm's, a metre from its frame."""
 HAC_S = 0.3
 """Lag up to which residuals may be correlated, s: a period and a half of the narrowest bandwidth."""
 SMOOTH_S = 0.25
@@ -126,18 +126,18 @@ def _columns(arm: Arm, q: FloatArray, qd: FloatArray, qdd: FloatArray, base: Bas
 
 def _fit(balances: Sequence[_Balance], arm: Arm, known: FloatArray) -> _Fit:
     """Least squares, then instrumental variables, rows weighted by their residuals."""
-    believed = base_inertial(arm)
-    mass = VAGUE * max(believed[0], float(arm_mass) if (arm_mass := known[::10].sum()) > 0 else 1.0)
+    cad = base_inertial(arm)
+    mass = VAGUE * max(cad[0], float(arm_mass) if (arm_mass := known[::10].sum()) > 0 else 1.0)
     prior = np.eye(10) / mass**2
     caused = [-np.einsum("kpt,p->kt", rows.arm, known) for rows in balances]
     weight = 1.0 / _rms(caused)
     instruments = [rows.base for rows in balances]
-    values = believed
+    values = cad
     for number in range(ROUNDS + 1):
         if number:
             whole = np.concatenate([values, known])
             instruments = [_predicted(arm, rows, whole) for rows in balances]
-        hessian, target = prior.copy(), prior @ believed
+        hessian, target = prior.copy(), prior @ cad
         for made, rows, force in zip(instruments, balances, caused):
             weighted = made * weight[:, None, None] ** 2
             hessian += np.einsum("kit,kjt->ij", weighted, rows.base)

@@ -95,7 +95,7 @@ def judge_vacuum(
         parameters: (p,) of the model.
         values: (p,) estimates before any bound was imposed.
         covariance: (p or more, p or more).
-        scale: (p,) what was believed before; a standard error near it means that the data say nothing.
+        scale: (p,) standard deviations of the prior; a standard error near it means that the data say nothing.
         freedom: Effective rows beyond the columns, by joint.
 
     Returns:
@@ -138,7 +138,7 @@ class GravityEstimate:
     Attributes:
         vector: (3,) what the model goes on with.
         covariance: (3, 3), the masses unknown as they are.
-        before: (3,) what was believed.
+        before: (3,) the stated gravity.
         size_held: Only the direction was estimated.
         p_zero: p value of the hypothesis that there is none.
     """
@@ -169,12 +169,12 @@ class GravityEstimate:
 
     @property
     def tilt_deg(self) -> tuple[float, float] | None:
-        """Angle from what was believed, and the largest standard error of the direction; None without a direction."""
+        """Angle from the stated gravity, and the largest standard error of the direction; None without a direction."""
         vector, before = np.array(self.vector), np.array(self.before)
-        size, believed = np.linalg.norm(vector), np.linalg.norm(before)
-        if size == 0 or believed == 0:
+        size, stated = np.linalg.norm(vector), np.linalg.norm(before)
+        if size == 0 or stated == 0:
             return None
-        along, was = vector / size, before / believed
+        along, was = vector / size, before / stated
         across = (np.eye(3) - np.outer(along, along)) / size
         spread = np.linalg.eigvalsh(across @ np.array(self.covariance) @ across.T)[-1]
         angle = np.arctan2(np.linalg.norm(np.cross(was, along)), was @ along)

@@ -135,7 +135,7 @@ class Move:
         name, unit: What it is.
         before, spread: Prior mean and standard deviation, room for changes since included.
         after, standard_error: Posterior.
-        told: Share of the prior's variance that the data took away: 0 is all prior, 1 all data.
+        variance_reduction: Share of the prior's variance that the data took away: 0 is all prior, 1 all data.
     """
 
     name: str
@@ -144,7 +144,7 @@ class Move:
     spread: float
     after: float
     standard_error: float
-    told: float
+    variance_reduction: float
 
     @property
     def deviations(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from ..bayes.updated import TOLD
+from ..bayes.updated import REDUCED
 from ..estimate.identified import Identified
 from ..results.provenance import EPOCH, FITTED, OPTIONS, RECORDED, VALIDATED
 from .markup import Markup, element, join, measured, number, unit_text
@@ -61,9 +61,9 @@ def since_the_prior(identified: Identified) -> Markup | None:
             element("td", measured(move.before, move.spread)),
             element("td", measured(move.after, move.standard_error)),
             element("td", f"{move.deviations:+.2f}"),
-            element("td", f"{move.told:.0%}"),
+            element("td", f"{move.variance_reduction:.0%}"),
             element("td", unit_text(move.unit), class_="text"),
-            class_=None if move.told > TOLD else "minor",
+            class_=None if move.variance_reduction > REDUCED else "minor",
         )
         for move in sorted(identified.moves, key=lambda move: -abs(move.deviations))
     ]

@@ -210,6 +210,11 @@ def _choice(item: dict[str, Any]) -> Choice:
     return Choice(item["term"], float(item["gain"]), item["accepted"], kind, item.get("joint", ""))
 
 
+def _move(item: dict[str, Any]) -> Move:
+    """What an update made of a value; results of before 27 November 2026 call its variance reduction `told`."""
+    return Move(**{"variance_reduction" if key == "told" else key: value for key, value in item.items()})
+
+
 def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> Result:
     given = data["bandwidth"]
     hertz = {key: float(given[key]) for key in ("cutoff_hz", "crossing_hz", "dynamic_hz")}
@@ -227,7 +232,7 @@ def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> R
         joints_at_rest=tuple(data["joints_at_rest"]),
         notes=tuple(data["notes"]),
         environment=Environment.from_dict(data.get("environment", {})),
-        moves=tuple(Move(**move) for move in data.get("moves", ())),
+        moves=tuple(_move(item) for item in data.get("moves", ())),
         base_body=_base_body(data.get("base_body")),
         **{name: arrays[name] for name in ("base_values", "base_errors", "covariance", "residual_sigma_Nm", "rows")},
     )
