@@ -17,6 +17,11 @@ from ..friction import excess_temperature
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, known_joints, nothing, own
 
+MOST_PER_K = 0.004
+"""Most that a torque constant changes with the temperature of its winding, 1/K: remanence falls by 0.0009 to 0.0013 of
+itself (NdFeB) or by 0.002 (ferrite), and twice that covers a joint's temperature that follows its winding's by half.
+What changes more is friction, which may halve in 50 K."""
+
 
 @dataclass(frozen=True)
 class TorqueConstant(Effect):
@@ -42,7 +47,8 @@ class TorqueConstant(Effect):
         """At one joint."""
         joint = known_joint(arm, place)
         if place.get("of", "level") == "temperature":
-            return cls((Parameter("error_per_K", joint, "1/K", scale=0.01, lower=-0.02, upper=0.02),), place=place)
+            most = MOST_PER_K
+            return cls((Parameter("error_per_K", joint, "1/K", scale=most, lower=-most, upper=most),), place=place)
         return cls((Parameter("error", joint, "1", scale=0.3, lower=-0.6, upper=0.6),), place=place)
 
     @property

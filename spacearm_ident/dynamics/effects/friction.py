@@ -183,7 +183,8 @@ class GearEfficiency(_Friction):
         """At one joint."""
         joint = known_joint(arm, place)
         share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
-        grid = (0.6, 0.7, 0.76, 0.82, 0.86, 0.9, 0.93, 0.955, 0.975, 0.988, 0.995, 0.999)
+        # Strain-wave gears at low load or in the cold have less than one half.
+        grid = (0.35, 0.43, 0.51, 0.6, 0.7, 0.76, 0.82, 0.86, 0.9, 0.93, 0.955, 0.975, 0.988, 0.995, 0.999)
         return cls((share,), (Constant("eta", joint, "1", grid),), place=place)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
