@@ -97,9 +97,8 @@ class Competition:
         evidence.fit_reversals(scenes)
         if evidence.reference is not None:
             thin, _ = evidence.in_vacuum
-            resisting = evidence.field.where_high_orders_resist(thin)
             for scene in scenes:
-                scene.set_high_orders(thin, resisting)
+                scene.set_high_orders(thin)
         self._pool = list(self._candidates(excluded))
         self._grids: dict[int, list[Candidate]] = {}
         self._rounds: list[Round] = []

@@ -285,23 +285,10 @@ class Scene:
                 stacked[self.slot(j, m)] = self.whiten(j, m, motion.torque_rows[:, [j]])[:, 0]
         return stacked
 
-    def where_high_orders_resist(self, parameters: FloatArray) -> np.ndarray:
-        """(n,) whether friction of second and third order with these base parameters (p,) takes power from a joint."""
-        power = [
-            (self.model.high_orders(motion, parameters) * motion.velocity).sum(axis=0) / motion.rate_hz
-            for motion in self.motions
-        ]
-        return np.asarray(np.sum(power, axis=0) > 0.0)
-
-    def set_high_orders(self, parameters: FloatArray, present: np.ndarray) -> None:
-        """Friction terms of second and third order, for what removes them.
-
-        Args:
-            parameters: (p,) of the base.
-            present: (n,) joints that have any; at the others there is nothing to remove.
-        """
+    def set_high_orders(self, parameters: FloatArray) -> None:
+        """Friction terms of second and third order as these base parameters (p,) have them, for what removes them."""
         for motion, background in zip(self.motions, self.backgrounds):
-            background.with_high_orders(self.model.high_orders(motion, parameters) * present)
+            background.with_high_orders(self.model.high_orders(motion, parameters))
 
     def stack(self, columns: Sequence[Columns], count: int) -> FloatArray:
         """(R, count) stacked rows of full-rate columns, given motion by motion."""
