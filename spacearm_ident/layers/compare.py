@@ -41,6 +41,7 @@ from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
 from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
 from .parameters import (
+    DIGITS,
     LEVEL,
     Change,
     Explained,
@@ -208,7 +209,8 @@ class _Pass:
         gain = found.wiring.gain
         simulated = self._as_simulated()
         stages = [found.simulated(), found.fit(with_terms=())]
-        gone = found.contradicted(added, optional, SHOWS)
+        gone = [one for one in added if _of_no_size(one)]
+        gone += found.contradicted([one for one in added if one not in gone], [*optional, *gone], SHOWS)
         found.leave_out(gone)
         added = [one for one in added if one not in gone]
         named = found.clear(optional)
@@ -382,6 +384,12 @@ class _Pass:
         return tuple(items)
 
 
+def _of_no_size(one: Added) -> bool:
+    """Whether the 95 % interval of an effect's size, the first value of its card, holds zero."""
+    size = None if one.finding is None else next(iter(one.finding.parameters.values()), None)
+    return size is not None and size.low <= 0.0 <= size.high
+
+
 def _cause_items(simple: Sequence[Explained], found: JointFit, shares: _Shares) -> list[Item]:
     """Causes as items."""
     places, items = places_of(found.linear), []
@@ -389,7 +397,8 @@ def _cause_items(simple: Sequence[Explained], found: JointFit, shares: _Shares) 
     for one in simple:
         reported, without = one.reported, found.estimate.values.copy()
         without[places] -= one.cause.directions @ one.values
-        if abs(reported.now - reported.was) > half * reported.error and shares.rise(without) > SHOWS:
+        least = max(half * reported.error, DIGITS * abs(reported.was))
+        if abs(reported.now - reported.was) > least and shares.rise(without) > SHOWS:
             items.append(
                 Item(
                     reported.name,

@@ -31,7 +31,7 @@ from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..mismatch.noise import model_error_share, weighted
 from ..signals.motion import Motion
 from .linear import STATE_GROUPS, Linear, Prior, Solution, weak_prior
-from .parameters import OFF, ROTOR_SHARE
+from .parameters import DIGITS, OFF, ROTOR_SHARE
 from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
 SURE = 5.0
@@ -58,9 +58,9 @@ SCALING = frozenset({GAIN, LOADED, DRIVEN})
 """What may leave friction and rotor inertia as the file has them where all of a joint's torque is more or less."""
 UNCHANGED = 1.0 - OFF
 """Prior probability that a joint's own parameter is what the file has."""
-KEPT_SD = 0.01
-"""Relative standard deviation of one that is, and of a torque that is right, for a file has two digits and a simulator
-its integration step; of a parameter that is not it is `ROTOR_SHARE`."""
+KEPT_SD = DIGITS
+"""Relative standard deviation of one that is, and of a torque that is right; of a parameter that is not it is
+`ROTOR_SHARE`."""
 ODDS = {GAIN: 0.1, ZERO: 0.05, DELAY: 0.05, TILT: 0.05**0.5, SPRING: 0.05, LOADED: 0.05, DRIVEN: 0.02}
 """Prior probability of each at one joint (the delay: at all; a tilt: about one of two axes), and of a rival. Of the
 five real arms in hand torque from current is 8 to 43 % off at single joints of two; a zero that is off shows as soon as

@@ -30,6 +30,9 @@ from .linear import Linear, Prior
 
 LEVEL = 0.05
 """Probability that any unchanged parameter is named."""
+DIGITS = 0.01
+"""Relative difference from the simulation's value that is none: a file has two digits, a simulator its integration
+step. Of 22 parameters named wrongly in 60 blind trials nine were within it."""
 DETERMINED = 0.1
 """Largest error of a combination, in standard deviations of its prior, at which the data say what it is: the prior
 then moves the estimate by less than one per cent of the distance."""
@@ -133,7 +136,7 @@ def determined(linear: Linear, found: Estimate, prior: Prior, simulation: Simula
 
 
 def changes(known: Sequence[Change], found: Estimate) -> tuple[tuple[Change, ...], tuple[tuple[Change, float], ...]]:
-    """Parameters that differ from the simulation's beyond their errors, and those that do not.
+    """Parameters that differ from the simulation's beyond their errors and its digits, and those that do not.
 
     Args:
         known: What the data determine.
@@ -143,7 +146,7 @@ def changes(known: Sequence[Change], found: Estimate) -> tuple[tuple[Change, ...
         What differs; and what does not, with the size from which it would have been named.
     """
     bound = float(norm.ppf(1 - LEVEL / 2 / max(len(known), 1)))
-    sized = [(one, bound * found.error(one.vector)) for one in known]
+    sized = [(one, max(bound * found.error(one.vector), DIGITS * abs(one.was))) for one in known]
     off = [abs(found.of(one.vector) - one.was) for one in known]
     return (
         tuple(one for (one, size), change in zip(sized, off) if change > size),
