@@ -513,7 +513,7 @@ def _unnamed(small: Sequence[Added], gone: Sequence[Added]) -> tuple[str, ...]:
         notes.append(f"in the model since it predicts held-out data better, but not significant: {words}")
     if gone:
         words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in gone)
-        notes.append(f"found in the fit but not replicated in held-out recordings, and left out: {words}")
+        notes.append(f"found in the fit, but not replicated or of a size that may be zero, and left out: {words}")
     return tuple(notes)
 
 
