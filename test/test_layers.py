@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from spacearm_ident.layers.conventions import find_wiring
 from spacearm_ident.layers.discrete import find_mistakes
 from spacearm_ident.layers.item import Item
 from spacearm_ident.layers.joint_fit import JointFit
+from spacearm_ident.layers.parameters import Change, changes
 from spacearm_ident.layers.physics import optional_terms, with_friction_terms
 from spacearm_ident.layers.wiring import Wiring
 from spacearm_ident.mismatch.finding import Finding
@@ -420,3 +422,13 @@ def test_simulation_of_other_joints_is_refused(tmp_path: Path, capsys: pytest.Ca
     assert main(["mismatch", str(tmp_path / "real.mcap"), "--simulation", str(sim), "--out", str(out)]) == 2
     assert "same names" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("was", "now", "named"), [(15.0, 15.04, False), (15.0, 15.2, True), (0.0, 0.04, True)])
+def test_change_is_named_when_it_exceeds_the_digits_of_the_file(was: float, now: float, named: bool) -> None:
+    """One per cent of the simulation's value, however small the error; of zero there are no digits."""
+    change = Change("damping", ("elbow",), "elbow", "N m s/rad", np.ones(1), was)
+    found = SimpleNamespace(of=lambda vector: now, error=lambda vector: 0.005)
+    different, same = changes([change], found)
+    assert [one is change for one in different] == [True] * named
+    assert all(size == pytest.approx(0.15) for _, size in same) and len(same) == 1 - named
