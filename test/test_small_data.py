@@ -81,10 +81,23 @@ def test_a_joint_that_moves_without_torque_is_named_and_ends_with_exit_code_1(tm
 
 def test_a_validation_without_motion_is_said_to_be_the_validation(tmp_path):
     run = little(9.0, 100.0)
-    still = run.position.copy()
-    still[540:] = still[540]
-    with pytest.raises(UnfitDataError, match=r"validation on the last third .* no joint moves .* --validate"):
-        identify_session([replace(run, position=still)], None, arm_from_urdf(run.urdf), QUICK, tmp_path)
+    still = replace(run, position=np.tile(run.position[:1], (len(run.time), 1)))
+    with pytest.raises(UnfitDataError, match=r"validation on other recordings .* no joint moves"):
+        identify_session([run], [still], arm_from_urdf(run.urdf), QUICK, tmp_path)
+
+
+def test_rest_at_the_end_is_not_what_a_recording_is_judged_on(tmp_path):
+    """Nine seconds of which three are rest: a third of six is held out; of five and a half it would be too short."""
+    run = little(9.0, 100.0)
+    for moving, enough in ((620, True), (540, False)):
+        still = run.position.copy()
+        still[moving:] = still[moving]
+        resting = [replace(run, position=still)]
+        if enough:
+            assert identify_session(resting, None, arm_from_urdf(run.urdf), QUICK, tmp_path).validation.held_out
+        else:
+            with pytest.raises(UnfitDataError, match=r"5\.\d s of motion are too short .* --validate"):
+                identify_session(resting, None, arm_from_urdf(run.urdf), QUICK, tmp_path)
 
 
 QUICK = settings_for(arm_from_urdf(little(2.0, 90.0).urdf), "coulomb-viscous", 5.0)
