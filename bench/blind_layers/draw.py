@@ -367,6 +367,7 @@ def _sizes(
         return np.concatenate(rests)
 
     differences: dict[str, np.ndarray] = {}
+    absorbing: dict[str, np.ndarray] = {}
     law_sizes, law_free = [], []
     for k, law in enumerate(laws):
         if law["effect"] in ELASTIC:
@@ -400,6 +401,14 @@ def _sizes(
             upright.dof_solref[:] = (FRICTION_TIME_s, 1.0)
             difference = rigid_torque(rigid, data, q, v, smooth)
             difference -= rigid_torque(upright, mujoco.MjData(upright), q, v, smooth)
+        elif name == "sign" and fault["what"] == "all":
+            # An axis reversed as a whole: friction and armature are as before, the bodies stand mirrored.
+            mirror = np.ones(n)
+            mirror[fault["joint"]] = -1.0
+            state = [mirror * part for part in (q, v, smooth)]
+            difference = mirror * rigid_torque(rigid, data, *state) - rigid_torque(rigid, data, q, v, smooth)
+            columns = sizes.regressor(true_model(arm, truth, (), payload, gravity), *state)
+            absorbing[name] = sizes.basis(np.tile(mirror, len(q))[:, None] * columns, weight)
         elif name == "sign":
             difference[:, fault["joint"]] = 2 * torque[:, fault["joint"]]
         else:
@@ -410,5 +419,7 @@ def _sizes(
         "law_sizes": law_sizes,
         "law_sizes_free": law_free,
         "wiring_sizes": {k: sizes.size(own, x, weight).tolist() for k, x in differences.items()},
-        "wiring_sizes_free": {k: sizes.size(free, x, weight).tolist() for k, x in differences.items()},
+        "wiring_sizes_free": {
+            k: sizes.size(absorbing.get(k, free), x, weight).tolist() for k, x in differences.items()
+        },
     }
