@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky
 
 from ..arrays import FloatArray
-from ..regression.held_out import time_blocks
+from ..regression.held_out import folds_of, time_blocks
 from ..regression.prior import Prior
 from ..regression.regression import Regression
 from ..solvers.solution_columns import columns_at
@@ -53,6 +53,13 @@ class BlockGrams:
         matrix = np.zeros(normal.shape)
         matrix[np.ix_(free, free)] = root / unit
         return matrix, parameters
+
+    def left_out(self, prior: Prior) -> FloatArray:
+        """(blocks, n) weighted squares that fits leave in the blocks of a fold that each does not see (`folds_of`)."""
+        left = np.zeros((len(self.recording), len(self._parts)))
+        for fold in folds_of(self.recording):
+            left[fold] = self.squares(fold, self.solve(self.rest(fold), prior)[1])
+        return left
 
     def squares(self, blocks: np.ndarray, parameters: FloatArray) -> FloatArray:
         """(len(blocks), n) weighted squares that parameters leave."""

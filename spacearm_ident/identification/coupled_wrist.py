@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm, Coupling
 from ..estimate.coupling import CouplingTrial
-from ..regression.held_out import FEWEST_BLOCKS, LEVEL, bound, folds_of, t_of_drop, time_blocks
+from ..regression.held_out import FEWEST_BLOCKS, LEVEL, bound, t_of_drop, time_blocks
 from .block_grams import BlockGrams
 from .fit import Fit
 from .plain import plain_fit
@@ -73,10 +73,7 @@ def _torque(fit: Fit) -> FloatArray:
 def _held_out(fit: Fit, arm: Arm) -> FloatArray:
     """(blocks, 2) squares of the last two joints, N²·m², that the plain model of an arm leaves in held-out blocks."""
     regression, prior, solution = plain_fit(fit, arm)
-    grams = BlockGrams(regression, solution.constants)
-    left = np.zeros((len(grams.recording), len(regression.rows)))
-    for fold in folds_of(grams.recording):
-        left[fold] = grams.squares(fold, grams.solve(grams.rest(fold), prior)[1])
+    left = BlockGrams(regression, solution.constants).left_out(prior)
     # The plain model's weight is one value a joint.
     size = [1.0 / rows.weight[0] for rows in regression.rows[-2:]]
     return np.asarray(left[:, -2:] * np.square(size))

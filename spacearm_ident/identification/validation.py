@@ -88,7 +88,7 @@ def split(recording: Recording, share: float = HOLD_OUT) -> tuple[Recording, Rec
             f"{stop - start:.1f} s of motion are too short to hold {share:.0%} out, at least "
             f"{SHORTEST_HOLD_OUT_S:g} s: record a longer run, or give another recording with --validate"
         )
-    return cut_by_motion(recording, share)
+    return cut_by_motion(recording, share, (start, stop))
 
 
 def fit_figures(measured: FloatArray, predicted: FloatArray) -> Fit:

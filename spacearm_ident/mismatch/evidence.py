@@ -20,11 +20,12 @@ from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Values
+from ..noise.between import ordinary_shifts
 from ..regression.prior import make_prior
 from ..signals.motion import Motion
 from .reversals import learnt
 from .scene import Scene, quiet
-from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, ordinary_shifts, sharpness, stacked_effect
+from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, sharpness, stacked_effect
 
 INVISIBLE = 1e-12
 """Share of its energy below which what the base leaves of a column is rounding."""
@@ -206,8 +207,8 @@ class Evidence:
         Args:
             days: Standard deviation of the difference, of the ordinary one between recordings (`ordinary_shifts`).
         """
-        ordinary = days * ordinary_shifts(self.base)
-        shifts = np.vstack([ordinary, np.zeros((self._width - len(ordinary), ordinary.shape[1]))])[self._used]
+        unknowns = np.pad(self.base.parameters, (0, self._width - len(self.base.parameters)))
+        shifts = days * ordinary_shifts(self.base.model, unknowns)[self._used]
         columns = self._basis @ (self._triangle @ shifts)
         across = self._basis.T @ columns
         corner = cholesky(columns.T @ columns + np.eye(columns.shape[1]) - across.T @ across)

@@ -12,12 +12,10 @@ import numpy as np
 from scipy.stats import norm
 
 from ..arrays import FloatArray
-from ..noise.between import day_share
 from .evidence import Evidence
 from .left_out import LEVEL, LeftOut
 from .preparation import Prepared
 from .residuals import Residuals
-from .scene import Scene
 from .scored import BEST, PARTS
 
 LEFT_OVER = 2.0
@@ -71,8 +69,7 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
 
     The floor is what the base leaves of the reference. Where that is what the model lacks (`noise.weighted`), it is
     what is left of parts that a fit left out. Beside it stand the error of what is predicted of the judged motion, and
-    what friction ordinarily differs by on another day. It does so as the joints are warmer or colder: where their
-    temperatures were recorded, what that does is not ordinary but an effect to be found.
+    what friction ordinarily differs by on another day with a probability of `LEVEL` (`Prepared.days`).
     Without a recorded reference: the noise as it was estimated in the field, and without any its parameters too.
 
     Args:
@@ -95,15 +92,8 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
     made = []
     for rows in judged:
         error = left_out.error_Nm(rows) if prepared.weighted else np.zeros(len(floor))
-        day = np.zeros(len(floor))
-        if not (evidence.reference.temperatures_known and rows.scene.temperatures_known):
-            day = _another_day(evidence.reference, rows.ordinary_Nm(evidence.base.model, parameters))
+        ordinary = np.nan_to_num(rows.ordinary_Nm(evidence.base.model, parameters))
+        day = norm.isf(LEVEL) * prepared.days * ordinary
         most = np.sqrt(largest**2 + (left_out.times * error) ** 2 + day**2)
         made.append(Healthy(parameters, np.hypot(floor, error), most, left_out))
     return made
-
-
-def _another_day(reference: Scene, ordinary_Nm: FloatArray) -> FloatArray:
-    """(n,) RMS that friction adds on another day with a probability of `LEVEL`."""
-    share = day_share(len({motion.source for motion in reference.motions}))
-    return np.asarray(norm.isf(LEVEL) * np.sqrt(share) * np.nan_to_num(ordinary_Nm))

@@ -277,7 +277,8 @@ def banded(
 def _days(healthy: Sequence[Recording], evidence: Evidence) -> float:
     """Standard deviation of the field's friction from the reference's, of the ordinary one between recordings.
 
-    None without a recorded reference; nor where temperatures were recorded, whose effect is then one to be found.
+    It differs as the joints are warmer or colder: where their temperatures were recorded, what that does is not
+    ordinary but an effect to be found. None without a recorded reference either.
     """
     known = evidence.reference is not None and evidence.reference.temperatures_known
     if not healthy or (known and evidence.field.temperatures_known):

@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, TorqueModel
-from ..noise.between import friction_kinds
+from ..noise.between import ordinary_shifts
 from .evidence import Candidate, Evidence, without_effects
 from .finding import Trace
 from .scene import FEWEST_ROWS, Scene, Whitener
@@ -74,18 +74,13 @@ class Residuals:
             return np.asarray(np.sqrt(squares / information))
 
     def ordinary_Nm(self, model: TorqueModel, base: FloatArray) -> FloatArray:
-        """(n,) RMS of what friction ordinarily differs by between two recordings of an arm (`between.friction_kinds`).
+        """(n,) RMS of what friction ordinarily differs by between two recordings of an arm (`ordinary_shifts`).
 
         Args:
             model: The base's.
             base: Its parameters, nuisance and common effects last.
         """
-        kinds = friction_kinds(model)
-        squares = np.zeros(len(self.scene))
-        for kind in {kind for number, kind in kinds.items() if number < len(model.parameters)}:
-            own = [number for number, other in kinds.items() if other == kind and number < len(model.parameters)]
-            squares += (kind[1] * (self._columns[:, own] @ base[own])) ** 2
-        return self.rms(np.sqrt(squares))
+        return self.rms(np.linalg.norm(self._columns @ ordinary_shifts(model, base), axis=1))
 
     def rms_throughout(self, residual: FloatArray) -> FloatArray:
         """The same without each joint's loudest parts of the time: what shows there alone is an accident."""

@@ -15,7 +15,6 @@ from ..dynamics.effects.effect import Effect, direction
 from ..dynamics.friction import bristle_state
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Columns, Values
-from ..noise.between import friction_kinds
 from ..signals.motion import Motion
 from .scene import Scene
 
@@ -129,20 +128,6 @@ def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Eff
     for effect, values in common:
         blocks.append(stacked_effect(scene, effect, values).whole(len(scene)))
     return np.concatenate(blocks, axis=1)
-
-
-def ordinary_shifts(base: IdentifiedModel) -> FloatArray:
-    """(p, s) by how much friction ordinarily differs between two recordings of a healthy arm.
-
-    One standard deviation a column: at each joint of what depends on direction, and of what grows with speed.
-    """
-    causes: dict[tuple[str, str], FloatArray] = {}
-    for number, (kind, size) in friction_kinds(base.model).items():
-        if number < len(base.parameters):
-            cause = base.model.parameters[number].joint, kind
-            shift = causes.setdefault(cause, np.zeros(len(base.parameters)))
-            shift[number] = size * base.parameters[number]
-    return np.stack([*causes.values()], axis=1) if causes else np.zeros((len(base.parameters), 0))
 
 
 def nuisance_scale(base: IdentifiedModel) -> FloatArray:

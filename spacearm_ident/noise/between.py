@@ -117,6 +117,25 @@ def friction_kinds(model: TorqueModel) -> dict[int, tuple[str, float]]:
     return kinds
 
 
+def ordinary_shifts(model: TorqueModel, parameters: FloatArray) -> FloatArray:
+    """By how much friction ordinarily differs between two recordings of a healthy arm, its constants held.
+
+    Args:
+        model: Of p parameters.
+        parameters: Their values, first in (u,) unknowns.
+
+    Returns:
+        (u, s) one standard deviation a column: at each joint of what depends on direction, and of what grows with
+        speed.
+    """
+    causes: dict[tuple[str, str], FloatArray] = {}
+    for number, (kind, size) in friction_kinds(model).items():
+        if number < len(model.parameters):
+            cause = model.parameters[number].joint, kind
+            causes.setdefault(cause, np.zeros(len(parameters)))[number] = size * parameters[number]
+    return np.stack([*causes.values()], axis=1) if causes else np.zeros((len(parameters), 0))
+
+
 def _factors(
     kinds: dict[int, tuple[str, float]], parameters: FloatArray, numbers: Sequence[int], width: int
 ) -> tuple[FloatArray, FloatArray]:

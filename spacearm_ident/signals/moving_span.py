@@ -31,8 +31,16 @@ def moving_span(recording: Recording) -> tuple[float, float]:
     return float(recording.time[left[0]]), float(recording.time[arrived[-1]])
 
 
-def cut_by_motion(recording: Recording, share: float) -> tuple[Recording, Recording]:
-    """A recording without the last share of its motion, and that share with what rest follows it."""
-    start, stop = moving_span(recording)
+def cut_by_motion(
+    recording: Recording, share: float, span: tuple[float, float] | None = None
+) -> tuple[Recording, Recording]:
+    """A recording without the last share of its motion, and that share with what rest follows it.
+
+    Args:
+        recording: To cut.
+        share: Of the motion's time that is cut off.
+        span: Where its motion is, s, if that is known (`moving_span`).
+    """
+    start, stop = span or moving_span(recording)
     cut = stop - share * (stop - start)
     return recording.between(-np.inf, cut), recording.between(cut, np.inf)
