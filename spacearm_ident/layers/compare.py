@@ -29,7 +29,7 @@ from ..mismatch.explain import held_out_ends
 from ..mismatch.finding import DATA_UNFIT, Detectable, Explanation
 from ..mismatch.happened import voided
 from ..mismatch.integrity import faults
-from ..mismatch.preparation import banded, cut_offs
+from ..mismatch.preparation import banded, cut_off_hz, position_cut_off_hz
 from ..mismatch.rivals import UNKNOWN
 from ..noise.slow import white_and_slow
 from ..recording.recording import Recording
@@ -140,18 +140,24 @@ class _Pass:
     def __init__(self, simulation: Simulation, fitted: list[Recording], held: list[Recording], judged_on: str) -> None:
         self.simulation, self.fitted, self.held, self.judged_on = simulation, fitted, held, judged_on
         self.arm, self.joints = simulation.arm, simulation.arm.joint_names
-        self.cutoff, wide = cut_offs([*fitted, *held])
+        self.cutoff = cut_off_hz([*fitted, *held])
         # Wiring is looked for in the full bandwidth: a delay is in its upper half.
-        self.motions = self.wired_in = banded(fitted, self.joints, self.cutoff, wide)
+        self.motions = self.wired_in = self._banded(fitted)
         while self.cutoff > LOWEST_HZ:
-            slower = banded(fitted, self.joints, 0.5 * self.cutoff, 0.5 * wide)
+            slower = self._banded(fitted, 0.5)
             with np.errstate(invalid="ignore", divide="ignore"):
                 share = _acceleration(slower) / _acceleration(self.motions)
             # A joint that stands still says nothing.
             if not np.nanmedian(share) <= SIGNAL:
                 break
-            self.cutoff, wide, self.motions = 0.5 * self.cutoff, 0.5 * wide, slower
-        self.judged = banded(held, self.joints, self.cutoff, wide, first=len(fitted))
+            self.cutoff, self.motions = 0.5 * self.cutoff, slower
+        self.judged = self._banded(held, first=len(fitted))
+
+    def _banded(self, recordings: Sequence[Recording], narrower: float = 1.0, first: int = 0) -> list[Motion]:
+        """Recordings in a share of the present bandwidth; `first` as of `banded`."""
+        cutoff = narrower * self.cutoff
+        wide = position_cut_off_hz([*self.fitted, *self.held], self.joints, cutoff)
+        return banded(recordings, self.joints, cutoff, wide, first)
 
     def run(self, excluded: Sequence[str], report: Progress) -> Comparison:
         """All layers."""

@@ -6,8 +6,9 @@ longer than the low-pass makes it, and as small in held-out parts of the referen
 or clearly predicts held-out parts worse, the residual is what the model lacks: then the structure is the one that
 `identify` chooses, by prediction of held-out parts, and rows are weighted, not whitened (`noise.weighted`).
 
-Two cut-offs: positions go through one several times as wide as torque and columns do. Friction follows the sign of
-the velocity there was, and a velocity low-passed as hard as the torque turns round at another moment.
+Two cut-offs: positions go through one up to several times as wide as torque and columns do. Friction follows the sign
+of the velocity there was, and a velocity low-passed as hard as the torque turns round at another moment. Where encoders
+are coarse the sign would drown in their noise, so it is no wider than they allow (`reversal_cutoff_hz`).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from ..noise.between import day_share
 from ..recording.recording import Recording
 from ..regression.held_out import LEVEL, bound, t_of_all
 from ..signals.motion import Motion
-from ..signals.prepare import prepare
+from ..signals.prepare import prepare, reversal_cutoff_hz
 from .base_structure import GATE, choose_base
 from .evidence import Candidate, Evidence, HeldOut
 from .left_out import LeftOut
@@ -41,7 +42,7 @@ from .scene import Scene, Whitener, coarse
 
 CUTOFF_HZ = 20.0
 WIDER = 4.0
-"""Positions are filtered this many times as wide."""
+"""Positions are filtered at most this many times as wide."""
 MODEL_ERROR = 2.6
 """Variance inflation (`_WithNoise.inflation`) from which the residual is taken as model error, not noise. 1.1 to 2.1 on
 eight simulated arms; 3.3 to 80 on eighteen of the nineteen fits to real arms of bench/real_arms.py, 1.3 on the other
@@ -129,7 +130,8 @@ def prepare_evidence(
     healthy = [] if isinstance(reference, IdentifiedModel) else list(reference)
     healthy, field, validation = placed(healthy, arm), placed(field, arm), placed(validation, arm)
     everything = [*healthy, *field, *validation]
-    cutoff, wide = cut_offs(everything)
+    cutoff = cut_off_hz(everything)
+    wide = position_cut_off_hz(everything, arm.joint_names, cutoff)
     referred, examined = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field))
     judged = banded(validation, arm.joint_names, cutoff, wide, first=len(field))
     if known is None:
@@ -244,12 +246,30 @@ def _widened(found: _WithNoise) -> _WithNoise:
     return replace(found, noise=replace(noise, whiteners=whiteners, floor_Nm=noise.floor_Nm * ratio))
 
 
-def cut_offs(recordings: Sequence[Recording]) -> tuple[float, float]:
-    """Cut-off of torque and columns, and the wider one of positions, Hz, that all recordings' rates allow."""
-    rates = [recording.rate_hz for recording in recordings]
-    rates += [recording.base.rate_hz for recording in recordings if recording.base is not None]
-    cutoff = min(CUTOFF_HZ, 0.2 * min(rates))
-    return cutoff, min(WIDER * cutoff, 0.35 * min(rates))
+def cut_off_hz(recordings: Sequence[Recording]) -> float:
+    """Cut-off of torque and columns that all recordings' rates allow."""
+    return min(CUTOFF_HZ, 0.2 * _slowest_hz(recordings))
+
+
+def position_cut_off_hz(recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float) -> float:
+    """Cut-off of positions beside one of torque and columns (`reversal_cutoff_hz`).
+
+    Args:
+        recordings: All that are worked with.
+        joints: Their order.
+        cutoff_hz: Of torque and columns.
+
+    Raises:
+        UnfitDataError: There are too few samples, or they do not last.
+    """
+    widest = min(WIDER * cutoff_hz, 0.35 * _slowest_hz(recordings))
+    return reversal_cutoff_hz(recordings, joints, cutoff_hz, widest)
+
+
+def _slowest_hz(recordings: Sequence[Recording]) -> float:
+    """Lowest sampling rate, of a base's motion too."""
+    bases = [recording.base.rate_hz for recording in recordings if recording.base is not None]
+    return min([recording.rate_hz for recording in recordings] + bases)
 
 
 def banded(

@@ -138,6 +138,33 @@ def prepare(
     return motions, bandwidth
 
 
+def reversal_cutoff_hz(
+    recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float, widest_hz: float
+) -> float:
+    """Low-pass of positions that tells best where a velocity changes its sign.
+
+    A narrow one blurs a reversal over the speed a / w, a wide one hides it in the encoder's noise, whose standard
+    deviation in a velocity grows as w^(3/2). The best is where both are alike: the median over the joints that move.
+
+    Args:
+        recordings: One or more runs of the same arm.
+        joints: The arm's joints, in its order.
+        cutoff_hz: Least cut-off; accelerations and what moves are judged in it.
+        widest_hz: Largest.
+
+    Raises:
+        UnfitDataError: As `prepare`.
+        UserError: As `prepare`.
+    """
+    motions, bandwidth = prepare(recordings, joints, cutoff_hz, average=False)
+    alike = []
+    for motion in motions:
+        moves = motion.moving.any(axis=0)
+        blur, noise = motion.resolved_speed * cutoff_hz, _speed_noise(bandwidth.position_noise, motion.rate_hz, 1.0)
+        alike.append((blur[moves] / noise[moves]) ** 0.4)
+    return float(np.clip(np.median(np.concatenate(alike)), cutoff_hz, widest_hz))
+
+
 def _bandwidth(stretches: Sequence[_Stretch], cutoff_hz: float | None) -> Bandwidth:
     """One bandwidth for all: the widest a stretch long enough to tell needs, or the one asked for."""
     lengths = [len(stretch.position) / stretch.rate_hz for stretch in stretches]
