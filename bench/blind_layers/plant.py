@@ -105,6 +105,9 @@ def simulate(
     step = 1.0 / RATE_HZ / per_tick
     model = true_model(arm, table, elastic, payload, gravity, step)
     model.dof_solref[:] = (FRICTION_TIME_s, 1.0)
+    # The integrator solves (M + h D) dv = h (f - D v): the arm would be heavier than its table says by step x damping.
+    armature = model.dof_armature.copy()
+    model.dof_armature -= step * model.dof_damping
     data = mujoco.MjData(model)
     n, count = len(arm.joints), reference.shape[1]
     dof = np.array([model.joint(name).dofadr[0] for name in arm.joints])
@@ -182,7 +185,7 @@ def simulate(
         for j, levels in friction.items():
             level, name = float(table["joints"][arm.joints[j]]["frictionloss"]), arm.joints[j]  # type: ignore[arg-type]
             damping = float(table["joints"][name]["damping"])  # type: ignore[arg-type]
-            load = torque[j] - model.dof_armature[dof[j]] * data.qacc[dof[j]]
+            load = torque[j] - armature[dof[j]] * data.qacc[dof[j]]
             for k, law in levels:
                 new = friction_level(law, level, q[j], v[j], load, warm[j])
                 change = -(new - level) * np.tanh(v[j] / 2e-3)
@@ -190,6 +193,7 @@ def simulate(
                     less = damping_level(law, damping, warm[j])
                     change -= (less - damping) * v[j]
                     model.dof_damping[dof[j]] = less
+                    model.dof_armature[dof[j]] = armature[dof[j]] - step * less
                 out.added[k, i, j] = change
                 level = new
             model.dof_frictionloss[dof[j]] = max(level, 1e-6)
@@ -207,7 +211,7 @@ def simulate(
             data.qfrc_applied[:] = total
             mujoco.mj_step(model, data)
             if s == 0:
-                out.a[i] = data.qacc[dof]
+                out.a[i] = (data.qvel[dof] - v) / step
         if not np.all(np.isfinite(data.qpos)):
             raise FloatingPointError(f"{arm.name}: the simulation diverged at {t:.3f} s")
     return out
