@@ -170,7 +170,7 @@ class TimeDelay(_Late):
         name = known_joints(arm, place)
         if not isinstance(place.get("early", False), bool):
             raise ValueError("early is true or false")
-        grid = (5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3)
+        grid = (5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 36e-3, 54e-3)
         share = Parameter("share", name, "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("delay", name, "s", grid),), place=place)
 
@@ -224,7 +224,7 @@ class FilterLag(_Late):
         name = known_joints(arm, place)
         if place.get("order", 1) not in (1, 2):
             raise ValueError("order is 1 or 2")
-        grid = (5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 40e-3, 60e-3)
+        grid = (5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 40e-3, 60e-3, 90e-3, 140e-3)
         share = Parameter("share", name, "1", prior=1.0, scale=0.0)
         return cls((share,), (Constant("lag", name, "s", grid),), place=place)
 

@@ -344,7 +344,7 @@ class Stribeck(_Friction):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
-        grid = tuple(float(v) for v in np.geomspace(0.008, 0.3, 10))
+        grid = tuple(float(v) for v in np.geomspace(0.008, 0.67, 12))
         return cls(
             (Parameter("f", joint, "N m", lower=0.0),), (Constant("v_b", joint, "rad/s", grid, True),), place=place
         )
