@@ -191,6 +191,18 @@ def test_more_friction_is_friction_drift():
     assert change.value == pytest.approx(0.9, abs=0.1) and change.low > 0.5
 
 
+def test_a_coarse_encoder_hides_no_more_than_its_noise_does():
+    """A step of 1 mrad, differentiated in the widest band, is noise of 0.4 rad/s: most rows would seem at standstill."""
+
+    def coarse(recording):
+        return replace(recording, position=np.round(recording.position / 1e-3) * 1e-3)
+
+    field, judged = (coarse(run(seed, more_friction)) for seed in (2, 3))
+    answer = explain(ARM, [coarse(HEALTHY)], [field], [judged], SLOW_ONES)
+    assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
+    assert not answer.reasons
+
+
 def tight(planted):
     """A stretch of 0.8 rad where the elbow rubs, most in its middle at 0.3 rad."""
     away = planted.q[:, 1] - 0.3
@@ -227,7 +239,15 @@ def test_what_vanishes_in_vacuum_is_one_finding_and_the_extended_model_lacks_it(
         assert np.sqrt(np.mean(left[sound, joint] ** 2)) < NOISE[joint]
 
 
-@pytest.mark.parametrize(("shifted", "delay", "words"), [(late, 0.012, "torque is late"), (early, -0.012, "motion is")])
+def very_late(planted):
+    """All recorded torque is 40 ms old."""
+    return np.stack([np.roll(column, 10) - column for column in planted.torque.T], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("shifted", "delay", "words"),
+    [(late, 0.012, "torque is late"), (early, -0.012, "motion is"), (very_late, 0.040, "torque is late")],
+)
 def test_torque_that_is_late_or_early_is_so_by_so_much(shifted, delay, words):
     answer = explained(shifted, *SLOW_ONES)
     assert [f.effect for f in answer.findings] == ["time_delay"]

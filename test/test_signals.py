@@ -12,7 +12,7 @@ from spacearm_ident.errors import UnfitDataError, UserError
 from spacearm_ident.recording.recording import Recording, Series, Source
 from spacearm_ident.signals.bandwidth import choose_bandwidth
 from spacearm_ident.signals.motion import Motion
-from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.signals.prepare import prepare, reversal_cutoff_hz
 
 JOINTS = ("one", "two")
 
@@ -321,6 +321,37 @@ class TestStandstill:
         velocity = np.stack([np.full(600, 0.3), np.zeros(600)], axis=1)
         moving = motion_of(velocity, noise=1e-6).moving
         assert moving[:, 0].all() and not moving[:, 1].any()
+
+
+class TestReversalCutoff:
+    """The low-pass of positions that tells best where a joint turns round."""
+
+    @staticmethod
+    def seen(step_rad, resting=False):
+        """Positions of two joints that an encoder of a given resolution shows."""
+        time, rng = even(200.0, 20.0), np.random.default_rng(0)
+        q = incommensurate(time, 2, 3)[0]
+        q[:, 1] *= not resting
+        return recording_of(time, q + rng.uniform(-0.5, 0.5, q.shape) * step_rad)
+
+    def test_it_is_where_blur_and_noise_hide_a_reversal_alike(self):
+        """Of white noise s: 6 s w sqrt(2 f / (3 rate)) = a / w, with w = 2 pi f and a the acceleration."""
+        step = 1e-3
+        recording = self.seen(step)
+        found = reversal_cutoff_hz([recording], JOINTS, 10.0, 70.0)
+        acceleration = np.percentile(np.abs(incommensurate(recording.time, 2, 3)[2]), 95, axis=0)
+        noise = 6 * 2 * np.pi * step / np.sqrt(12) * np.sqrt(2 / 200.0 / 3)
+        expected = np.median((acceleration / (2 * np.pi * noise)) ** 0.4)
+        assert 10.0 < expected < 70.0
+        assert found == pytest.approx(expected, rel=0.1)
+
+    def test_a_fine_encoder_allows_the_widest_and_none_less_than_the_torque_has(self):
+        assert reversal_cutoff_hz([self.seen(1e-6)], JOINTS, 10.0, 70.0) == 70.0
+        assert reversal_cutoff_hz([self.seen(3e-2)], JOINTS, 10.0, 70.0) == 10.0
+
+    def test_a_joint_at_rest_has_no_say(self):
+        both, one = (reversal_cutoff_hz([self.seen(1e-3, resting)], JOINTS, 10.0, 70.0) for resting in (False, True))
+        assert one == pytest.approx(both, rel=0.2)
 
 
 class TestPeriodNoise:
