@@ -192,7 +192,7 @@ def test_more_friction_is_friction_drift():
 
 
 def test_a_coarse_encoder_hides_no_more_than_its_noise_does():
-    """A step of 1 mrad, differentiated in the widest band, is noise of 0.4 rad/s: most rows would seem to be at rest."""
+    """A step of 1 mrad, differentiated in the widest band, is noise of 0.4 rad/s: most rows would seem at rest."""
 
     def coarse(recording):
         return replace(recording, position=np.round(recording.position / 1e-3) * 1e-3)
