@@ -11,7 +11,7 @@ import contextlib
 import io
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,8 +31,9 @@ from .identification.effort import in_newton_metres
 from .mismatch.finding import Explanation
 from .recording import Recording
 from .sessions.bags import Options
-from .sessions.identification import find_arm, identify_session, read_bags
+from .sessions.identification import find_arm, identify_session
 from .sessions.mismatch import explain_session
+from .sessions.reading import Comparing, Reading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,7 +54,7 @@ class Run:
     recording: Recording
     arm: Arm
     path: Path
-    _how: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    _how: Comparing = field(default_factory=Comparing, repr=False)
 
 
 def read(
@@ -77,11 +78,12 @@ def read(
         UserError: It cannot be read, holds several recordings, or its arm is not known.
     """
     files = (None if arm is None else Path(arm)), (None if mapping is None else Path(mapping))
-    how = {"arm": files[0], "mapping": files[1], "gravity": gravity, "namespace": namespace}
-    recordings = read_bags([Path(path)], lambda share, what: None, False, namespace, *files)
+    reading = Reading(files[0], namespace, files[1])
+    recordings = reading.read([Path(path)], lambda share, what: None)
     if len(recordings) != 1:
         raise UserError(f"{path}: {len(recordings)} recordings; read them one by one")
     found = find_arm(files[0], gravity, recordings)
+    how = Comparing(reading, None if gravity is None else tuple(gravity))
     return Run(in_newton_metres(recordings, found)[0], found, Path(path), how)
 
 
@@ -224,16 +226,16 @@ def mismatch(
         UserError: As `spacearm mismatch`.
     """
     every = [*_several(field_runs), *_several(reference), *_several(validate)]
-    how = next((dict(one._how) for one in every if isinstance(one, Run)), {})
+    how = next((one._how for one in every if isinstance(one, Run)), Comparing())
     if arm is not None:
-        how["arm"] = Path(arm)
+        how = replace(how, reading=replace(how.reading, arm=Path(arm)))
     with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
         session = explain_session(
             _paths(field_runs),
             _paths(reference),
             _paths(validate),
             Path(scratch) / "mismatch" if out is None else Path(out),
-            **how,
+            how,
         )
     return session.explanation
 

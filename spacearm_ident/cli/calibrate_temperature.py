@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         refuse_to_replace(options.model, options.out)
     with common.progress(options) as report:
-        recordings = common.read_bags(options.bags, report, namespace=options.namespace)
+        recordings = common.reading_of(options).read(options.bags, report)
     common.note_findings(options, recordings)
     model = load_model(options.model) if options.model else None
     if model is not None and options.gravity is not None:

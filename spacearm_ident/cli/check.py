@@ -89,9 +89,7 @@ def is_bag(path: Path) -> bool:
 def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:
     """Test recordings against their conventions; returns 1 where they are unfit."""
     with common.progress(options) as report:
-        recordings = common.read_bags(
-            bags, within(report, 0.0, 0.2), options.fixed_base, options.namespace, options.arm, options.mapping
-        )
+        recordings = common.reading_of(options).read(bags, within(report, 0.0, 0.2))
         arm = common.arm_of(options, recordings)
         found = check_conventions(corrected(recordings, arm), arm, progress=within(report, 0.2, 1.0))
     if options.json:

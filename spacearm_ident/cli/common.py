@@ -22,8 +22,8 @@ from ..recording import Recording, describe
 from ..recording.messages import STATES_TOPIC
 from ..results.provenance import versions
 from ..sessions.identification import find_arm
-from ..sessions.identification import read_bags as read_bags
 from ..sessions.identification import within as within
+from ..sessions.reading import Reading
 
 Report = Callable[[float, str], None]
 
@@ -86,6 +86,12 @@ def add_output_options(command: argparse.ArgumentParser) -> None:
     """`--json` and `--quiet`."""
     command.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
     command.add_argument("--quiet", action="store_true", help="no progress bar and no notes on standard error")
+
+
+def reading_of(options: argparse.Namespace) -> Reading:
+    """How bags and logs are read, by those of the options above that a command has."""
+    given = vars(options)
+    return Reading(given.get("arm"), given.get("namespace"), given.get("mapping"), given.get("fixed_base", False))
 
 
 def arm_of(options: argparse.Namespace, recordings: Sequence[Recording]) -> Arm:

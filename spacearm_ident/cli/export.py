@@ -102,7 +102,7 @@ def _validated(options: argparse.Namespace, model: IdentifiedModel) -> Validatio
     """
     arm = model.model.arm
     with common.progress(options) as report:
-        runs = common.read_bags(options.validate, report, False, options.namespace, options.arm, options.mapping)
+        runs = common.reading_of(options).read(options.validate, report)
     seen = {source.get("sha256") for source in (model.provenance or {}).get(FITTED, [])}
     for run in runs:
         for source in run.sources:

@@ -17,6 +17,7 @@ from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN, to_document
 from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Explanation, Finding
 from ..sessions.identification import locked_words
 from ..sessions.mismatch import explain_session
+from ..sessions.reading import Comparing
 from ..sessions.simulation import compare_session, written_by_simulator
 from . import common
 
@@ -80,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if options.simulation:
         return _simulation(options)
     bags, references, judges = sort_bags(options.bags, options.reference, options.validate)
-    if written_by_simulator(references, options.arm, options.namespace, options.mapping):
+    if written_by_simulator(references, common.reading_of(options)):
         common.note(options, "the torque of the reference is free of noise: treated as a simulation (--simulation)")
         options.bags, options.reference, options.validate = bags, [], [judges] if judges else []
         options.simulation = [references]
@@ -91,12 +92,7 @@ def run(options: argparse.Namespace) -> int:
             references,
             judges,
             options.out,
-            arm=options.arm,
-            gravity=options.gravity,
-            excluded=options.without,
-            fixed_base=options.fixed_base,
-            namespace=options.namespace,
-            mapping=options.mapping,
+            _comparing(options),
             command=options.command_line,
             progress=report,
         )
@@ -110,6 +106,12 @@ def run(options: argparse.Namespace) -> int:
     return 1 if session.explanation.verdict == DATA_UNFIT else 0
 
 
+def _comparing(options: argparse.Namespace) -> Comparing:
+    """How the recordings are compared."""
+    gravity = None if options.gravity is None else tuple(options.gravity)
+    return Comparing(common.reading_of(options), gravity, tuple(options.without))
+
+
 def _simulation(options: argparse.Namespace) -> int:
     """Compare with a simulation."""
     if options.reference:
@@ -121,12 +123,7 @@ def _simulation(options: argparse.Namespace) -> int:
             bags,
             judges,
             options.out,
-            arm=options.arm,
-            gravity=options.gravity,
-            excluded=options.without,
-            fixed_base=options.fixed_base,
-            namespace=options.namespace,
-            mapping=options.mapping,
+            _comparing(options),
             command=options.command_line,
             progress=report,
         )

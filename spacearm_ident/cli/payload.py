@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     model, _ = read_result(options.model)
     arm = model.model.arm
     with common.progress(options) as report:
-        runs = common.read_bags(options.bags, report, False, options.namespace, options.arm, options.mapping)
+        runs = common.reading_of(options).read(options.bags, report)
         held = find_payload(model, corrected(in_newton_metres(runs, arm), arm), options.frame)
     if options.json:
         common.print_json(document(held))

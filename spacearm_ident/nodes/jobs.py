@@ -17,6 +17,7 @@ from ..mismatch.finding import Explanation
 from ..sessions.bags import Options, arm_words, identify_bags
 from ..sessions.identification import Session, within
 from ..sessions.mismatch import explain_session
+from ..sessions.reading import Comparing, Reading
 from ..sessions.simulation import compare_session
 from .message_buffer import Capture, write_captures
 
@@ -140,7 +141,7 @@ class ExplainJob:
         judged: Bags to judge on; empty: the last third of `field`.
         reference: Bags of the healthy arm, or one model file.
         directory: Result folder.
-        arm, gravity: As `explain_session`.
+        arm, gravity: As `Comparing`.
         captures: Written to `bag` before anything else.
         bag: Where to.
     """
@@ -184,8 +185,7 @@ class ExplainJob:
             self.reference,
             self.judged,
             self.directory,
-            arm=self.arm,
-            gravity=self.gravity,
+            Comparing(Reading(self.arm), self.gravity),
             command=self.command,
             progress=progress,
         )
@@ -201,7 +201,7 @@ class CompareJob:
         judged: Bags to judge on; empty: the last third of `field`.
         simulation: The simulation's file, or a bag that a simulator wrote.
         directory: Result folder.
-        arm, gravity: As `compare_session`.
+        arm, gravity: As `Comparing`.
     """
 
     field: tuple[Path, ...]
@@ -238,8 +238,7 @@ class CompareJob:
             self.field,
             self.judged,
             self.directory,
-            arm=self.arm,
-            gravity=self.gravity,
+            Comparing(Reading(self.arm), self.gravity),
             command=self.command,
             progress=progress,
         )

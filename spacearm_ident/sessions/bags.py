@@ -31,10 +31,10 @@ from .identification import (
     find_arm,
     identify_session,
     locked_words,
-    read_bags,
     settings_for,
     within,
 )
+from .reading import Reading
 
 
 @dataclass(frozen=True)
@@ -173,16 +173,16 @@ def identify_bags(
         UserError: As `identify_session`, or a file cannot be read.
     """
     report = progress or (lambda share, what: None)
-    how = options.fixed_base, options.namespace, options.arm, options.mapping
-    runs = read_bags(fitted, within(report, 0.0, 0.2), *how)
+    reading = Reading(options.arm, options.namespace, options.mapping, options.fixed_base)
+    runs = reading.read(fitted, within(report, 0.0, 0.2))
     again = tuple(validated) == tuple(fitted)
-    judges = runs if again else read_bags(validated, within(report, 0.2, 0.3), *how)
+    judges = runs if again else reading.read(validated, within(report, 0.2, 0.3))
     recordings: list[Recording] = [*runs, *(() if again else judges)]
     prior = load_prior(options.prior) if options.prior else None
     arm = find_arm(options.arm, options.gravity, recordings, prior)
     settings = options.settings(arm, prior)
     if weight := options.weight():
-        loaded = read_bags(options.loaded, within(report, 0.3, 0.35), *how)
+        loaded = reading.read(options.loaded, within(report, 0.3, 0.35))
         with_mass, without = (corrected(in_newton_metres(part, arm), arm) for part in (loaded, runs))
         gains = calibrate_gains(without, with_mass, arm, weight)
         settings, arm = replace(settings, gains=gains), gains.corrected(arm)

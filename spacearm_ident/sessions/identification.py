@@ -7,7 +7,7 @@ same because the code is.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +22,17 @@ from ..dynamics.model import Structure, TorqueModel, over_temperature, structure
 from ..dynamics.model_file import load_model
 from ..dynamics.urdf_chain import JointTree
 from ..environment.gravity import require_gravity_choice
-from ..errors import UnfitDataError, UserError
+from ..errors import UserError
 from ..estimate.identified import Identified, Validation
 from ..identification.identify import Progress, Settings, identify, with_provenance
 from ..identification.validation import split, validate
-from ..logs.read import read_log
-from ..recording import Recording, read_recording, recordings_in
-from ..recording.tables import is_log
+from ..recording import Recording
 from ..report.folder import write_result
 from ..results.provenance import OPTIONS, provenance
 from ..results.recorded_runs import recorded_runs
 from ..solvers.choice import SEPARABLE, require_solver
 
 AUTO, VACUUM = "auto", "vacuum"
-LEAST_RATE_HZ = 25.0
-"""Slowest sampling that can be differentiated: five samples in a period of the lowest bandwidth a fit uses, 5 Hz."""
-USUAL_RATE_HZ = 100.0
-"""What any driver of an arm publishes, Hz."""
 ON_OTHERS = "on other recordings than the fit"
 ON_THE_FITTED = "on recordings of the fit itself"
 ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fit"
@@ -145,51 +139,6 @@ def _what(fitted: Sequence[Recording], validated: Sequence[Recording]) -> str:
     seen = {source.sha256 for recording in fitted for source in recording.sources}
     again = any(source.sha256 in seen for recording in validated for source in recording.sources)
     return ON_THE_FITTED if again else ON_OTHERS
-
-
-def read_bags(
-    paths: Sequence[Path],
-    progress: Progress,
-    fixed_base: bool = False,
-    namespace: str | None = None,
-    arm: Path | None = None,
-    mapping: Path | None = None,
-) -> list[Recording]:
-    """Read bags and logs one after the other, all of a folder of bags.
-
-    Args:
-        paths: MCAP files, rosbag2 folders, other bags, or logs.
-        progress: Called with a share done in 0..1 and what is being done.
-        fixed_base: Read as if no base motion had been recorded.
-        namespace: Of the arm, as `read_recording`.
-        arm: URDF or arm YAML: a log says nothing of its arm, and where several arms publish on one topic its joints are
-            meant.
-        mapping: What the columns of a log are, as `read_log`.
-
-    Returns:
-        A recording each.
-
-    Raises:
-        UserError: One cannot be read, or holds no joint states.
-        UnfitDataError: One is sampled slower than `LEAST_RATE_HZ`.
-    """
-    recordings = []
-    preferred = () if arm is None else load_arm(arm).joint_names
-    paths = [bag for path in paths for bag in recordings_in(Path(path))]
-    for number, path in enumerate(paths):
-        progress(number / len(paths), f"reading {path.name}")
-        recording = (
-            read_log(path, arm, mapping).recording
-            if is_log(path)
-            else read_recording(path, preferred=preferred, namespace=namespace)
-        )
-        if recording.rate_hz < LEAST_RATE_HZ:
-            raise UnfitDataError(
-                f"{path}: {recording.rate_hz:.3g} Hz is too slow: friction reverses, inertia acts between the samples; "
-                f"record joint states at {USUAL_RATE_HZ:g} Hz or more, {LEAST_RATE_HZ:g} Hz at the very least"
-            )
-        recordings.append(replace(recording, base=None) if fixed_base else recording)
-    return recordings
 
 
 def find_arm(

@@ -27,7 +27,8 @@ from ..mismatch.finding import Explanation, unfit
 from ..recording import Recording
 from ..report.folder import refuse_to_replace
 from ..report.mismatch_folder import write_mismatch
-from .identification import corrected, find_arm, read_bags, within
+from .identification import corrected, find_arm, within
+from .reading import Comparing, Reading
 
 MODEL_SUFFIXES = (".yaml", ".yml")
 MISTAKES = frozenset(
@@ -62,13 +63,8 @@ def explain_session(
     reference: Sequence[Path],
     judged: Sequence[Path],
     directory: Path,
+    comparing: Comparing,
     *,
-    arm: Path | None = None,
-    gravity: Sequence[float] | None = None,
-    excluded: Sequence[str] = (),
-    fixed_base: bool = False,
-    namespace: str | None = None,
-    mapping: Path | None = None,
     command: str | None = None,
     progress: Progress | None = None,
 ) -> MismatchSession:
@@ -79,12 +75,7 @@ def explain_session(
         reference: Bags of the healthy arm, or one model file; none: the arm's own fit is the base.
         judged: Bags to judge on; none: the last third of each of `field` is held out.
         directory: Result folder.
-        arm: URDF or arm YAML; None: the model's, or of the bags' `/robot_description`.
-        gravity: (3,) m/s^2 instead of the arm's.
-        excluded: Effects that are not to be considered.
-        fixed_base: Take the base for fixed though the bags hold its motion.
-        namespace: Of the arm, where a bag holds several.
-        mapping: What the columns of logs are; None: the file beside each, or what is proposed.
+        comparing: How. Without an arm of its own: the model's, or of the bags' `/robot_description`.
         command: How to do it again; kept with the result.
         progress: Called with a share done in 0..1 and what is being done.
 
@@ -92,14 +83,13 @@ def explain_session(
         UserError: A file cannot be read or does not fit, or the folder cannot be written.
     """
     report = progress or (lambda share, what: None)
-    reading = within(report, 0.0, 0.1)
+    reading, at_first = comparing.reading, within(report, 0.0, 0.1)
     for path in reference:
         refuse_to_replace(path, directory)
-    how = fixed_base, namespace, arm, mapping
-    known = _reference(reference, reading, how)
-    bags, judges = (read_bags(paths, reading, *how) for paths in (field, judged))
+    known = _reference(reference, reading, at_first)
+    bags, judges = (reading.read(paths, at_first) for paths in (field, judged))
     healthy = [] if isinstance(known, IdentifiedModel) else known
-    its_arm = _arm(arm, gravity, known, (*bags, *healthy, *judges))
+    its_arm = _arm(reading.arm, comparing.gravity, known, (*bags, *healthy, *judges))
     bags, healthy, judges = (corrected(in_newton_metres(runs, its_arm), its_arm) for runs in (bags, healthy, judges))
     known = known if isinstance(known, IdentifiedModel) else healthy
     recordings = (*bags, *healthy, *judges)
@@ -107,7 +97,7 @@ def explain_session(
     if wrong:
         explanation = unfit(its_arm.joint_names, wrong)
     else:
-        explanation = explain(its_arm, known, bags, judges, excluded, progress=within(report, 0.15, 0.95))
+        explanation = explain(its_arm, known, bags, judges, comparing.excluded, progress=within(report, 0.15, 0.95))
     planned = next_run(explanation, its_arm, bags[0])
     page = write_mismatch(explanation, its_arm, bags, judges, healthy, planned, directory, command)
     return MismatchSession(explanation, page, recordings, its_arm)
@@ -147,13 +137,11 @@ def _wrong(report: ConventionReport, least: float) -> list[Mistake]:
     return [one for one in unfit_ones if one.log_odds is None or one.log_odds >= least]
 
 
-def _reference(
-    paths: Sequence[Path], progress: Progress, how: tuple[bool, str | None, Path | None, Path | None]
-) -> list[Recording] | IdentifiedModel:
+def _reference(paths: Sequence[Path], reading: Reading, progress: Progress) -> list[Recording] | IdentifiedModel:
     """Bags, or the one model file."""
     models = [path for path in paths if path.suffix in MODEL_SUFFIXES]
     if not models:
-        return read_bags(paths, progress, *how)
+        return reading.read(paths, progress)
     if len(paths) > 1:
         raise UserError("give bags of the healthy arm or one model file as reference, not both")
     return load_model(models[0])

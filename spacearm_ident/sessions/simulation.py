@@ -27,7 +27,8 @@ from ..signals.prepare import prepare
 from ..simulations import SIMULATION_SUFFIXES, Simulation, read_simulation
 from ..simulations.noise_free import noise_free
 from ..simulations.simulation import simulated_structure, without
-from .identification import corrected, find_arm, read_bags, within
+from .identification import corrected, find_arm, within
+from .reading import Comparing, Reading
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,8 @@ def compare_session(
     bags: Sequence[Path],
     judged: Sequence[Path],
     directory: Path,
+    comparing: Comparing,
     *,
-    arm: Path | None = None,
-    gravity: Sequence[float] | None = None,
-    excluded: Sequence[str] = (),
-    fixed_base: bool = False,
-    namespace: str | None = None,
-    mapping: Path | None = None,
     command: str | None = None,
     progress: Progress | None = None,
 ) -> SimulationSession:
@@ -63,12 +59,7 @@ def compare_session(
         bags: Recordings of the arm.
         judged: Recordings to judge on; none: the last third of each of `bags` is held out.
         directory: Result folder.
-        arm: URDF or arm YAML; for bags of a simulator that describe no arm.
-        gravity: (3,) m/s^2 instead of the simulation's.
-        excluded: Effects that are not to be considered.
-        fixed_base: Take the base for fixed though the bags hold its motion.
-        namespace: Of the arm, where a bag holds several.
-        mapping: What the columns of logs are; None: the file beside each, or what is proposed.
+        comparing: How; its arm is for bags of a simulator that describe none, its gravity instead of the simulation's.
         command: How to do it again; kept with the result.
         progress: Called with a share done in 0..1 and what is being done.
 
@@ -76,19 +67,18 @@ def compare_session(
         UserError: A file cannot be read or does not fit, or the folder cannot be written.
     """
     report = progress or (lambda share, what: None)
-    reading = within(report, 0.0, 0.05)
+    reading, at_first = comparing.reading, within(report, 0.0, 0.05)
     for path in simulation:
         refuse_to_replace(path, directory)
-    how = fixed_base, namespace, arm, mapping
-    fitted, held = (read_bags(paths, reading, *how) for paths in (bags, judged))
-    read = _simulation(simulation, arm, gravity, [*fitted, *held], reading, how)
+    fitted, held = (reading.read(paths, at_first) for paths in (bags, judged))
+    read = _simulation(simulation, comparing, [*fitted, *held], at_first)
     read = _of_recordings(read, [*fitted, *held])
     fitted, held = (corrected(in_newton_metres(runs, read.arm), read.arm) for runs in (fitted, held))
     undoing = find_mistakes(fitted, read)
     if not np.allclose(undoing.arm.gravity, read.arm.gravity):
         read = _under(read, undoing.arm)
     right = [[undoing.corrections.applied(recording) for recording in runs] for runs in (fitted, held)]
-    comparison = compare(read, right[0], right[1], excluded, within(report, 0.1, 0.9))
+    comparison = compare(read, right[0], right[1], comparing.excluded, within(report, 0.1, 0.9))
     comparison = _with_mistakes(comparison, undoing.mistakes)
     mended = None
     if comparison.model is not None and len(simulation) == 1:
@@ -104,14 +94,12 @@ def is_simulation(path: Path) -> bool:
     return path.suffix.lower() in SIMULATION_SUFFIXES
 
 
-def written_by_simulator(paths: Sequence[Path], arm: Path | None, namespace: str | None, mapping: Path | None) -> bool:
+def written_by_simulator(paths: Sequence[Path], reading: Reading) -> bool:
     """Whether the bags of a healthy arm come from a simulator: the torque of the first has no noise.
 
     Args:
         paths: Bags, of which the first is read; none, or a simulation's own file: false.
-        arm: URDF or arm YAML, for a bag or log that does not say which joints are meant; None: not given.
-        namespace: ROS namespace of the arm, as for `read_recording`; None: not given.
-        mapping: Mapping file of a log's columns, as for `read_log`; None: not given.
+        reading: How they are read.
 
     Raises:
         UserError: It cannot be read.
@@ -119,26 +107,25 @@ def written_by_simulator(paths: Sequence[Path], arm: Path | None, namespace: str
     """
     if not paths or is_simulation(paths[0]):
         return False
-    return noise_free(read_bags(paths[:1], lambda share, what: None, False, namespace, arm, mapping)[0])
+    return noise_free(reading.read(paths[:1], lambda share, what: None)[0])
 
 
 def _simulation(
     paths: Sequence[Path],
-    arm: Path | None,
-    gravity: Sequence[float] | None,
+    comparing: Comparing,
     recordings: Sequence[Recording],
     progress: Progress,
-    how: tuple[bool, str | None, Path | None, Path | None],
 ) -> Simulation:
     """The simulation that a file describes, or that wrote some bags."""
+    gravity = comparing.gravity
     files = [path for path in paths if is_simulation(path)]
     if files and len(paths) > 1:
         raise UserError("give one file of the simulation, or bags that it wrote, not both")
     if files:
         read = read_simulation(files[0])
         return read if gravity is None else _under(read, read.arm.with_gravity(np.array(gravity, dtype=float)))
-    written = read_bags(paths, progress, *how)
-    known = find_arm(arm, gravity, [*written, *recordings])
+    written = comparing.reading.read(paths, progress)
+    known = find_arm(comparing.reading.arm, gravity, [*written, *recordings])
     found = identify(written, known, Settings(structure=simulated_structure()))
     model = found.model.possible
     return Simulation(model, "bag", ", ".join(path.name for path in paths))
