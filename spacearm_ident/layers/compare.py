@@ -220,10 +220,9 @@ class _Pass:
         found.leave_out(gone)
         added = [one for one in added if one not in gone]
         named = found.clear(optional)
-        rest = [one for one in optional if one not in named]
-        if rest and not found.predicted_better_with(rest):
-            found.leave_out(rest)
-            rest = []
+        unclear = [one for one in optional if one not in named]
+        rest = found.predicting(unclear)
+        found.leave_out([one for one in unclear if one not in rest])
         order = found.order([*added, *named])
         stages += [found.fit(with_terms=order[: k + 1]) for k in range(len(order))]
         if rest:

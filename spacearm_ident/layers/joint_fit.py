@@ -247,19 +247,28 @@ class JointFit:
             if not self._rises(self.fit([other for other in (*terms, *others) if other is not one]), left, least)
         ]
 
-    def predicted_better_with(self, terms: Sequence[Added]) -> bool:
-        """Whether held-out parts of the fitted recordings are predicted better with some physics, beyond chance."""
-        numbers = [int(number) for one in terms for number in one.columns]
-        others = [np.array([k]) for k in range(len(self.linear.model.parameters)) if k not in numbers]
-        squares = []
-        for prior in (self._prior(others), self._prior(None)):
-            left = np.zeros((self.linear.blocks, len(self.simulation.arm.joints)))
-            for fold in folds_of(self.linear.recording):
-                rest = np.setdiff1d(np.arange(self.linear.blocks), fold)
-                values = self._possible(self.linear, prior, rest)
-                left[fold] = self.linear.squares(values)[:, fold].T
-            squares.append(left)
-        return predicts_better(*squares)
+    def predicting(self, terms: Sequence[Added]) -> list[Added]:
+        """Those of some friction terms with which held-out parts of the fitted recordings are predicted better.
+
+        The terms of each joint stay or go together, judged beside those of the other joints.
+        """
+        with_all = self._held_out_squares(())
+        kept = []
+        for where in dict.fromkeys(one.joints for one in terms):
+            own = [one for one in terms if one.joints == where]
+            if predicts_better(self._held_out_squares(own), with_all):
+                kept += own
+        return kept
+
+    def _held_out_squares(self, without: Sequence[Added]) -> FloatArray:
+        """(blocks, n) squares that fits without some physics leave in the parts that each does not see."""
+        numbers = [int(number) for one in without for number in one.columns]
+        prior = self._prior([np.array([k]) for k in range(len(self.linear.model.parameters)) if k not in numbers])
+        left = np.zeros((self.linear.blocks, len(self.simulation.arm.joints)))
+        for fold in folds_of(self.linear.recording):
+            rest = np.setdiff1d(np.arange(self.linear.blocks), fold)
+            left[fold] = self.linear.squares(self._possible(self.linear, prior, rest))[:, fold].T
+        return left
 
     def clear(self, terms: Sequence[Added]) -> list[Added]:
         """Friction terms whose values exceed their errors and are the same in the held-out recordings.
