@@ -280,6 +280,16 @@ def test_load_friction_on_the_motors_side_grows_with_friction_too_and_not_with_t
     assert [parameter.name for parameter in term.parameters] == ["mu_in[shoulder]"]
 
 
+def test_load_friction_on_the_motors_side_carries_its_own_torque_too():
+    """What the motor gives is the rest and mu times itself: tau = rest + mu |tau| sgn(qd)."""
+    rest = 20.0 * np.sin(7.0 * Q + 1.0)
+    whole, mu = np.stack([rest] * 3, axis=1), 0.3
+    known = Background(None, None, {"mu_in[shoulder]": mu}, lambda: 0.0 * whole, lambda: whole, lambda: 0.0 * whole)
+    friction = torque(one("load_friction", ARM, joint="shoulder", side="motor"), W, [mu], (), known)[:, 1]
+    assert np.any(friction * rest > 1.0) and np.any(friction * rest < -1.0)
+    np.testing.assert_allclose(friction, mu * np.abs(rest + friction) * S)
+
+
 def test_load_friction_opposes_the_motion_whatever_the_load_does():
     load = np.stack([np.zeros_like(Q), 20.0 * np.sin(7.0 * Q + 1.0), np.zeros_like(Q)], axis=1)
     rub = torque(one("load_friction", ARM, joint="shoulder"), W, [0.1], (), Background.known(load))

@@ -192,6 +192,10 @@ class _Pass:
             whole = wired.model
         laws = wired.laws
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
+        if any(isinstance(term, LoadFriction) for term in whole.model.terms):
+            # It grows with what the other terms and itself add up to: those of the search were fitted without.
+            whole = found.fitted
+            found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         idle = found.idle_wiring(SHOWS)
         if idle:
             wired = replace(without_columns(whole, self.wired_in, self.simulation.own, wired, idle), laws=laws)
@@ -363,7 +367,8 @@ class _Pass:
         for number, one in enumerate(order):
             drop = shares.of_variance(rms[2 + number] ** 2 - rms[3 + number] ** 2)
             vector = found.vector(one)
-            card = {} if one.finding is None else one.finding.parameters
+            # Friction by the load is known best where the load is.
+            card = {} if one.finding is None or one.effect == LoadFriction.kind else one.finding.parameters
             name, quantity = next(iter(card.items()), ("", None))
             value, low, high, unit = (
                 (quantity.value, quantity.low, quantity.high, quantity.unit)

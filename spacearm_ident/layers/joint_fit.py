@@ -102,6 +102,12 @@ class JointFit:
         self._believe_the_data()
         self._settle()
 
+    @property
+    def fitted(self) -> IdentifiedModel:
+        """The model with the values of this fit, about which the next is linear."""
+        model = self.linear.model
+        return replace(model, parameters=self.estimate.values[: len(model.parameters)])
+
     def _believe_the_data(self) -> None:
         """Take the wiring that these motions determine from them alone.
 

@@ -137,7 +137,7 @@ class LoadFriction(_Friction):
 
     kind: ClassVar[str] = "load_friction"
     words: ClassVar[str] = "friction grows with the load on the gear"
-    equation: ClassVar[str] = "mu |tau_load| sgn(qd)"
+    equation: ClassVar[str] = "mu |tau_load| sgn(qd); by the input: tau_load = load + all friction, this one included"
     source: ClassVar[str] = "Hamon, Gautier and Garrec 2010"
     confused_with: ClassVar[tuple[str, ...]] = ("gear_efficiency", "torque_constant", "friction_drift")
     experiment: ClassVar[str] = "raise and lower a known load slowly: load and speed of both signs"
@@ -156,15 +156,20 @@ class LoadFriction(_Friction):
         return cls((Parameter(symbol, known_joint(arm, place), "1", scale=0.1, lower=0.0, upper=0.4),), place=place)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """|load| times direction."""
+        """|load| times direction.
+
+        On the input it is part of the load: |tau| = |rest| + mu |tau| where it acts against the load's motion, and with
+        the other sign where the load drives. The rest is divided by 1 -+ mu, at the value that the model has.
+        """
         row = self.row(motion)
         if background is None:
             return nothing(motion, [row], 1)
-        load = background.load[:, row]
+        load, sign = background.load[:, row], direction(motion, row)
         if self.place.get("side") == "motor":
             rotor = background.values.get(f"J_m[{motion.joints[row]}]", 0.0)
             load = background.torque[:, row] - rotor * motion.acceleration[:, row]
-        return own(row, np.abs(load) * direction(motion, row))
+            load = load / (1.0 - background.values.get(self.parameters[0].name, 0.0) * np.sign(load) * sign)
+        return own(row, np.abs(load) * sign)
 
 
 @dataclass(frozen=True)
