@@ -12,7 +12,7 @@ from changed_arm import ARM
 from planted_arm import TWO_LINKS, Friction, two_link_run
 
 from spacearm_ident.cli.main import main
-from spacearm_ident.cli.mismatch import sort_bags
+from spacearm_ident.cli.mismatch import sort_bags, summary
 from spacearm_ident.conventions.change import Kind
 from spacearm_ident.conventions.finding import ConventionReport, Level
 from spacearm_ident.conventions.finding import Finding as Mistake
@@ -21,7 +21,7 @@ from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.constraints import limits_for_excitation
 from spacearm_ident.excitation.trajectory_file import load_trajectory
-from spacearm_ident.mismatch.finding import unfit
+from spacearm_ident.mismatch.finding import NO_MISMATCH, Explanation, unfit
 from spacearm_ident.recording import read_recording, write_recording
 from spacearm_ident.report.mismatch_folder import write_mismatch
 from spacearm_ident.sessions.identification import find_arm
@@ -69,6 +69,14 @@ def run(*words, expect, capsys):
     out, err = capsys.readouterr()
     assert code == expect, err
     return out, err
+
+
+def test_no_mismatch_is_said_of_the_joints_that_were_compared_alone():
+    level = np.array([0.1, 0.1])
+    healthy = Explanation(NO_MISMATCH, ("shoulder", "elbow"), level, level, level, level)
+    assert "every joint" in summary(healthy, Path("page"), "N m")
+    half = summary(replace(healthy, before_Nm=np.array([0.1, np.nan])), Path("page"), "N m").splitlines()[0]
+    assert "at shoulder" in half and "nothing is known of the others" in half
 
 
 # --- which file is what ---------------------------------------------------------------------------------------------

@@ -200,13 +200,14 @@ def test_text_from_outside_cannot_become_markup() -> None:
 @pytest.mark.parametrize(
     ("of", "says", "drawings"),
     [
-        (explanation(), "No mismatch", 2),
+        (explanation(), "No mismatch: the reference explains", 2),
+        (replace(explanation(), before_Nm=np.array([0.1, np.nan])), f"No mismatch at {JOINTS[0]}; nothing is known", 2),
         (explanation(unexplained=(Unexplained(("elbow",), "?", 0.4),)), "above the noise remains at elbow", 2),
         (unfit(JOINTS, ("nothing moves",)), "nothing moves", 0),
         (explanation(finding("unknown", parameters={})), "No effect of the catalogue", 3),
         (explanation(finding(), finding("position_friction", "elbow")), "Also found: friction depends", 4),
     ],
-    ids=["healthy", "healthy with a rest", DATA_UNFIT, "unknown", "two"],
+    ids=["healthy", "half healthy", "healthy with a rest", DATA_UNFIT, "unknown", "two"],
 )
 def test_every_verdict_has_its_page(of: Explanation, says: str, drawings: int) -> None:
     parsed = page(of)

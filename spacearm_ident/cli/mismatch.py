@@ -286,6 +286,9 @@ def _verdict_line(explanation: Explanation) -> str:
     """The verdict with what it rests on."""
     words = explanation.verdict.replace("_", " ")
     if explanation.verdict == NO_MISMATCH:
+        if len(explanation.compared) < len(explanation.joints):
+            where = ", ".join(explanation.compared)
+            return f"{words} at {where}, whose residual lies within the healthy range; nothing is known of the others"
         return f"{words}: the residual of every joint lies within the healthy range"
     if explanation.verdict == DATA_UNFIT:
         return words

@@ -228,6 +228,12 @@ class Explanation:
     would_have_seen: tuple[Detectable, ...] = ()
 
     @property
+    def compared(self) -> tuple[str, ...]:
+        """Joints whose residual says something: whose noise is known, and that move where it is judged."""
+        known = np.isfinite(self.noise_floor_Nm) & np.isfinite(self.before_Nm)
+        return tuple(joint for joint, told in zip(self.joints, known) if told)
+
+    @property
     def headline(self) -> str:
         """The verdict in one line."""
         names = [f"{f.effect} at {', '.join(f.joints)} (confidence {f.confidence:.2f})" for f in self.findings]

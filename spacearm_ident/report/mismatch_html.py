@@ -80,6 +80,9 @@ def _judged(explanation: Explanation) -> tuple[str, str, list[object]]:
     if explanation.verdict == NO_MISMATCH or not findings:
         above = listed([joint for left in explanation.unexplained for joint in left.joints])
         rest = f"A residual slightly above the noise remains at {above}, see below." if above else None
+        if explanation.verdict == NO_MISMATCH and len(explanation.compared) < len(explanation.joints):
+            headline = f"No mismatch at {listed(explanation.compared)}; nothing is known of the other joints"
+            return "fair", headline, [rest] if rest else []
         return "good", "No mismatch: the reference explains the recordings", [rest] if rest else []
     first, more = findings[0], findings[1:]
     headline = f"Mismatch at {_at(first)}: {_name(first.effect)}, {_size(first)}"
