@@ -16,7 +16,8 @@ from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
-from ..signals.prepare import prepare, require_joints
+from ..signals.bandwidth import BOUNDS_HZ
+from ..signals.prepare import prepare, require_joints, reversal_cutoff_hz
 from .change import Kind
 from .description import compare_description
 from .finding import Alternative, ConventionReport, Finding, Level, merged
@@ -112,7 +113,12 @@ def _explained(findings: Sequence[Finding], inferred: Sequence[Finding]) -> list
 
 def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding], list[str]]:
     """What the arm's dynamics say, and what they cannot."""
-    motions, _ = prepare([recording], arm.joint_names)
+    motions, bandwidth = prepare([recording], arm.joint_names)
+    widest = bandwidth.cutoff_hz
+    # In a slow motion the direction of a joint would drown in its encoder's noise, and the joint seem to rest.
+    cutoff = reversal_cutoff_hz([recording], arm.joint_names, min(BOUNDS_HZ[0], widest), widest)
+    if cutoff < widest:
+        motions, _ = prepare([recording], arm.joint_names, cutoff)
     rows = rows_of(motions)
     rows.moving[:, sorted(plain.dead | plain.still)] = False
     scorer = Scorer(arm, rows, _velocity_bonus(plain.velocity_slopes), plain.dead | plain.still)
