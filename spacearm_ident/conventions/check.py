@@ -115,7 +115,7 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     """What the arm's dynamics say, and what they cannot."""
     motions, bandwidth = prepare([recording], arm.joint_names)
     widest = bandwidth.cutoff_hz
-    # In a slow motion the direction of a joint would drown in its encoder's noise, and the joint seem to rest.
+    # In a slow motion the direction of a joint would be lost in its encoder's noise, and the joint seem to rest.
     cutoff = reversal_cutoff_hz([recording], arm.joint_names, min(BOUNDS_HZ[0], widest), widest)
     if cutoff < widest:
         motions, _ = prepare([recording], arm.joint_names, cutoff)

@@ -231,7 +231,7 @@ class Explanation:
     def compared(self) -> tuple[str, ...]:
         """Joints whose residual says something: whose noise is known, and that move where it is judged."""
         known = np.isfinite(self.noise_floor_Nm) & np.isfinite(self.before_Nm)
-        return tuple(joint for joint, told in zip(self.joints, known) if told)
+        return tuple(joint for joint, is_known in zip(self.joints, known) if is_known)
 
     @property
     def headline(self) -> str:

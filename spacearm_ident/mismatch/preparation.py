@@ -8,7 +8,7 @@ or clearly predicts held-out parts worse, the residual is what the model lacks: 
 
 Two cut-offs: positions go through one up to several times as wide as torque and columns do. Friction follows the sign
 of the velocity there was, and a velocity low-passed as hard as the torque turns round at another moment. Where encoders
-are coarse the sign would drown in their noise, so it is no wider than they allow (`reversal_cutoff_hz`).
+are coarse the sign would be lost in their noise, so it is no wider than they allow (`reversal_cutoff_hz`).
 """
 
 from __future__ import annotations
