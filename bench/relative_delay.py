@@ -4,7 +4,7 @@
 
 Each signal of the second is shifted until it fits the first best (least squares, 0.3 to 10 Hz): positions tell how the
 two were started, torques how they were started and how late they are. The difference is what `spacearm mismatch` calls
-a time delay of the one with the other as its reference; it is computed here from neither motion nor dynamics.
+a time delay of the one with the other as its reference; here no model of the arm takes part.
 """
 
 from __future__ import annotations
@@ -19,8 +19,11 @@ from scipy.signal import butter, sosfiltfilt
 from spacearm_ident.recording import Recording, read_recording
 
 BAND_HZ = (0.3, 10.0)
+"""Band in which signals are compared: above offsets and drift, below most of the encoder's and current's noise."""
 RATE_HZ = 200.0
+"""Of the common grid, 20 times the band."""
 MARGIN_S, FARTHEST_S, STEP_S = 2.0, 0.3, 0.005
+"""Left out at either end for the filter; largest shift; step of the first search, a twentieth of the band's period."""
 
 
 def shift_s(one: Recording, other: Recording, signal: str, joint: int) -> float:

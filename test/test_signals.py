@@ -324,7 +324,7 @@ class TestStandstill:
 
 
 class TestReversalCutoff:
-    """The low-pass of positions that tells best where a joint turns round."""
+    """The low-pass of positions with which a reversal is resolved best."""
 
     @staticmethod
     def seen(step_rad, resting=False):

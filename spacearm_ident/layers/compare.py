@@ -141,23 +141,24 @@ class _Pass:
         self.simulation, self.fitted, self.held, self.judged_on = simulation, fitted, held, judged_on
         self.arm, self.joints = simulation.arm, simulation.arm.joint_names
         self.cutoff = cut_off_hz([*fitted, *held])
+        wide = self._of_positions(self.cutoff)
         # Wiring is looked for in the full bandwidth: a delay is in its upper half.
-        self.motions = self.wired_in = self._banded(fitted)
+        self.motions = self.wired_in = banded(fitted, self.joints, self.cutoff, wide)
         while self.cutoff > LOWEST_HZ:
-            slower = self._banded(fitted, 0.5)
+            half = 0.5 * self.cutoff
+            narrower = self._of_positions(half)
+            slower = banded(fitted, self.joints, half, narrower)
             with np.errstate(invalid="ignore", divide="ignore"):
                 share = _acceleration(slower) / _acceleration(self.motions)
             # A joint that stands still says nothing.
             if not np.nanmedian(share) <= SIGNAL:
                 break
-            self.cutoff, self.motions = 0.5 * self.cutoff, slower
-        self.judged = self._banded(held, first=len(fitted))
+            self.cutoff, wide, self.motions = half, narrower, slower
+        self.judged = banded(held, self.joints, self.cutoff, wide, first=len(fitted))
 
-    def _banded(self, recordings: Sequence[Recording], narrower: float = 1.0, first: int = 0) -> list[Motion]:
-        """Recordings in a share of the present bandwidth; `first` as of `banded`."""
-        cutoff = narrower * self.cutoff
-        wide = position_cut_off_hz([*self.fitted, *self.held], self.joints, cutoff)
-        return banded(recordings, self.joints, cutoff, wide, first)
+    def _of_positions(self, cutoff_hz: float) -> float:
+        """Cut-off of positions beside one of torque, Hz."""
+        return position_cut_off_hz([*self.fitted, *self.held], self.joints, cutoff_hz)
 
     def run(self, excluded: Sequence[str], report: Progress) -> Comparison:
         """All layers."""

@@ -7,7 +7,7 @@ or clearly predicts held-out parts worse, the residual is what the model lacks: 
 `identify` chooses, by prediction of held-out parts, and rows are weighted, not whitened (`noise.weighted`).
 
 Two cut-offs: positions go through one up to several times as wide as torque and columns do. Friction follows the sign
-of the velocity there was, and a velocity low-passed as hard as the torque turns round at another moment. Where encoders
+of the velocity there was, and a velocity low-passed as hard as the torque reverses at another moment. Where encoders
 are coarse the sign would be lost in their noise, so it is no wider than they allow (`reversal_cutoff_hz`).
 """
 

@@ -141,7 +141,7 @@ def prepare(
 def reversal_cutoff_hz(
     recordings: Sequence[Recording], joints: Sequence[str], cutoff_hz: float, widest_hz: float
 ) -> float:
-    """Low-pass of positions that tells best where a velocity changes its sign.
+    """Low-pass of positions with which a velocity's reversal is resolved best.
 
     A narrow one blurs a reversal over the speed a / w, a wide one hides it in the encoder's noise, whose standard
     deviation in a velocity grows as w^(3/2). The best is where both are alike: the median over the joints that move.
