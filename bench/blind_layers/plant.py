@@ -105,9 +105,10 @@ def simulate(
     step = 1.0 / RATE_HZ / per_tick
     model = true_model(arm, table, elastic, payload, gravity, step)
     model.dof_solref[:] = (FRICTION_TIME_s, 1.0)
-    # The integrator solves (M + h D) dv = h (f - D v): the arm would be heavier than its table says by step x damping.
+    # The integrator solves (M + h D) dv = h (f - D v) with v half a step older than the recorded positions: the arm
+    # would be heavier than its table says by h D / 2.
     armature = model.dof_armature.copy()
-    model.dof_armature -= step * model.dof_damping
+    model.dof_armature -= 0.5 * step * model.dof_damping
     data = mujoco.MjData(model)
     n, count = len(arm.joints), reference.shape[1]
     dof = np.array([model.joint(name).dofadr[0] for name in arm.joints])
@@ -193,7 +194,7 @@ def simulate(
                     less = damping_level(law, damping, warm[j])
                     change -= (less - damping) * v[j]
                     model.dof_damping[dof[j]] = less
-                    model.dof_armature[dof[j]] = armature[dof[j]] - step * less
+                    model.dof_armature[dof[j]] = armature[dof[j]] - 0.5 * step * less
                 out.added[k, i, j] = change
                 level = new
             model.dof_frictionloss[dof[j]] = max(level, 1e-6)

@@ -19,6 +19,8 @@ pytestmark = pytest.mark.skipif(not (MODELS / "ur5e.xml").exists(), reason=f"the
 
 MOVING = 0.02
 """rad/s above which dry friction has its level."""
+STEP_s = 0.5e-3
+"""The integrator's step where no joint is elastic."""
 
 
 def _run(name, laws, payload=None, seconds=7.0, noise=0.0):
@@ -35,13 +37,36 @@ def _run(name, laws, payload=None, seconds=7.0, noise=0.0):
     model.dof_solref[:] = (FRICTION_TIME_s, 1.0)
     rows = np.flatnonzero((np.abs(run.v) > MOVING).all(axis=1))[::3]
     part = replace(run, **{f.name: getattr(run, f.name)[..., rows, :] for f in fields(run) if f.name != "t"})
-    return arm, run, part, rigid_torque(model, mujoco.MjData(model), part.q, part.v, part.a)
+    # A recorded position lies half a step of the integrator after the velocity `v`.
+    damped = model.dof_damping * 0.5 * STEP_s * part.a
+    return arm, run, part, rigid_torque(model, mujoco.MjData(model), part.q, part.v, part.a) + damped
 
 
 @pytest.mark.parametrize("name", ["ur5e", "iiwa14", "panda"])
 def test_torque_is_mj_inverse_of_the_motion_where_nothing_is_added(name):
     _, _, run, inverse = _run(name, [])
     assert np.abs(run.torque - inverse).max() < 1e-6
+
+
+def test_rotor_inertia_that_least_squares_finds_in_recorded_positions_is_the_table_s():
+    arm = arms()["ur5e"]
+    table = arm.table()
+    for joint in table["joints"].values():
+        joint["frictionloss"] = 0.0
+    model, n, rng = true_model(arm, table), len(arm.joints), np.random.default_rng(1)
+    reference = excitation(arm, model, rng, 7.0)
+    quiet = Noise(2.0**30, 0.0, 0.0, np.zeros(n), np.zeros(n))
+    run = simulate(arm, table, [], reference, quiet, rng, model)
+    v = np.gradient(run.q, 1e-3, axis=0)
+    a = np.gradient(v, 1e-3, axis=0)
+    rest = run.torque - rigid_torque(model, mujoco.MjData(model), run.q, v, a)
+    for j, name in enumerate(arm.joints):
+        # Half a control period and half a step pass before a torque has acted.
+        columns = sizes.low_pass(
+            np.stack([a[:, j], v[:, j], np.gradient(run.torque[:, j], 1e-3)], axis=1), 1000.0, 20.0
+        )
+        found = np.linalg.lstsq(columns[200:-200], sizes.low_pass(rest, 1000.0, 20.0)[200:-200, j], rcond=None)[0]
+        assert abs(found[0]) < 0.2 * STEP_s * float(table["joints"][name]["damping"])
 
 
 def test_torque_lacks_exactly_the_added_torque_when_a_ripple_and_a_spring_are_added():
