@@ -36,6 +36,9 @@ from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
 SURE = 5.0
 """Log odds from which a hypothesis is taken: one false in 150, were residuals noise; all parts must agree besides."""
+PROBABLE = 0.0
+"""Those of friction by the load: without it the joint's friction and damping would be named as changed, by one factor,
+and of two things of which one is named it should be the more probable one."""
 GAIN_SD, ZERO_SD, DELAY_SD, TILT_SD = 0.5, 0.05, 0.02, 0.05
 """Standard deviations of what is off where something is: of a gain's logarithm (a torque constant of a neighbouring
 size of motor), of a zero, rad (three degrees), of a delay, s (a few cycles of a slow bus), of a tilt, rad (three
@@ -81,7 +84,7 @@ SHORT_LIST = 4
 MOST = 8
 """Columns looked for at once."""
 SETTLING = 2
-"""Times that everything is linearised again once nothing is added."""
+"""Times that everything is linearised again once nothing is added, or before what is left is judged."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,8 @@ def find_wiring(
     state = _State(_with_rivals(model), motions, model.model, written)
     if known is not None:
         state.begin(known, known.found)
-    state.settle()
+    for _ in range(1 if known is None else 1 + SETTLING):
+        state.settle()
     if known is not None:
         state.doubt_what_is_left()
     while len(state.found) < MOST and (best := state.best_addition()) is not None:
@@ -145,11 +149,11 @@ def find_wiring(
         state.settle()
     for _ in range(SETTLING if state.found else 0):
         state.settle()
-    odds = {name: state.log_odds(name) for name in state.found}
-    while odds and min(odds.values()) < SURE:
+    odds = {name: state.log_odds(name) - _least((name,)) for name in state.found}
+    while odds and min(odds.values()) < 0.0:
         state.found.remove(min(odds, key=lambda name: odds[name]))
         state.settle()
-        odds = {name: state.log_odds(name) for name in state.found}
+        odds = {name: state.log_odds(name) - _least((name,)) for name in state.found}
     state.drop_what_helps_a_rival()
     return state.answer(model.model)
 
@@ -181,6 +185,11 @@ def _with_rival_terms(model: TorqueModel, names: Sequence[str]) -> TorqueModel:
         known = structure.get(kind, {"at": []})["at"]
         structure[kind] = {"at": [*known, {"joint": joint, **options}]}
     return TorqueModel(model.arm, structure)
+
+
+def _least(names: Sequence[str]) -> float:
+    """Log odds from which hypotheses are taken."""
+    return PROBABLE if kind_and_joint(names[0])[0] in (LOADED, DRIVEN) else SURE * len(names)
 
 
 def _too_large(name: str, value: float) -> bool:
@@ -222,10 +231,10 @@ class _State:
 
     def doubt_what_is_left(self) -> None:
         """Let joints whose residual is mostly model error count for as many rows as there are states to be wrong in."""
-        # The values are those beside the small gains that are no finding.
-        values = dict(zip(self.linear.names, self._solved(self.found).values.tolist()))
-        gains = np.exp([values[f"{GAIN}[{joint}]"] for joint in self.arm.joint_names])
-        share = model_error_share(self.fitted, self.linear.motions, gains)
+        values = self._solved(self.found).values
+        # Gains that are no finding are not undone.
+        gains = np.exp([values[self.linear.names.index(f"{GAIN}[{joint}]")] for joint in self.arm.joint_names])
+        share = model_error_share(self._with(values), self.linear.motions, gains)
         cluster = self.linear.rows.sum(axis=1) * self.relative_weight / STATE_GROUPS
         self.design_effect = np.where(share > MODEL_ERROR, 1.0 + share * np.maximum(cluster - 1.0, 0.0), 1.0)
 
@@ -281,7 +290,7 @@ class _State:
 
     def best_addition(self) -> tuple[str, ...] | None:
         """The hypotheses that gain most beside those found, if they gain enough."""
-        sure = [(odds, names) for odds, names in self._additions() if odds > SURE * len(names)]
+        sure = [(odds, names) for odds, names in self._additions() if odds > _least(names)]
         best = sorted(sure, reverse=True)[:SHORT_LIST]
         # A rival is there to be ruled out: beside what is still missing it need not be the same in all parts.
         return next((names for _, names in best if self._holds(names)), None)

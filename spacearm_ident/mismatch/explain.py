@@ -30,6 +30,7 @@ from .judgement import BEYOND_A_DAY, beyond_healthy, contradicted, doubted, harm
 from .null import exceeds_null
 from .power import would_have_seen
 from .preparation import ChooseStructure, Prepared, prepare_evidence
+from .reliability import calibrated
 from .residuals import Residuals
 from .rivals import UNKNOWN
 from .scored import Scored
@@ -144,6 +145,8 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
         findings = _unnamed(joints, where, rms_before, rms_after, floor)
     if not findings and evidence.reference is not None:
         findings = _in_the_field_alone(in_field, healthy_field, joints)
+    if evidence.reference is not None:
+        findings = calibrated(findings)
     words, next_effect, next_joints = _next(findings)
     # Without a finding nothing was added to the reference's model, whatever a refit to the field would leave.
     added, rms_added = (after, rms_after) if findings else (before, rms_before)
