@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -69,17 +70,17 @@ def main() -> None:
         print(
             f"{where.value:55s} {sum(one.right for one in some):3d} of {len(some):3d} right, factor {whole[where]:.2f}"
         )
-    stated, weights, right = [], [], []
+    stated, weights, names = [], [], []
     for number in range(len(series)):
         others = shares([one for one in found if one.series != number])
         for one in (one for one in found if one.series == number):
             stated.append(one.weight * others[one.where])
             weights.append(one.weight)
-            right.append(one.right)
-    truth = np.array(right, float)
+            names.append(one.right)
+    truth = np.array(names, float)
     for name, values in (("weight", np.array(weights)), ("confidence, from the other series", np.array(stated))):
         print(f"{name}: Brier score {np.mean((values - truth) ** 2):.3f}")
-        for low, high in zip(EDGES, EDGES[1:]):
+        for low, high in pairwise(EDGES):
             inside = (values >= low) & (values < high)
             if inside.any():
                 print(

@@ -62,6 +62,18 @@ def test_a_tilted_base_is_gravity_from_another_side(axis):
     assert np.abs(made).max() > 0
 
 
+@pytest.mark.parametrize("tilt", [(0.3, 0.0), (-0.2, 0.25)])
+def test_a_base_that_is_tilted_far_is_gravity_turned_not_sheared(tilt):
+    still = np.zeros_like(W.position)
+    turn = pin.exp3(np.array([*tilt, 0.0]))
+    level, tilted = (rnea(THREE_LINKS, W.position, still, still, g) for g in (ARM.gravity, turn.T @ ARM.gravity))
+    effect, here = one("base_tilt", ARM), background_of(ARM, W)
+    made = torque(effect.around(tilt), W, np.array(tilt), (), here)
+    np.testing.assert_allclose(made, tilted - level, atol=1e-9)
+    in_a_model = replace(here, values={**here.values, "tilt_x[base]": tilt[0], "tilt_y[base]": tilt[1]}, kept={})
+    np.testing.assert_allclose(torque(effect, W, np.array(tilt), (), in_a_model), tilted - level, atol=1e-9)
+
+
 def test_without_gravity_no_base_is_tilted():
     assert not list(EFFECTS["base_tilt"].variants(arm_of(gravity=(0.0, 0.0, 0.0))))
 

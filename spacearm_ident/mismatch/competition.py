@@ -18,7 +18,7 @@ from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from .constants import grid_points, polish, refine, search
-from .evidence import Candidate, Evidence, HeldOut, Refit
+from .evidence import Candidate, Evidence, HeldOut, Refit, with_own
 from .finding import Happened
 from .happened import happened, without
 from .residuals import unwhitened
@@ -48,6 +48,8 @@ NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
 LASTS = 0.5
 """An effect must score this share of the gate without its best moments: what shows in one alone is an accident."""
+RELINEARISED = 6
+"""Times that what depends on its own parameters is fitted around them: each leaves a share mu / (1 - mu) of the error."""
 MOST = 8
 """Effects in one arm; more is a wrong base model."""
 
@@ -150,6 +152,7 @@ class Competition:
                 continue
             winner = self._polished(winner)
             self.accepted.append(winner.candidate)
+            self._relinearise()
             self._renew_pool(winner.candidate.effect)
             if winner.candidate.effect.event:
                 self._leave_out_events()
@@ -164,6 +167,17 @@ class Competition:
             left,
             left_values,
         )
+
+    def _relinearise(self) -> None:
+        """Accepted effects whose columns depend on their own parameters, around the values that they now have."""
+        for _ in range(RELINEARISED):
+            own = with_own(self.accepted, self.evidence.refit(self.accepted).values)
+            moved = [(one, one.effect.around(tuple(values.tolist()))) for one, values in own]
+            if all(effect is one.effect for one, effect in moved):
+                return
+            self.accepted = [
+                one if effect is one.effect else self.evidence.candidate(effect, one.constants) for one, effect in moved
+            ]
 
     def _with_possible_values(self, rounds: Sequence[Round]) -> list[Round]:
         """Rounds whose winners have values that their physics has beside all others too, not only when they were taken.

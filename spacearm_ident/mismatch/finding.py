@@ -51,7 +51,8 @@ class Finding:
         where: In words.
         equation, source: What it is.
         parameters: Values.
-        confidence: Of the name, 0..1, against the other explanations that were compared.
+        confidence: That the name is right, 0..1: its weight among the explanations that were compared; with a healthy
+            reference times how often such findings were right in blind trials (`reliability`).
         alternatives: Other explanations, best first.
         gain, held_out_gain: Drop in chi-square on the fitted and on the held-out data.
         visibility: Share of its energy that the base model cannot take over.

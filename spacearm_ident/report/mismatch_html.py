@@ -102,7 +102,7 @@ def _surety(finding: Finding) -> str:
     if finding.effect == UNKNOWN:
         return f"Where it appears: {finding.where}. No effect of the catalogue explains it as well."
     word = next(word for least, word in SURE if not finding.confidence < least)
-    sure = f"{_sentence(word)} so: {_rounded(finding.confidence)} confidence against the other explanations"
+    sure = f"{_sentence(word)} so: {_rounded(finding.confidence)} confidence"
     sentence = f"{sure}." if finding.where == _name(finding.effect) else f"{sure}: {finding.where}."
     close = [other for other in finding.alternatives if other.effect != UNKNOWN and other.score > 0.9]
     if close:
@@ -232,7 +232,7 @@ def _facts(finding: Finding) -> Markup:
     ]
     facts: list[tuple[str, object]] = [
         ("physics", join(element("code", typeset(finding.equation)), f" · {finding.source}")),
-        ("confidence", _meter(finding.confidence, "of the name, against the other explanations")),
+        ("confidence", _meter(finding.confidence, "that the name is right")),
         (
             "explains",
             _meter(finding.explained, "of the residual variance above the noise floor there, on held-out data"),

@@ -94,6 +94,21 @@ class Payload(Effect):
         return f"{values[0]:.3g} kg on the link of {self.place['joint']}{held}"
 
 
+def turned_gravity(gravity: FloatArray, tilt: Values) -> FloatArray:
+    """(2, 3) change of gravity in the base frame per angle about x and y; with the angles it is the whole change.
+
+    Rodrigues' formula for -t, since turning the base by t turns gravity, seen from the base, by -t.
+
+    Args:
+        gravity: (3,) of the level base, m/s^2.
+        tilt: Rotation vector's x and y, rad.
+    """
+    axes, turn = np.eye(3)[:2], np.array([tilt[0], tilt[1], 0.0])
+    angle = float(np.linalg.norm(turn))
+    linear = np.sinc(angle / np.pi) * np.cross(gravity, axes)
+    return np.asarray(linear + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * np.cross(axes, np.cross(turn, gravity)))
+
+
 @dataclass(frozen=True)
 class BaseTilt(Effect):
     """Gravity does not come from where the model has it."""
@@ -124,19 +139,22 @@ class BaseTilt(Effect):
         """None: it is the base."""
         return ()
 
+    def around(self, parameters: Values) -> Effect:
+        """By how much gravity turns depends on how far it has turned."""
+        return replace(self, point=tuple(parameters))
+
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """Static torque under gravity turned a little about x and y."""
+        """Static torque under the change of gravity, which is turned about x and y."""
         rows = range(len(motion.joints))
         if background is None or background.arm is None or background.inertials is None:
             return nothing(motion, rows, 2)
-        arm, inertials = background.arm, background.inertials
+        arm, inertials, point = background.arm, background.inertials, self._own(background)
 
         def compute() -> FloatArray:
-            # Turning the base by t turns gravity, seen from the base, by -t.
-            fields = [np.cross(arm.gravity, axis) for axis in np.eye(3)[:2]]
+            fields = turned_gravity(arm.gravity, point)
             return np.stack([rigid_torque(arm.with_gravity(g), inertials, motion.position) for g in fields], axis=2)
 
-        columns = background.keep("tilt", compute)
+        columns = background.keep(("tilt", point), compute)
         return each({row: columns[:, row] for row in rows})
 
     def shown(self, values: FloatArray) -> Shown:

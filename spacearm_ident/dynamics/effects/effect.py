@@ -51,6 +51,8 @@ class Effect(Term):
     """What it is a function of at its joint, if of one thing alone: `velocity`, `position`, or `friction_position`,
     which is position times the direction of motion."""
     place: Options = ()  # type: ignore[assignment]
+    point: Values = ()
+    """Own parameters around which `columns` are taken, where these depend on them; empty: those of the model."""
 
     @classmethod
     def build(cls, arm: Arm, options: Mapping[str, Any]) -> tuple[Term, ...]:
@@ -88,6 +90,14 @@ class Effect(Term):
         """Where it is."""
         joint = self.place.get("joint")
         return (joint,) if joint else tuple(self.place.get("joints", ()))
+
+    def around(self, parameters: Values) -> Effect:
+        """The same with the columns that hold at some values (k,) of its parameters; itself where none matters."""
+        return self
+
+    def _own(self, background: Background) -> Values:
+        """(k,) own parameters at which the columns are taken; zero where there are none yet."""
+        return self.point or tuple(background.values.get(parameter.name, 0.0) for parameter in self.parameters)
 
     @property
     def needs_temperature(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -155,6 +155,10 @@ class LoadFriction(_Friction):
         symbol = "mu_in" if place.get("side") == "motor" else "mu"
         return cls((Parameter(symbol, known_joint(arm, place), "1", scale=0.1, lower=0.0, upper=0.4),), place=place)
 
+    def around(self, parameters: Values) -> Effect:
+        """On the input it is part of the load."""
+        return replace(self, point=tuple(parameters)) if self.place.get("side") == "motor" else self
+
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """|load| times direction.
 
@@ -168,7 +172,7 @@ class LoadFriction(_Friction):
         if self.place.get("side") == "motor":
             rotor = background.values.get(f"J_m[{motion.joints[row]}]", 0.0)
             load = background.torque[:, row] - rotor * motion.acceleration[:, row]
-            load = load / (1.0 - background.values.get(self.parameters[0].name, 0.0) * np.sign(load) * sign)
+            load = load / (1.0 - self._own(background)[0] * np.sign(load) * sign)
         return own(row, np.abs(load) * sign)
 
 
