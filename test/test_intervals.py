@@ -10,7 +10,7 @@ import pytest
 from spacearm_ident.dynamics.term import Constant
 from spacearm_ident.estimate.identified import GAIN_DEVIATION
 from spacearm_ident.mismatch import intervals
-from spacearm_ident.mismatch.intervals import PER_FIT, PER_PARTS, Intervals
+from spacearm_ident.mismatch.intervals import LAW_ERROR, PER_FIT, PER_PARTS, Intervals
 from spacearm_ident.mismatch.scored import PARTS
 from spacearm_ident.mismatch.stacked import Stacked
 
@@ -20,7 +20,7 @@ LEVEL, WAVE = np.ones(ROWS), np.sin(40.0 * TIME)
 RATE = Constant("rate", "hip", "rad/s", (10.0, 90.0))
 
 
-def fitted(torque, columns, base=LEVEL, held=(), constants=(), weighs=False):
+def fitted(torque, columns, base=LEVEL, held=(), constants=(), weighs=False, kind="payload"):
     """Least squares of base and columns at one joint, and their intervals; noise has variance one."""
     columns = np.stack(columns, axis=1)
     basis = base[:, None] / np.linalg.norm(base)
@@ -38,7 +38,7 @@ def fitted(torque, columns, base=LEVEL, held=(), constants=(), weighs=False):
         beyond_base=lambda whole: whole - basis @ (basis.T @ whole),
     )
     candidate = SimpleNamespace(
-        effect=SimpleNamespace(parameters=columns[0], constants=[RATE] * len(constants), weighs=weighs),
+        effect=SimpleNamespace(parameters=columns[0], constants=[RATE] * len(constants), weighs=weighs, kind=kind),
         constants=constants,
         held=~free,
         stacked=Stacked(slice(0, ROWS), columns),
@@ -64,6 +64,15 @@ def test_body_is_known_no_better_than_the_gain_of_the_torque_that_weighs_it():
     added = weighed.fit[0][0, 0] - as_recorded.fit[0][0, 0]
     assert added == pytest.approx((GAIN_DEVIATION * mass) ** 2)
     assert weighed.half_width(0, np.ones(1)) > 30.0 * as_recorded.half_width(0, np.ones(1))
+
+
+def test_law_that_is_not_quite_nature_s_is_known_to_a_share_of_its_values():
+    torque = 1000.0 * WAVE + np.random.default_rng(0).standard_normal(ROWS)
+    (level,), exact = fitted(torque, [WAVE])
+    _, made = fitted(torque, [WAVE], kind="friction_drift")
+    added = made.fit[0][0, 0] - exact.fit[0][0, 0]
+    assert added == pytest.approx((LAW_ERROR["friction_drift"] * level) ** 2)
+    assert made.half_width(0, np.ones(1)) > 0.09 * level
 
 
 @pytest.mark.parametrize("unruly", [0.0, 1.0])

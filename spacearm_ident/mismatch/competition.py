@@ -49,7 +49,7 @@ NAMES_ENOUGH = 0.2
 LASTS = 0.5
 """An effect must score this share of the gate without its best moments: what shows in one alone is an accident."""
 RELINEARISED = 6
-"""Times that what depends on its own parameters is fitted around them: each leaves a share mu / (1 - mu) of the error."""
+"""Times that what depends on its own parameters is fitted around them: each leaves mu / (1 - mu) of the error."""
 MOST = 8
 """Effects in one arm; more is a wrong base model."""
 
