@@ -204,6 +204,47 @@ def test_friction_by_the_load_where_there_is_little_is_named_and_not_friction_th
     assert item.value == pytest.approx(0.15, abs=0.01)
 
 
+def test_friction_and_damping_by_one_factor_are_not_named_where_they_may_be_another_thing(tmp_path: Path) -> None:
+    mujoco_or_skip()
+    path = tmp_path / "heavy.xml"
+    path.write_text(mjcf(armature=1.0, damping=3.0, friction=4.0))
+    written = read_simulation(path)
+    runs = [recorded(mjcf(armature=1.0, damping=3.9, friction=5.2), seed, noise_Nm=1.0) for seed in (3, 4)]
+    wired = find_wiring(written.model, banded(runs[:1], JOINTS, 20.0, 70.0), written.own)
+    assert list(wired.open_factors) == ["elbow"]
+    comparison = compare(written, runs[:1], runs[1:], excluded=tuple(EFFECTS))
+    named = {(item.name, item.joints[0]) for item in _items(comparison, "parameters")}
+    assert named == {(word, joint) for word in ("damping", "frictionloss") for joint in ("base_turn", "shoulder")}
+    (parameters,) = [layer for layer in comparison.layers if layer.name == "parameters"]
+    assert any("torque does not tell whether friction and damping of elbow" in note for note in parameters.notes)
+
+
+def test_what_the_model_leaves_out_is_judged_once_values_have_settled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One step after a gain and friction have changed, what is left is the step's error, a function of the state."""
+    mujoco_or_skip()
+    path = tmp_path / "heavy.xml"
+    path.write_text(mjcf(armature=1.0, damping=3.0, friction=4.0))
+    written = read_simulation(path)
+    run = _recorded_as(recorded(path.read_text(), 3, noise_Nm=0.02), Wiring(np.array([0.7, 1.0, 1.0]), np.zeros(3)))
+    motions = banded([run], JOINTS, 20.0, 70.0)
+    known = find_wiring(written.model, motions, written.own)
+    assert known.found == ("gain[base_turn]",)
+    shares = []
+
+    def share(*args: object) -> np.ndarray:
+        shares.append(model_error_share(*args))
+        return shares[-1]
+
+    monkeypatch.setattr("spacearm_ident.layers.conventions.model_error_share", share)
+    rough = replace(known, wiring=replace(known.wiring, gain=np.ones(3)))
+    again = find_wiring(written.model, motions, written.own, rough)
+    assert shares[0][0] < 0.2
+    assert again.found == known.found
+    np.testing.assert_allclose(again.wiring.gain[0], 0.7, atol=0.01)
+
+
 def test_share_of_a_residual_that_is_a_function_of_the_joints_state(simulation: Simulation) -> None:
     """Adjusted for the number of functions that follow it: noise has none."""
     run = recorded(mjcf(), 1, noise_Nm=0.05)

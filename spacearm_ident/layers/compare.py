@@ -13,7 +13,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,8 +35,9 @@ from ..noise.slow import white_and_slow
 from ..recording.recording import Recording
 from ..signals.motion import Motion
 from ..simulations import Simulation
+from ..simulations.simulation import DAMPING, FRICTION
 from .comparison import Comparison
-from .conventions import Suspicion, find_wiring, without_columns
+from .conventions import Suspicion, Wired, find_wiring, without_columns
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
 from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
@@ -206,7 +207,7 @@ class _Pass:
         report(0.9, "what a flexible function could remove")
         why = "which is within its error of none or lowers no held-out variance"
         lost = tuple(f"{_wiring_words(name)}, {why}" for name in idle)
-        return self._answer(found, added, optional, explanation, wired.suspected, lost)
+        return self._answer(found, added, optional, explanation, wired, lost)
 
     def _answer(
         self,
@@ -214,17 +215,17 @@ class _Pass:
         added: list[Added],
         optional: list[Added],
         explanation: Explanation,
-        suspected: tuple[Suspicion, ...],
+        wired: Wired,
         idle: tuple[str, ...],
     ) -> Comparison:
         gain = found.wiring.gain
         simulated = self._as_simulated()
         stages = [found.simulated(), found.fit(with_terms=())]
-        gone = [one for one in added if _of_no_size(one)]
+        gone = [one for one in added if _of_no_size(one, found)]
         gone += found.contradicted([one for one in added if one not in gone], [*optional, *gone], SHOWS)
         found.leave_out(gone)
         added = [one for one in added if one not in gone]
-        named = found.clear(optional)
+        named = found.clear(optional, added, SHOWS)
         unclear = [one for one in optional if one not in named]
         rest = found.predicting(unclear)
         found.leave_out([one for one in unclear if one not in rest])
@@ -242,9 +243,9 @@ class _Pass:
         torque = gain * found.judge.rms(np.zeros(found.judge.count))
         ceiling = found.ceiling(stages[1]) * gain
         shares = _Shares(found, gain, simulated, after, noise, torque)
-        items, lost, seen, notes, kept = self._parameter_items(found, shares)
+        items, lost, seen, notes, kept = self._parameter_items(found, shares, wired.open_factors)
         layers = (
-            Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(suspected)),
+            Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(wired.suspected)),
             Layer(PARAMETERS, rms[1], rms[2], items, (*self.simulation.notes, *notes)),
             Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, shares), _unnamed(rest, gone)),
             Layer(REST, after, noise, _rest_items(explanation, after, noise, slow > white, shares)),
@@ -261,7 +262,7 @@ class _Pass:
             mended_Nm=gain * found.judge.rms(found.with_model(mended)),
             model=mended,
             wiring=found.wiring,
-            suspected=suspected,
+            suspected=wired.suspected,
             explanation=_standing(explanation, gone),
             traces=traces,
             unconfirmed=(*idle, *lost, *(f"{one.effect} at {', '.join(one.joints)}" for one in gone)),
@@ -305,11 +306,16 @@ class _Pass:
         return _by_share(items)
 
     def _parameter_items(
-        self, found: JointFit, shares: _Shares
+        self, found: JointFit, shares: _Shares, open_factors: Mapping[str, str]
     ) -> tuple[
         tuple[Item, ...], tuple[str, ...], tuple[Detectable, ...], tuple[str, ...], list[tuple[FloatArray, float]]
     ]:
         """Of the parameters.
+
+        Args:
+            found: The joint fit.
+            shares: What an item is worth.
+            open_factors: As of `Wired`.
 
         Returns:
             What differs and is confirmed; names of what is not confirmed; what agrees; what may differ, in words; and
@@ -318,6 +324,8 @@ class _Pass:
         known = determined(found.linear, found.estimate, found.prior, self.simulation)
         simple, others = few_causes(known, found.linear, found.estimate, self.simulation)
         changed, same = changes(known, found.estimate)
+        either = self._by_a_factor(changed, open_factors)
+        changed = tuple(one for one in changed if one not in either)
         items = _cause_items(simple, found, shares)
         named = set[tuple[str, str]]()
         for change in changed:
@@ -334,6 +342,7 @@ class _Pass:
         items = [item for item in items if item.replicated is not False]
         seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
         notes = (f"torque does not tell which of these differs, too: {'; '.join(others)}",) if others else ()
+        notes = (*notes, *(_either(joint, open_factors[joint]) for joint in dict.fromkeys(o.joints[0] for o in either)))
         if simple and others:
             # It is fitted whatever differs, for there is more than can be said in few words.
             named |= {(one.name, one.where) for one in changed if one.of_bodies}
@@ -344,6 +353,13 @@ class _Pass:
             if (one.name, one.where) not in named
         ]
         return _by_share(items), lost, seen, notes, kept
+
+    def _by_a_factor(self, changed: Sequence[Change], joints: Container[str]) -> list[Change]:
+        """Changes of friction and of damping at those of some joints where both differ."""
+        words = {self.simulation.word(symbol) for symbol in (FRICTION, DAMPING)}
+        own = [one for one in changed if one.name in words and one.joints[0] in joints]
+        both = {one.joints for one in own if {other.name for other in own if other.joints == one.joints} == words}
+        return [one for one in own if one.joints in both]
 
     def _change_item(self, change: Change, found: JointFit, shares: _Shares) -> Item:
         low, high = found.estimate.interval(change.vector)
@@ -395,8 +411,11 @@ class _Pass:
         return tuple(items)
 
 
-def _of_no_size(one: Added) -> bool:
-    """Whether the 95 % interval of an effect's size, the first value of its card, holds zero."""
+def _of_no_size(one: Added, found: JointFit) -> bool:
+    """Whether the 95 % interval of an effect's size, the first value of its card or the joint fit's, holds zero."""
+    if one.effect == LoadFriction.kind:
+        low, high = found.estimate.interval(found.vector(one))
+        return low <= 0.0 <= high
     size = None if one.finding is None else next(iter(one.finding.parameters.values()), None)
     return size is not None and size.low <= 0.0 <= size.high
 
@@ -504,6 +523,12 @@ def _suspicions(suspected: Sequence[Suspicion]) -> tuple[str, ...]:
         + "; statistically indistinguishable from links of another mass, and therefore not corrected"
         for one in suspected
     )
+
+
+def _either(joint: str, factor: str) -> str:
+    """That a joint's friction and damping differ, or another thing does."""
+    what = "its torque gain" if kind_and_joint(factor)[0] == GAIN else "friction that grows with its load"
+    return f"torque does not tell whether friction and damping of {joint} differ by one factor, or it is {what}"
 
 
 def _wiring_words(name: str) -> str:

@@ -37,8 +37,11 @@ from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 SURE = 5.0
 """Log odds from which a hypothesis is taken: one false in 150, were residuals noise; all parts must agree besides."""
 PROBABLE = 0.0
-"""Those of friction by the load: without it the joint's friction and damping would be named as changed, by one factor,
-and of two things of which one is named it should be the more probable one."""
+"""Those from which friction by the load is taken if it is not a gain: without it the joint's friction and damping would
+be named as changed, by one factor. From these on a gain or such a law that is not taken leaves open which of the three
+it is (`Wired.open_factors`)."""
+NOT_A_GAIN = float(np.log(19.0))
+"""Log odds of friction by the load against a gain from which it is none: 95 %."""
 GAIN_SD, ZERO_SD, DELAY_SD, TILT_SD = 0.5, 0.05, 0.02, 0.05
 """Standard deviations of what is off where something is: of a gain's logarithm (a torque constant of a neighbouring
 size of motor), of a zero, rad (three degrees), of a delay, s (a few cycles of a slow bus), of a tilt, rad (three
@@ -83,6 +86,8 @@ SHORT_LIST = 4
 """Best hypotheses that the parts are asked about."""
 MOST = 8
 """Columns looked for at once."""
+LEAST_STEP = -0.8
+"""Smallest relative change of a gain at once: what is a larger one is `LARGEST`'s."""
 SETTLING = 2
 """Times that everything is linearised again once nothing is added, or before what is left is judged."""
 
@@ -113,6 +118,8 @@ class Wired:
         suspected: What else is more probable than not, the most probable first.
         model: The simulation's terms, and `laws`, with values that fit beside it.
         laws: Friction by the load that the data demand and the model did not have: parameter -> value, standard error.
+        open_factors: Joint -> a gain, such as `gain[joint_2]`, or friction by the load that is more probable than not
+            and was not taken: the joint's friction and damping by one factor may be that.
     """
 
     wiring: Wiring
@@ -121,6 +128,7 @@ class Wired:
     suspected: tuple[Suspicion, ...]
     model: IdentifiedModel
     laws: Mapping[str, tuple[float, float]]
+    open_factors: Mapping[str, str]
 
 
 def find_wiring(
@@ -251,6 +259,8 @@ class _State:
         solution = self._solved(self.found)
         step, joints = dict(zip(self.linear.names, solution.values.tolist())), self.arm.joint_names
         now = self.wiring.by_column(joints)
+        # A gain's column is the torque: its step is a factor's.
+        step |= {name: float(np.log1p(max(step[name], LEAST_STEP))) for name in self.found if name.startswith(GAIN)}
         now |= {name: now[name] + step[name] for name in (*self.found, DELAY) if name in now}
         self.found = [name for name in self.found if not _too_large(name, now.get(name, 0.0))]
         kept = {*self.found, DELAY}
@@ -286,6 +296,7 @@ class _State:
             self.suspected(),
             self.fitted.carried_to(_with_rival_terms(model, laws)),
             {name: (values[name], errors[name]) for name in laws},
+            self._open_factors(),
         )
 
     def best_addition(self) -> tuple[str, ...] | None:
@@ -296,7 +307,29 @@ class _State:
         return next((names for _, names in best if self._holds(names)), None)
 
     def _holds(self, names: tuple[str, ...]) -> bool:
+        kind, joint = kind_and_joint(names[0])
+        if kind in (LOADED, DRIVEN) and not self._beats_the_gain(names[0], joint):
+            return False
         return self._possible(names[0]) if names[0] in self.rivals else self._agreed(names)
+
+    def _beats_the_gain(self, law: str, joint: str) -> bool:
+        gain = f"{GAIN}[{joint}]"
+        if gain in self.found:
+            return False
+        return self._gained(law, self.found) - self._gained(gain, self.found) > NOT_A_GAIN
+
+    def _open_factors(self) -> dict[str, str]:
+        """Joint -> the most probable of a gain and friction by the load, where one is probable and none was taken."""
+        best = {}
+        for joint in self.arm.joint_names:
+            names = [f"{kind}[{joint}]" for kind in (GAIN, LOADED, DRIVEN)]
+            if set(names) & set(self.found):
+                continue
+            odds = {name: self._gained(name, self.found) for name in names if name in (*self.rivals, names[0])}
+            name = max(odds, key=lambda one: odds[one])
+            if odds[name] > PROBABLE and self._agreed([name]):
+                best[joint] = name
+        return best
 
     def _possible(self, rival: str) -> bool:
         """Whether friction that grows with the load does grow, and by no more than such friction does."""
@@ -456,7 +489,6 @@ class _State:
         for number, name in enumerate(self.linear.names):
             if name in own:
                 precision[number, :] = precision[:, number] = 0.0
-                mean[number], precision[number, number] = self.written[name], (own[name] * self.written[name]) ** -2
             if name in self.rivals and name not in names:
                 mean[number], free[number] = 0.0, False
             if name not in now:
@@ -468,7 +500,28 @@ class _State:
                 free[number] = True
                 sd = SPREAD[kind] if name in names else self.ordinary[kind]
                 precision[number, number] = 1.0 / sd**2
+        for name, share in own.items():
+            self._expect(name, share, mean, precision)
         return Prior(mean, precision, free)
+
+    def _expect(self, name: str, share: float, mean: FloatArray, precision: FloatArray) -> None:
+        """Add that a joint's own parameter is what is written, within a share of it, before the joint's gain.
+
+        The columns are linear about the present value p0, which without the gain has the gain in it: with p as written
+        and a gain g the unknown is p + g (p - p0). Otherwise friction is 4 % off beside a gain of 0.8.
+
+        Args:
+            name: Of the parameter.
+            share: Relative standard deviation.
+            mean: (P,) of the prior; changed.
+            precision: (P, P) of the prior; changed.
+        """
+        number, gain = (self.linear.names.index(one) for one in (name, f"{GAIN}[{kind_and_joint(name)[1]}]"))
+        written, known = self.written[name], (share * self.written[name]) ** -2
+        beyond = written - float(self.fitted.parameters[number])
+        mean[number] = written + beyond * mean[gain]
+        direction = np.array([1.0, -beyond])
+        precision[np.ix_([number, gain], [number, gain])] += known * np.outer(direction, direction)
 
     def _evidence(
         self, names: Sequence[str], blocks: np.ndarray | None = None, own: Mapping[str, float] | None = None

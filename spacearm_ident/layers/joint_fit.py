@@ -276,19 +276,30 @@ class JointFit:
             left[fold] = self.linear.squares(self._possible(self.linear, prior, rest))[:, fold].T
         return left
 
-    def clear(self, terms: Sequence[Added]) -> list[Added]:
-        """Friction terms whose values exceed their errors and are the same in the held-out recordings.
+    def clear(self, terms: Sequence[Added], others: Sequence[Added], least: float) -> list[Added]:
+        """Friction terms whose values exceed their errors, and that the held-out recordings have alike, and need.
 
-        The others stay in the model, where they predict better, and are not named.
+        The others stay in the model, where they predict better, and are not named: a small constant torque is easily a
+        centre of mass and a spring that are off a little.
+
+        Args:
+            terms: Terms in question.
+            others: All other physics.
+            least: As for `idle_wiring`; everything is fitted again without the term.
         """
         bound = float(norm.ppf(1 - LEVEL / 2 / max(len(terms), 1)))
-        vectors = [self.vector(one) for one in terms]
+        left = self.judge.rms(self.estimate.values) ** 2
+        large = [one for one in terms if self._exceeds(self.vector(one), bound)]
         return [
             one
-            for one, vector in zip(terms, vectors)
-            if abs(self.estimate.of(vector)) > bound * self.estimate.error(vector)
-            and self.replicates(vector, 0.0) is not False
+            for one in large
+            if self.replicates(self.vector(one), 0.0) is not False
+            and self._rises(self.fit([other for other in (*terms, *others) if other is not one]), left, least)
         ]
+
+    def _exceeds(self, vector: FloatArray, bound: float) -> bool:
+        """Whether the size of what `vector` says is more than so many of its errors."""
+        return bool(abs(self.estimate.of(vector)) > bound * self.estimate.error(vector))
 
     def vector(self, one: Added) -> FloatArray:
         """(P,) which unknown says how large an effect is: its largest parameter; what a static level is above."""
