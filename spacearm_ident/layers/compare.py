@@ -35,7 +35,7 @@ from ..noise.slow import white_and_slow
 from ..recording.recording import Recording
 from ..signals.motion import Motion
 from ..simulations import Simulation
-from ..simulations.simulation import DAMPING, FRICTION
+from ..simulations.simulation import ARMATURE, DAMPING, FRICTION
 from .comparison import Comparison
 from .conventions import Suspicion, Wired, find_wiring, without_columns
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
@@ -326,7 +326,10 @@ class _Pass:
         changed, same = changes(known, found.estimate)
         either = self._by_a_factor(changed, open_factors)
         changed = tuple(one for one in changed if one not in either)
-        items = _cause_items(simple, found, shares)
+        open_joints = dict.fromkeys(one.joints[0] for one in either)
+        geared = [joint for joint in open_joints if kind_and_joint(open_factors[joint])[0] == GAIN]
+        rotor = self.simulation.word(ARMATURE)
+        items = [one for one in _cause_items(simple, found, shares) if one.name != rotor or one.joints[0] not in geared]
         named = set[tuple[str, str]]()
         for change in changed:
             if not simple or not change.of_bodies:
@@ -342,7 +345,7 @@ class _Pass:
         items = [item for item in items if item.replicated is not False]
         seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
         notes = (f"torque does not tell which of these differs, too: {'; '.join(others)}",) if others else ()
-        notes = (*notes, *(_either(joint, open_factors[joint]) for joint in dict.fromkeys(o.joints[0] for o in either)))
+        notes = (*notes, *(_either(joint, gain=joint in geared) for joint in open_joints))
         if simple and others:
             # It is fitted whatever differs, for there is more than can be said in few words.
             named |= {(one.name, one.where) for one in changed if one.of_bodies}
@@ -525,10 +528,11 @@ def _suspicions(suspected: Sequence[Suspicion]) -> tuple[str, ...]:
     )
 
 
-def _either(joint: str, factor: str) -> str:
+def _either(joint: str, gain: bool) -> str:
     """That a joint's friction and damping differ, or another thing does."""
-    what = "its torque gain" if kind_and_joint(factor)[0] == GAIN else "friction that grows with its load"
-    return f"torque does not tell whether friction and damping of {joint} differ by one factor, or it is {what}"
+    own = "friction, damping and rotor inertia" if gain else "friction and damping"
+    what = "its torque gain" if gain else "friction that grows with its load"
+    return f"torque does not tell whether {own} of {joint} differ by one factor, or it is {what}"
 
 
 def _wiring_words(name: str) -> str:

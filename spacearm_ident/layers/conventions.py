@@ -319,7 +319,10 @@ class _State:
         return self._gained(law, self.found) - self._gained(gain, self.found) > NOT_A_GAIN
 
     def _open_factors(self) -> dict[str, str]:
-        """Joint -> the most probable of a gain and friction by the load, where one is probable and none was taken."""
+        """Joint -> the most probable of a gain and friction by the load, where one is probable and none was taken.
+
+        It must leave friction or damping as written; parts of the data need not agree on its size.
+        """
         best = {}
         for joint in self.arm.joint_names:
             names = [f"{kind}[{joint}]" for kind in (GAIN, LOADED, DRIVEN)]
@@ -327,8 +330,10 @@ class _State:
                 continue
             odds = {name: self._gained(name, self.found) for name in names if name in (*self.rivals, names[0])}
             name = max(odds, key=lambda one: odds[one])
-            if odds[name] > PROBABLE and self._agreed([name]):
-                best[joint] = name
+            if odds[name] > PROBABLE:
+                self._keep(name)
+                if any(one.startswith(("f_c", "k_v1")) for one in self.kept[joint]):
+                    best[joint] = name if name == names[0] or self._possible(name) else names[0]
         return best
 
     def _possible(self, rival: str) -> bool:
