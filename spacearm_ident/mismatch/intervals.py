@@ -57,10 +57,10 @@ LAW_ERROR: Mapping[str, float] = {
     TorqueConstant.kind: 0.07,
     WristCoupling.kind: 0.1,
 }
-"""Relative standard deviation by which values are off because the law is not quite nature's: with it 40 of 46 values are
-inside in blind trials whose laws others wrote, without it 32 (`bench/blind_series`, seeds 1 to 5; `bench/concealed.py`:
-gaps 2 to 12 % and couplings 16 to 25 % too small, compliances 1 to 2 %). Where it is zero the law is exact: a body's
-weight, gravity's direction, a constant. A torque constant's is a share of its error."""
+"""Relative standard deviation by which values are off because the law is not quite nature's: with it 40 of 46 values
+are inside in blind trials whose laws others wrote, without it 32 (`bench/blind_series`, seeds 1 to 5;
+`bench/concealed.py`: gaps 2 to 12 % and couplings 16 to 25 % too small, compliances 1 to 2 %). Where it is zero the law
+is exact: a body's weight, gravity's direction, a constant. A torque constant's is a share of its error."""
 
 
 class Intervals:
