@@ -168,6 +168,15 @@ def test_friction_that_is_part_of_its_own_load_has_the_value_that_was_planted():
     assert finding.parameters["mu_in"].value == pytest.approx(0.25, rel=0.01)
 
 
+def test_gear_that_takes_half_of_its_load_has_friction_by_the_load():
+    def half_of_the_load(planted):
+        return np.outer(0.5 * np.abs(planted.rigid[:, 1]) * np.sign(planted.qd[:, 1]), [0.0, 1.0])
+
+    (finding,) = explained(half_of_the_load, *SLOW_ONES).findings
+    assert finding.effect == "load_friction" and finding.joints == ("elbow",)
+    assert finding.parameters["mu"].value == pytest.approx(0.5, rel=0.02)
+
+
 def test_ripple_is_found_where_it_is_as_large_as_it_is(rippled):
     assert rippled.verdict == MISMATCH
     (finding,) = rippled.findings

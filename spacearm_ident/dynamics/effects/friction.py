@@ -24,6 +24,9 @@ WIDTH_GRID = (0.1, 0.2, 0.4, 0.8)
 SHORT_RAD, MOST_OF_IT = 1e-3, 0.5
 """Below this distance any bearing's friction turns round, in one motion a little otherwise than in another; a finding
 is at least this share of f_c. Of the true ones in blind trials f was 1.15 f_c and more, of false ones 0.07 to 0.16."""
+MOST_OF_INPUT, MOST_OF_OUTPUT = 0.4, 0.6
+"""Largest friction by the load on either side of a gear: what gives 1 on its output takes 1.67, or 1.6, on its input; a
+strain-wave gear in the cold, or a worm, has less than two thirds of efficiency."""
 BELL = 4.0
 """Widths from its centre beyond which a spot is not felt."""
 
@@ -153,7 +156,8 @@ class LoadFriction(_Friction):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         symbol = "mu_in" if place.get("side") == "motor" else "mu"
-        return cls((Parameter(symbol, known_joint(arm, place), "1", scale=0.1, lower=0.0, upper=0.4),), place=place)
+        largest = MOST_OF_INPUT if symbol == "mu_in" else MOST_OF_OUTPUT
+        return cls((Parameter(symbol, known_joint(arm, place), "1", scale=0.1, lower=0.0, upper=largest),), place=place)
 
     def around(self, parameters: Values) -> Effect:
         """On the input it is part of the load."""
