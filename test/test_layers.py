@@ -385,6 +385,29 @@ def test_stribeck_friction_that_the_search_named_is_in_the_model_once(simulation
     assert whole.value("k_v2", "elbow") == 0.0
 
 
+def test_stribeck_velocity_is_fitted_with_the_friction_beside_it(simulation: Simulation) -> None:
+    """The search has it a fifth too high; friction loss and damping take the difference until it is fitted, too."""
+    model, runs = simulation.model, []
+    for seed in (1, 2):
+        run = recorded(mjcf(), seed, noise_Nm=0.02)
+        speed = np.gradient(run.position[:, 1], run.time)
+        extra = 4.0 * np.exp(-((speed / 0.3) ** 2)) * np.sign(speed)
+        runs.append(replace(run, effort=run.effort + np.outer(extra, [0.0, 1.0, 0.0])))
+    named = {**model.model.structure, "stribeck": {"at": [{"joint": JOINTS[1]}]}}
+    whole = model.carried_to(TorqueModel(model.model.arm, named))
+    whole = replace(whole, constants=np.append(np.zeros(len(whole.constants) - 1), 0.36))
+    motions = banded(runs, JOINTS, 20.0, 70.0)
+    wired = find_wiring(simulation.model, motions[:1], simulation.own)
+    losses = []
+    for _ in range(4):
+        fit = JointFit(simulation, whole, replace(wired, found=(), laws={}), motions[:1], motions[1:])
+        assert fit.depends_on_itself
+        whole = fit.fitted
+        losses.append(whole.value("f_c", JOINTS[1]))
+    assert whole.constants[-1] == pytest.approx(0.3, rel=0.01)
+    assert losses[-1] == pytest.approx(0.8, abs=0.02) and abs(losses[0] - 0.8) > 0.1
+
+
 def test_no_joint_has_less_than_no_damping(simulation: Simulation) -> None:
     runs = [recorded(mjcf(), seed) for seed in (1, 2)]
     runs = [

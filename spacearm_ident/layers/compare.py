@@ -65,6 +65,9 @@ at some joint to be named: one per cent of its RMS, as for a model that is no wo
 Errors shrink with the length of the recordings; half a sampling period and a simulator's integration step stay, and
 both look like friction."""
 
+RELINEARISED = 2
+"""Times that everything is fitted again around its values, where physics depends on them: friction by the load grows
+with what the other terms and itself add up to, and the search fitted constants beside other values."""
 SLOW = "slower than noise; follows nothing that was tried"
 """Where what is left of a joint has a slow part that is larger than the noise (`noise.slow`)."""
 SIGNAL, LOWEST_HZ = 0.8, 5.0
@@ -194,8 +197,7 @@ class _Pass:
             whole = wired.model
         laws = wired.laws
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
-        if any(isinstance(term, LoadFriction) for term in whole.model.terms):
-            # It grows with what the other terms and itself add up to: those of the search were fitted without.
+        for _ in range(RELINEARISED if found.depends_on_itself else 0):
             whole = found.fitted
             found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         idle = found.idle_wiring(SHOWS)

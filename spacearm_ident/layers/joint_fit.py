@@ -16,6 +16,7 @@ from ..arrays import FloatArray
 from ..conventions.evidence import inertial_belief
 from ..dynamics.arm import Arm
 from ..dynamics.effects.effect import Effect
+from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..estimate.consistency import make_consistent
 from ..mismatch.noise import weighted
@@ -44,6 +45,8 @@ NOT_NEGATIVE = frozenset({"J_m", "f_c", "k_v1"})
 HIGHER_ORDERS = frozenset({"k_v2", "k_v2_odd", "k_v3"})
 ROUNDING = 1e-12
 """Smallest variance of a combination beside the largest, in units of the prior's."""
+LARGEST_STEP = 0.3
+"""Largest step of a constant's logarithm at once: between two points of its grid."""
 LEAST_FACTOR = 1e-3
 """Smallest factor on a joint's variance: a thirtieth of its residual's standard deviation."""
 
@@ -104,9 +107,25 @@ class JointFit:
 
     @property
     def fitted(self) -> IdentifiedModel:
-        """The model with the values of this fit, about which the next is linear."""
+        """The model with the values of this fit, about which the next is linear.
+
+        Constants of friction are a Gauss-Newton step on: the search has those that fit beside its own friction loss and
+        damping, of which a Stribeck velocity takes a part.
+        """
         model = self.linear.model
-        return replace(model, parameters=self.estimate.values[: len(model.parameters)])
+        constants = model.constants.copy()
+        for term, _, first in model.model.numbered():
+            for number, constant in enumerate(term.constants if term.friction else (), start=first):
+                if not constant.position:
+                    step = float(self._open.values[self.linear.column_of_constant(number)])
+                    constants[number] *= np.exp(np.clip(step, -LARGEST_STEP, LARGEST_STEP))
+        return replace(model, parameters=self.estimate.values[: len(model.parameters)], constants=constants)
+
+    @property
+    def depends_on_itself(self) -> bool:
+        """Whether the columns of some physics depend on what is fitted: its load, or a constant."""
+        terms = self.linear.model.model.terms
+        return any(isinstance(t, Effect) and t.friction and (t.constants or t.kind == LoadFriction.kind) for t in terms)
 
     def _believe_the_data(self) -> None:
         """Take the wiring that these motions determine from them alone.
@@ -125,8 +144,8 @@ class JointFit:
         """Solve for everything, here and in the held-out recordings by themselves."""
         self.prior = self._prior(None)
         # Values with the searched constants as they were found, errors with those open as well.
-        here = estimate(self.linear, self._with_constants(self.prior), self.variance)
-        self.estimate = replace(here, values=self._possible(self.linear, self.prior))
+        self._open = estimate(self.linear, self._with_constants(self.prior), self.variance)
+        self.estimate = replace(self._open, values=self._possible(self.linear, self.prior))
         try:
             prior = self._prior(None, self._weak_again)
             there = estimate(self.again, prior, self.variance)
