@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spacearm_ident.mismatch.reliability import Situation, situation
+from spacearm_ident.mismatch.reliability import Situation, situations
 
 sys.path.insert(0, str(Path(__file__).with_name("blind_series")))
 import score
@@ -42,10 +42,10 @@ def judged(series: Sequence[tuple[Path, Path]]) -> list[Judged]:
     for number, (draws, results) in enumerate(series):
         for answer, line in score.load(draws, results):
             findings = line.get("findings") or []
-            places = [(finding["effect"], finding["joints"]) for finding in findings]
-            for k, (finding, right) in enumerate(zip(findings, score.judge(answer, line)["wide"])):
-                where = situation(*places[k], places[:k] + places[k + 1 :])
-                found.append(Judged(number, where, finding["confidence"], right))
+            where = situations([(finding["effect"], finding["joints"]) for finding in findings])
+            right = score.judge(answer, line)["wide"]
+            weights = [finding["confidence"] for finding in findings]
+            found += [Judged(number, *one) for one in zip(where, weights, right)]
     return found
 
 

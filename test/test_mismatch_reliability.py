@@ -3,7 +3,7 @@
 import pytest
 
 from spacearm_ident.mismatch.finding import Finding
-from spacearm_ident.mismatch.reliability import RIGHT, Situation, calibrated, situation
+from spacearm_ident.mismatch.reliability import RIGHT, Situation, calibrated, situations
 
 RIPPLE, DRIFT, NOT_NAMED = (
     ("torque_ripple", ("elbow",)),
@@ -45,7 +45,7 @@ def finding(effect, joints, weight):
     ],
 )
 def test_a_situation_is_what_stands_at_the_same_joints(one, others, expected):
-    assert situation(*one, others) is expected
+    assert situations([one, *others])[0] is expected
 
 
 def test_confidence_is_weight_times_the_frequency_of_the_finding_s_own_situation():

@@ -329,9 +329,11 @@ class _Pass:
         either = self._by_a_factor(changed, open_factors)
         changed = tuple(one for one in changed if one not in either)
         open_joints = dict.fromkeys(one.joints[0] for one in either)
-        geared = [joint for joint in open_joints if kind_and_joint(open_factors[joint])[0] == GAIN]
+        by_gain = [joint for joint in open_joints if kind_and_joint(open_factors[joint])[0] == GAIN]
         rotor = self.simulation.word(ARMATURE)
-        items = [one for one in _cause_items(simple, found, shares) if one.name != rotor or one.joints[0] not in geared]
+        items = [
+            one for one in _cause_items(simple, found, shares) if one.name != rotor or one.joints[0] not in by_gain
+        ]
         named = set[tuple[str, str]]()
         for change in changed:
             if not simple or not change.of_bodies:
@@ -347,7 +349,7 @@ class _Pass:
         items = [item for item in items if item.replicated is not False]
         seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
         notes = (f"torque does not tell which of these differs, too: {'; '.join(others)}",) if others else ()
-        notes = (*notes, *(_either(joint, gain=joint in geared) for joint in open_joints))
+        notes = (*notes, *(_either(joint, gain=joint in by_gain) for joint in open_joints))
         if simple and others:
             # It is fitted whatever differs, for there is more than can be said in few words.
             named |= {(one.name, one.where) for one in changed if one.of_bodies}

@@ -34,18 +34,21 @@ RIGHT = {
 (`bench/reliability.py`; names of the same torque count as right)."""
 
 
-def situation(effect: str, joints: Sequence[str], others: Sequence[tuple[str, Sequence[str]]]) -> Situation:
-    """The situation of a finding.
+def situations(places: Sequence[tuple[str, Sequence[str]]]) -> list[Situation]:
+    """The situation of every finding among the others.
 
     Args:
-        effect: Its name.
-        joints: Where it acts.
-        others: Names and joints of the other findings.
+        places: Name and joints of each.
     """
-    beside = {name for name, where in others if not set(where).isdisjoint(joints)}
-    if effect == UNKNOWN:
-        return Situation.UNKNOWN_BESIDE if beside - {UNKNOWN} else Situation.UNKNOWN_ALONE
-    return Situation.NAMED_BESIDE if beside else Situation.NAMED_ALONE
+    found = []
+    for number, (effect, joints) in enumerate(places):
+        others = (*places[:number], *places[number + 1 :])
+        beside = {name for name, where in others if not set(where).isdisjoint(joints)}
+        if effect == UNKNOWN:
+            found.append(Situation.UNKNOWN_BESIDE if beside - {UNKNOWN} else Situation.UNKNOWN_ALONE)
+        else:
+            found.append(Situation.NAMED_BESIDE if beside else Situation.NAMED_ALONE)
+    return found
 
 
 def calibrated(findings: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -54,8 +57,5 @@ def calibrated(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     Args:
         findings: All findings of a comparison with a healthy reference; `confidence` is a weight, 0..1.
     """
-    places = [(one.effect, one.joints) for one in findings]
-    return tuple(
-        replace(one, confidence=one.confidence * RIGHT[situation(*places[k], places[:k] + places[k + 1 :])])
-        for k, one in enumerate(findings)
-    )
+    where = situations([(one.effect, one.joints) for one in findings])
+    return tuple(replace(one, confidence=one.confidence * RIGHT[own]) for one, own in zip(findings, where))

@@ -154,7 +154,8 @@ class BaseTilt(Effect):
             fields = turned_gravity(arm.gravity, point)
             return np.stack([rigid_torque(arm.with_gravity(g), inertials, motion.position) for g in fields], axis=2)
 
-        columns = background.keep(("tilt", point), compute)
+        # Around each point of a search the columns are wanted once; those of the model again and again.
+        columns = compute() if self.point else background.keep("tilt", compute)
         return each({row: columns[:, row] for row in rows})
 
     def shown(self, values: FloatArray) -> Shown:
