@@ -28,7 +28,7 @@ from ..conventions.evidence import GAIN_SD as ORDINARY_GAIN_SD
 from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import IdentifiedModel, TorqueModel
-from ..mismatch.noise import model_error_share, weighted
+from ..mismatch.noise import Noise, model_error_share, weighted
 from ..signals.motion import Motion
 from .linear import STATE_GROUPS, Linear, Prior, Solution, weak_prior
 from .parameters import DIGITS, OFF, ROTOR_SHARE
@@ -220,6 +220,7 @@ class _State:
         self.rivals = [name for name in rivals if name not in own]
         self.arm = model.model.arm
         self.found: list[str] = []
+        self._noise: tuple[list[str], Noise] | None = None
         self.wiring = Wiring.right(len(self.arm.joints))
         self.fitted = model
         turned = [float(np.linalg.norm(np.cross(axis, self.arm.gravity))) for axis in np.eye(3)]
@@ -464,7 +465,10 @@ class _State:
     def relinearise(self) -> None:
         """Build the linear problem around the model and the wiring."""
         undone = self.wiring.undone(self.motions, self.fitted)
-        noise = weighted(self.fitted, undone)
+        if self._noise is None or self._noise[0] != self.found:
+            # What rows count for a step of the same hypotheses hardly changes, and takes as long as all else.
+            self._noise = list(self.found), weighted(self.fitted, undone)
+        noise = self._noise[1]
         self.linear = Linear(self.fitted, self.motions, noise.whiteners, self.wiring)
         size = np.sqrt(np.mean(np.concatenate([motion.torque_rows for motion in undone]) ** 2, axis=0))
         self.centre, self.spread, self.payload = inertial_belief(self.arm, size)

@@ -46,6 +46,9 @@ CLEARS_UP = 0.5
 """Share of its joints' residual in the field that an effect must explain if the held-out data do not excite it."""
 NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
+POLISHED = 2.0
+"""An event is searched finely from this share's inverse of the best score on: a search of all its constants doubles it
+at most, and what is far below waits for its round."""
 LASTS = 0.5
 """An effect must score this share of the gate without its best moments: what shows in one alone is an accident."""
 RELINEARISED = 6
@@ -428,8 +431,8 @@ class Competition:
         for effect in self._pool:
             # Where none of its places was passed there is none to try.
             if grid := self._grid(effect):
-                gain, best = max((self._gain(candidate, beside), k) for k, candidate in enumerate(grid))
-                rough.append((gain - penalty(effect, self.evidence.rows), len(rough), grid[best]))
+                gain, best = self._best_of(grid, beside)
+                rough.append((gain - penalty(effect, self.evidence.rows), len(rough), best))
         rough.sort(key=lambda item: -item[0])
         scored = []
         named = [item for item in rough if item[2].effect.kind != UNKNOWN][:REFINED]
@@ -437,8 +440,10 @@ class Competition:
         for _, _, candidate in [*named, *generic]:
             refined = search(refine, candidate, self.evidence, lambda trial: self._gain(trial, beside))
             scored.append(self._scored(refined, beside, held_out_before))
+        largest = max((s.score for s in scored), default=0.0)
         # Which link was touched, only windows that fit well tell.
-        scored = [self._polished(s) if s.named and s.candidate.effect.event else s for s in scored]
+        touches = [s.named and s.candidate.effect.event and POLISHED * s.score > largest for s in scored]
+        scored = [self._polished(s) if touch else s for s, touch in zip(scored, touches)]
         return sorted(scored, key=lambda s: -s.score)
 
     def _grid(self, effect: Effect) -> list[Candidate]:
@@ -448,6 +453,14 @@ class Competition:
             points = grid_points(effect, self.evidence.field.motions)
             self._grids[key] = self.evidence.candidates(effect, points)
         return self._grids[key]
+
+    def _best_of(self, grid: Sequence[Candidate], beside: Refit) -> tuple[float, Candidate]:
+        """The largest gain of an effect at the points of its grid, and where it is; −∞ where no value is plausible."""
+        values, gains = self.evidence.refit_each(self.accepted, grid, beside)
+        for k in np.argsort(-gains):
+            if np.isfinite(gains[k]) and plausible(grid[k], values[k], self._coulomb):
+                return float(gains[k] - beside.gain), grid[k]
+        return -np.inf, grid[-1]
 
     def _gain(self, candidate: Candidate, beside: Refit) -> float:
         together = self.evidence.refit([*self.accepted, candidate], beside)

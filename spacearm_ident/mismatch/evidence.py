@@ -25,7 +25,7 @@ from ..regression.prior import make_prior
 from ..signals.motion import Motion
 from .reversals import learnt
 from .scene import Scene, quiet
-from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, sharpness, stacked_effect
+from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, sharpness, stacked_effect, stacked_effects
 
 INVISIBLE = 1e-12
 """Share of its energy below which what the base leaves of a column is rounding."""
@@ -243,7 +243,7 @@ class Evidence:
     def candidates(self, effect: Effect, points: Iterable[Values]) -> list[Candidate]:
         """The same at many values of its constants: the basis, most of the work, is gone through once."""
         constants = list(points)
-        stacks = [stacked_effect(self.field, effect, point) for point in constants]
+        stacks = stacked_effects(self.field, effect, constants)
         if not stacks:
             return []
         return self._candidates(effect, constants, stacks)
@@ -304,17 +304,39 @@ class Evidence:
             empty = np.zeros(0)
             return Refit(empty, 0.0, np.zeros((0, 0)), empty, np.zeros((0, 0)))
         gram = _gram(candidates) if others is None else _gram_with(others.gram, candidates)
-        slope = np.concatenate([c.slope for c in candidates])
-        held = np.concatenate([c.held for c in candidates])
-        prior = np.array([p.prior for c in candidates for p in c.effect.parameters])
-        values = np.where(held, prior, 0.0)
-        energy = np.concatenate([c.energy for c in candidates])
-        # What moves no torque, or none that the base could not, stays where it is.
-        free = ~held & (np.diag(gram) > np.maximum(INVISIBLE * energy, UNDERFLOW))
-        covariance = inverse_among(gram, free)
-        values += covariance @ (slope - gram @ values)
-        gain = float(2 * slope @ values - values @ gram @ values)
-        return Refit(values, gain, covariance, np.diag(gram) / np.maximum(energy, 1e-300), gram)
+        slope, energy = (np.concatenate(each) for each in zip(*((c.slope, c.energy) for c in candidates)))
+        values, gain, covariance = _solved(gram[None], slope[None], energy[None], *_held_at(candidates))
+        visibility = np.diag(gram) / np.maximum(energy, 1e-300)
+        return Refit(values[0], float(gain[0]), covariance[0], visibility, gram)
+
+    def refit_each(
+        self, others: Sequence[Candidate], each: Sequence[Candidate], known: Refit
+    ) -> tuple[FloatArray, FloatArray]:
+        """Each of some candidates of one effect fitted with the base and others: many small problems solved together.
+
+        Args:
+            others: Beside which each is fitted.
+            each: One effect at m values of its constants.
+            known: Of the others.
+
+        Returns:
+            (m, k) parameters of each, and (m,) drop in chi-square on reference and field, the others' included.
+        """
+        known_slope, known_energy = (
+            np.concatenate([np.zeros(0), *(getattr(c, name) for c in others)]) for name in ("slope", "energy")
+        )
+        first, count = len(known_slope), len(known_slope) + len(each[0].slope)
+        gram = np.zeros((len(each), count, count))
+        gram[:, :first, :first] = known.gram
+        gram[:, first:, first:] = [one.gram for one in each]
+        if others:
+            gram[:, :first, first:] = beside = np.concatenate([_inners(other, each) for other in others], axis=1)
+            gram[:, first:, :first] = np.swapaxes(beside, 1, 2)
+        slope, energy = np.empty((2, len(each), count))
+        slope[:, :first], energy[:, :first] = known_slope, known_energy
+        slope[:, first:], energy[:, first:] = [one.slope for one in each], [one.energy for one in each]
+        values, gain, _ = _solved(gram, slope, energy, *_held_at([*others, each[0]]))
+        return values[:, first:], gain
 
     def residual_beside(self, candidates: Sequence[Candidate]) -> FloatArray:
         """(F,) field residual with some effects and the base fitted together."""
@@ -376,14 +398,49 @@ class Evidence:
 
 
 def inverse_among(gram: FloatArray, free: np.ndarray) -> FloatArray:
-    """(k, k) inverse of a Gram matrix among its free rows (k,), in units that make them alike; zero elsewhere."""
-    own = np.ix_(free, free)
-    unit = np.sqrt(np.diag(gram)[free])
+    """(..., k, k) inverse of Gram matrices among free rows (k,), in units that make them alike; zero elsewhere."""
+    rows, columns = np.ix_(free, free)
+    unit = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1)[..., free])
     inverse = np.zeros_like(gram)
     if free.any():
-        inverse[own] = np.linalg.pinv(gram[own] / np.outer(unit, unit), rcond=1e-9, hermitian=True)
-        inverse[own] /= np.outer(unit, unit)
+        units = unit[..., :, None] * unit[..., None, :]
+        inverted = np.linalg.pinv(gram[..., rows, columns] / units, rcond=1e-9, hermitian=True)
+        inverse[..., rows, columns] = inverted / units
     return inverse
+
+
+def _held_at(candidates: Sequence[Candidate]) -> tuple[np.ndarray, FloatArray]:
+    """(k,) whether a parameter of any is held, and where."""
+    held = np.concatenate([c.held for c in candidates])
+    prior = np.array([p.prior for c in candidates for p in c.effect.parameters])
+    return held, np.where(held, prior, 0.0)
+
+
+def _solved(
+    gram: FloatArray, slope: FloatArray, energy: FloatArray, held: np.ndarray, at: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Least squares of m problems of k parameters.
+
+    Args:
+        gram: (m, k, k) inner products of what the base cannot take over.
+        slope: (m, k) inner products with the residual.
+        energy: (m, k) sum of squares of each column.
+        held: (k,) whether a parameter is held.
+        at: (k,) where; zero for the others.
+
+    Returns:
+        (m, k) values, (m,) drops in chi-square, (m, k, k) covariances.
+    """
+    values, covariance = np.tile(at, (len(gram), 1)), np.zeros_like(gram)
+    # What moves no torque, or none that the base could not, stays where it is.
+    free = ~held & (np.diagonal(gram, axis1=1, axis2=2) > np.maximum(INVISIBLE * energy, UNDERFLOW))
+    alike, which = np.unique(free, axis=0, return_inverse=True)
+    for number, own in enumerate(alike):
+        mine = which.ravel() == number
+        covariance[mine] = inverse_among(gram[mine], own)
+    values += np.einsum("mij,mj->mi", covariance, slope - np.einsum("mij,mj->mi", gram, values))
+    gain = 2 * np.einsum("mi,mi->m", slope, values) - np.einsum("mi,mij,mj->m", values, gram, values)
+    return values, gain, covariance
 
 
 def _gram(candidates: Sequence[Candidate]) -> FloatArray:
@@ -404,6 +461,17 @@ def _gram_with(gram: FloatArray, candidates: Sequence[Candidate]) -> FloatArray:
 def _inner(one: Candidate, other: Candidate) -> FloatArray:
     """(k, l) inner products of what the base cannot take over."""
     return np.asarray(one.stacked.inner(other.stacked) - one.inside.T @ other.inside)
+
+
+def _inners(one: Candidate, others: Sequence[Candidate]) -> FloatArray:
+    """(m, k, l) the same with one effect at m values of its constants."""
+    if others[0].effect.event:
+        return np.stack([_inner(one, other) for other in others])
+    # Where an effect acts its place says, not its constants.
+    columns = np.concatenate([other.stacked.columns for other in others], axis=1)
+    inside = np.concatenate([other.inside for other in others], axis=1)
+    products = one.stacked.inner(Stacked(others[0].stacked.rows, columns)) - one.inside.T @ inside
+    return np.stack(np.hsplit(products, len(others)))
 
 
 class HeldOut:

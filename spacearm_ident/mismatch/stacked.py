@@ -25,6 +25,9 @@ speed, rad/s, that make up any even curve there. What they are is the same in re
 NUISANCE = 1 + len(SHARP_SPEEDS)
 """Columns a joint."""
 
+AT_ONCE = 32
+"""Values of an effect's constants whose columns are computed together; of a minute at 1 kHz they take 100 MB."""
+
 SHARP_SHARE, SHARP_LEAST = 0.5, 1e-3
 """Standard deviation of a nuisance parameter before the data: a share of the joint's Coulomb friction, whose way
 through a reversal it describes, and no less than so much, N·m. Without it a few rows carry any value."""
@@ -87,25 +90,43 @@ def stacked_effect(scene: Scene, effect: Effect, constants: Values) -> Stacked:
     Returns:
         Columns in the rows from the first to the last joint it acts at; of an event, only in the rows that it changes.
     """
-    columns = [
-        effect.columns(motion, constants, background) for motion, background in zip(scene.motions, scene.backgrounds)
-    ]
-    joints = sorted(columns[0])
+    return stacked_effects(scene, effect, [constants])[0]
+
+
+def stacked_effects(scene: Scene, effect: Effect, points: Sequence[Values]) -> list[Stacked]:
+    """The same at many values of its constants, some at once: of the low-pass many columns cost little more than one.
+
+    Args:
+        scene: Rows to compute them in.
+        effect: The effect.
+        points: (c,) values of its constants each.
+    """
+    made = []
+    for first in range(0, len(points), AT_ONCE):
+        made += _stacked_effects(scene, effect, points[first : first + AT_ONCE])
+    return made
+
+
+def _stacked_effects(scene: Scene, effect: Effect, points: Sequence[Values]) -> list[Stacked]:
+    here = [m for m, motion in enumerate(scene.motions) if not effect.elsewhere(motion)] or [0]
+    by_motion = {m: [effect.columns(scene.motions[m], point, scene.backgrounds[m]) for point in points] for m in here}
+    joints = sorted(by_motion[here[0]][0])
     rows = scene.rows_of(joints[0], joints[-1])
-    stacked = np.zeros((rows.stop - rows.start, len(effect.parameters)))
-    for m, (motion, by_joint) in enumerate(zip(scene.motions, columns)):
-        for joint, (indices, values) in by_joint.items():
+    stacked = np.zeros((len(points), rows.stop - rows.start, len(effect.parameters)))
+    for m, each in by_motion.items():
+        for joint in joints:
+            values = np.concatenate([columns[joint][1] for columns in each], axis=1)
             if not values.any():
                 continue
-            slot = scene.slot(joint, m)
-            stacked[slot.start - rows.start : slot.stop - rows.start, indices] = scene.whiten(
-                joint, m, motion.reduce(values)
-            )
+            slot, indices = scene.slot(joint, m), each[0][joint][0]
+            whitened = scene.whiten(joint, m, scene.motions[m].reduce(values)).reshape(-1, len(points), len(indices))
+            own = stacked[:, slot.start - rows.start : slot.stop - rows.start]
+            own[..., indices] = np.swapaxes(whitened, 0, 1)
     if effect.event:
         # A second or two of a minute: the rest would take most of the memory that a search has.
-        during = np.flatnonzero(np.any(stacked != 0.0, axis=1))
-        return Stacked(rows.start + during, stacked[during])
-    return Stacked(rows, stacked)
+        during = [np.flatnonzero(np.any(columns != 0.0, axis=1)) for columns in stacked]
+        return [Stacked(rows.start + place, columns[place]) for place, columns in zip(during, stacked)]
+    return [Stacked(rows, columns) for columns in stacked]
 
 
 def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Effect, tuple[float, ...]]]) -> FloatArray:

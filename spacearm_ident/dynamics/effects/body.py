@@ -341,11 +341,15 @@ class ExternalContact(Effect):
             )
 
         start, length, rise, *point = constants
-        jacobian = np.tensordot([1.0, *point], background.keep(("push", number), compute), 1)
         time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
-        come = np.clip(np.minimum(time - start, start + length - time) / min(rise, 0.5 * length), 0.0, 1.0)
-        pushed = 0.5 - 0.5 * np.cos(np.pi * come)
-        return each({row: -jacobian[:, :, row].T * pushed[:, None] for row in rows})
+        first, last = np.searchsorted(time, [start, start + length])
+        at = slice(first, last)
+        jacobian = np.tensordot([1.0, *point], background.keep(("push", number), compute)[:, :, at], 1)
+        come = np.minimum(time[at] - start, start + length - time[at]) / min(rise, 0.5 * length)
+        pushed = 0.5 - 0.5 * np.cos(np.pi * np.clip(come, 0.0, 1.0))
+        torque = np.zeros((count, len(time), 3))
+        torque[:, at] = -np.transpose(jacobian, (2, 1, 0)) * pushed[:, None]
+        return each({row: torque[row] for row in rows})
 
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """Whether it is a touch: a direction that hardly shows may be fitted with any force."""
