@@ -330,8 +330,8 @@ class Evidence:
         gram[:, :first, :first] = known.gram
         gram[:, first:, first:] = [one.gram for one in each]
         if others:
-            gram[:, :first, first:] = beside = np.concatenate([_inners(other, each) for other in others], axis=1)
-            gram[:, first:, :first] = np.swapaxes(beside, 1, 2)
+            gram[:, :first, first:] = [np.concatenate([_inner(other, one) for other in others]) for one in each]
+            gram[:, first:, :first] = np.swapaxes(gram[:, :first, first:], 1, 2)
         slope, energy = np.empty((2, len(each), count))
         slope[:, :first], energy[:, :first] = known_slope, known_energy
         slope[:, first:], energy[:, first:] = [one.slope for one in each], [one.energy for one in each]
@@ -461,17 +461,6 @@ def _gram_with(gram: FloatArray, candidates: Sequence[Candidate]) -> FloatArray:
 def _inner(one: Candidate, other: Candidate) -> FloatArray:
     """(k, l) inner products of what the base cannot take over."""
     return np.asarray(one.stacked.inner(other.stacked) - one.inside.T @ other.inside)
-
-
-def _inners(one: Candidate, others: Sequence[Candidate]) -> FloatArray:
-    """(m, k, l) the same with one effect at m values of its constants."""
-    if others[0].effect.event:
-        return np.stack([_inner(one, other) for other in others])
-    # Where an effect acts its place says, not its constants.
-    columns = np.concatenate([other.stacked.columns for other in others], axis=1)
-    inside = np.concatenate([other.inside for other in others], axis=1)
-    products = one.stacked.inner(Stacked(others[0].stacked.rows, columns)) - one.inside.T @ inside
-    return np.stack(np.hsplit(products, len(others)))
 
 
 class HeldOut:

@@ -5,7 +5,7 @@ Before either is compared: what reversals do to friction stands beside the base 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,24 +109,40 @@ def stacked_effects(scene: Scene, effect: Effect, points: Sequence[Values]) -> l
 
 def _stacked_effects(scene: Scene, effect: Effect, points: Sequence[Values]) -> list[Stacked]:
     here = [m for m, motion in enumerate(scene.motions) if not effect.elsewhere(motion)] or [0]
-    by_motion = {m: [effect.columns(scene.motions[m], point, scene.backgrounds[m]) for point in points] for m in here}
-    joints = sorted(by_motion[here[0]][0])
-    rows = scene.rows_of(joints[0], joints[-1])
-    stacked = np.zeros((len(points), rows.stop - rows.start, len(effect.parameters)))
-    for m, each in by_motion.items():
-        for joint in joints:
-            values = np.concatenate([columns[joint][1] for columns in each], axis=1)
-            if not values.any():
-                continue
-            slot, indices = scene.slot(joint, m), each[0][joint][0]
-            whitened = scene.whiten(joint, m, scene.motions[m].reduce(values)).reshape(-1, len(points), len(indices))
-            own = stacked[:, slot.start - rows.start : slot.stop - rows.start]
-            own[..., indices] = np.swapaxes(whitened, 0, 1)
+    pieces = [piece for m in here for piece in _pieces(scene, effect, points, m)]
     if effect.event:
         # A second or two of a minute: the rest would take most of the memory that a search has.
-        during = [np.flatnonzero(np.any(columns != 0.0, axis=1)) for columns in stacked]
-        return [Stacked(rows.start + place, columns[place]) for place, columns in zip(during, stacked)]
+        return [_during(pieces, number, len(effect.parameters)) for number in range(len(points))]
+    rows = slice(min(slot.start for slot, _, _ in pieces), max(slot.stop for slot, _, _ in pieces))
+    stacked = np.zeros((len(points), rows.stop - rows.start, len(effect.parameters)))
+    for slot, indices, values in pieces:
+        stacked[:, slot.start - rows.start : slot.stop - rows.start][..., indices] = values
     return [Stacked(rows, columns) for columns in stacked]
+
+
+def _pieces(
+    scene: Scene, effect: Effect, points: Sequence[Values], m: int
+) -> Iterator[tuple[slice, list[int], FloatArray]]:
+    """Of one motion by joint: rows in the stack, numbers of k parameters, and their columns (points, r, k)."""
+    motion = scene.motions[m]
+    each = [effect.columns(motion, point, scene.backgrounds[m]) for point in points]
+    joints = sorted(each[0])
+    reduced = motion.reduce(np.concatenate([columns[joint][1] for joint in joints for columns in each], axis=1))
+    ends = np.cumsum([len(points) * len(each[0][joint][0]) for joint in joints])
+    for joint, own in zip(joints, np.split(reduced, ends[:-1], axis=1)):
+        indices = list(each[0][joint][0])
+        whitened = scene.whiten(joint, m, own).reshape(-1, len(points), len(indices))
+        yield scene.slot(joint, m), indices, np.swapaxes(whitened, 0, 1)
+
+
+def _during(pieces: Sequence[tuple[slice, list[int], FloatArray]], number: int, count: int) -> Stacked:
+    """Of pieces in the order of the stack, one point's rows that are not zero."""
+    rows, columns = [np.zeros(0, dtype=int)], [np.zeros((0, count))]
+    for slot, _, values in sorted(pieces, key=lambda piece: piece[0].start):
+        place = np.flatnonzero(np.any(values[number] != 0.0, axis=1))
+        rows.append(slot.start + place)
+        columns.append(values[number][place])
+    return Stacked(np.concatenate(rows), np.concatenate(columns))
 
 
 def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Effect, tuple[float, ...]]]) -> FloatArray:
