@@ -467,7 +467,7 @@ class _State:
         undone = self.wiring.undone(self.motions, self.fitted)
         if self._noise is None or self._noise[0] != self.found:
             # What rows count for a step of the same hypotheses hardly changes, and takes as long as all else.
-            self._noise = list(self.found), weighted(self.fitted, undone)
+            self._noise = list(self.found), weighted(self.fitted, undone, self._noise and self._noise[1])
         noise = self._noise[1]
         self.linear = Linear(self.fitted, self.motions, noise.whiteners, self.wiring)
         size = np.sqrt(np.mean(np.concatenate([motion.torque_rows for motion in undone]) ** 2, axis=0))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.stats import norm
@@ -64,8 +65,6 @@ class JointFit:
         wiring: What is undone in all motions.
         names: Columns of the wiring that were found.
         linear: Fitted motions.
-        judge: Held-out motions, every row counting for one N^2 m^2.
-        again: The same, in the weights of the fitted ones.
         variance: (n,) factor on each joint's variance.
         prior: Of everything.
         estimate: Of everything.
@@ -92,18 +91,29 @@ class JointFit:
         self.simulation, self.wiring, self.names = simulation, wiring, wired.found
         self._errors, self._laws, self._judged = dict(wired.errors), wired.laws, judged
         noise = weighted(model, wiring.undone(motions, model))
+        self._whiteners = noise.whiteners
         self.linear = Linear(model, motions, noise.whiteners, wiring, by_state=True)
-        self.judge = Linear(model, judged, in_newton_metres(simulation.arm), wiring)
-        self.again = Linear(model, judged, noise.whiteners, wiring, by_state=True)
-        self._weak, self._weak_again = weak_prior(self.linear), weak_prior(self.again)
+        self._weak = weak_prior(self.linear)
         self.base = simulation.model.model
         self._known = {p.name for p, own in zip(self.base.parameters, _has_values(self.base)) if own}
         self._gone: set[int] = set()
+        self._there = cache(self._fit_there)
         self.prior = self._prior(None)
         first = self.linear.solve(self.prior, np.ones(len(simulation.arm.joints)))
         self.variance = self.linear.variance(first.values, noise, LEAST_FACTOR)
         self._believe_the_data()
         self._settle()
+
+    @cached_property
+    def judge(self) -> Linear:
+        """Held-out motions, every row counting for one N^2 m^2."""
+        return Linear(self.linear.model, self._judged, in_newton_metres(self.simulation.arm), self.wiring)
+
+    @cached_property
+    def _again(self) -> tuple[Linear, Prior]:
+        """Held-out motions in the weights of the fitted ones, and the weak prior of them."""
+        linear = Linear(self.linear.model, self._judged, self._whiteners, self.wiring, by_state=True)
+        return linear, weak_prior(linear)
 
     @property
     def fitted(self) -> IdentifiedModel:
@@ -141,17 +151,21 @@ class JointFit:
         self._errors = {**narrow, **{name: wide[name] for name in known}}
 
     def _settle(self) -> None:
-        """Solve for everything, here and in the held-out recordings by themselves."""
+        """Solve for everything."""
         self.prior = self._prior(None)
         # Values with the searched constants as they were found, errors with those open as well.
         self._open = estimate(self.linear, self._with_constants(self.prior), self.variance)
         self.estimate = replace(self._open, values=self._possible(self.linear, self.prior))
+        self._there.cache_clear()
+
+    def _fit_there(self) -> Estimate | None:
+        """Everything by the held-out recordings alone; None where they do not determine it."""
+        linear, weak = self._again
+        prior = self._prior(None, weak)
         try:
-            prior = self._prior(None, self._weak_again)
-            there = estimate(self.again, prior, self.variance)
-            self._there: Estimate | None = replace(there, values=self._possible(self.again, prior))
+            return replace(estimate(linear, prior, self.variance), values=self._possible(linear, prior))
         except np.linalg.LinAlgError:
-            self._there = None
+            return None
 
     def _possible(self, linear: Linear, prior: Prior, blocks: np.ndarray | None = None) -> FloatArray:
         """(P,) the solution in which no rotor inertia, friction or damping is below zero (active set)."""
@@ -357,11 +371,12 @@ class JointFit:
 
     def replicates(self, vector: FloatArray, was: float) -> bool | None:
         """Whether the held-out recordings by themselves say the same; None: they cannot say."""
-        if self._there is None:
+        by_them = self._there()
+        if by_them is None:
             return None
-        here, there = self.estimate.of(vector), self._there.of(vector)
-        error = float(np.hypot(self.estimate.error(vector), self._there.error(vector)))
-        if self._there.error(vector) > abs(here - was):
+        here, there = self.estimate.of(vector), by_them.of(vector)
+        error = float(np.hypot(self.estimate.error(vector), by_them.error(vector)))
+        if by_them.error(vector) > abs(here - was):
             return None
         return bool(abs(here - there) < AGREE * error and (here - was) * (there - was) > 0)
 

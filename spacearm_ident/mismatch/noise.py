@@ -69,9 +69,18 @@ def coloured(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     return Noise(whiteners, plain, _floor(whiteners), np.full(len(plain), np.nan))
 
 
-def weighted(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
-    """The noise as a variance and an autocorrelation time (arguments and errors as for `coloured`)."""
-    plain, scene, residual = _unwhitened(base, motions)
+def weighted(base: IdentifiedModel, motions: Sequence[Motion], near: Noise | None = None) -> Noise:
+    """The noise as a variance and an autocorrelation time.
+
+    Args:
+        base: Model of the arm.
+        motions: Recordings whose residual is noise.
+        near: Of the same motions under much the same model, from which to go on.
+
+    Raises:
+        UnfitDataError: No joint moves for long enough.
+    """
+    plain, scene, residual = _unwhitened(base, motions, near)
     floor, relative = np.full((2, len(plain)), np.inf)
     noises = []
     white = np.array([white_correlation_time(motion.white_correlation) for motion in motions])
@@ -172,11 +181,13 @@ def _smooth(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> tuple[
     return explained, independent
 
 
-def _unwhitened(base: IdentifiedModel, motions: Sequence[Motion]) -> tuple[list[Whitener], Scene, FloatArray]:
+def _unwhitened(
+    base: IdentifiedModel, motions: Sequence[Motion], near: Noise | None = None
+) -> tuple[list[Whitener], Scene, FloatArray]:
     """What rows count for without their colour, the rows so weighed, and what the base leaves of them."""
     joints = range(len(base.model.arm.joints))
-    start = [Whitener(np.zeros(0), 1e4 * _least(motions, j)) for j in joints]
-    plain, scene, columns = _louder(base, motions, start, 3)
+    start = near.plain if near else [Whitener(np.zeros(0), 1e4 * _least(motions, j)) for j in joints]
+    plain, scene, columns = _louder(base, motions, start, 1 if near else 3)
     return plain, scene, Evidence(base, scene, None, columns=columns).residual
 
 
