@@ -21,7 +21,7 @@ from spacearm_ident.layers.conventions import find_wiring
 from spacearm_ident.layers.discrete import find_mistakes
 from spacearm_ident.layers.item import Item
 from spacearm_ident.layers.joint_fit import JointFit
-from spacearm_ident.layers.parameters import Change, changes
+from spacearm_ident.layers.parameters import Change, changes, combinations
 from spacearm_ident.layers.physics import optional_terms, with_friction_terms
 from spacearm_ident.layers.wiring import Wiring
 from spacearm_ident.mismatch.finding import Finding
@@ -287,9 +287,24 @@ def test_static_level_that_was_left_out_is_not_in_the_corrected_simulation(simul
     whole = replace(whole, constants=constants)
     fit = JointFit(simulation, whole, find_wiring(whole, motions, simulation.own), motions[:1], motions[1:])
     fit.leave_out(optional_terms(whole, model.model))
-    corrected = fit.mended(20.0, ())
+    corrected = fit.mended(20.0, (), 0.02)
     assert corrected.value("f_b", "elbow") == pytest.approx(corrected.value("f_c", "elbow"), rel=1e-3)
     np.testing.assert_allclose(fit.judge.rms(fit.with_model(corrected)), fit.judge.rms(fit.estimate.values), rtol=0.1)
+
+
+@pytest.mark.parametrize("mass", [3.0, 3.6], ids=["as in the file", "heavier"])
+def test_corrected_simulation_keeps_bodies_as_they_are_as_far_as_that_predicts(
+    simulation: Simulation, mass: float
+) -> None:
+    """All are asked to stay, as if nothing differed; where one does, prediction on other recordings goes first."""
+    motions = banded([recorded(mjcf(upper_mass=mass), seed) for seed in (1, 2)], JOINTS, 20.0, 70.0)
+    wired = find_wiring(simulation.model, motions, simulation.own)
+    fit = JointFit(simulation, simulation.model, wired, motions[:1], motions[1:])
+    known = combinations(fit.linear, simulation)
+    values = fit.with_model(fit.mended(20.0, [(one.vector, one.was) for one in known], 0.02))
+    assert np.all(fit.judge.rms(values) < 1.1 * fit.judge.rms(fit.estimate.values))
+    moved = max(abs(float(one.vector @ values) - one.was) / fit.estimate.error(one.vector) for one in known)
+    assert (moved < 0.3) is (mass == 3.0)
 
 
 def test_torque_that_follows_nothing_is_said_though_no_recording_tells_it_from_noise(simulation: Simulation) -> None:

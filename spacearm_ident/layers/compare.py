@@ -252,7 +252,7 @@ class _Pass:
             Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, shares), _unnamed(rest, gone)),
             Layer(REST, after, noise, _rest_items(explanation, after, noise, slow > white, shares)),
         )
-        mended = found.mended(self.cutoff, kept)
+        mended = found.mended(self.cutoff, kept, SHOWS)
         return Comparison(
             joints=self.joints,
             layers=layers,
@@ -334,14 +334,14 @@ class _Pass:
         items = [
             one for one in _cause_items(simple, found, shares) if one.name != rotor or one.joints[0] not in by_gain
         ]
-        named = set[tuple[str, str]]()
+        # Also what is not of the same size in the held-out recordings: they are predicted worse without.
+        differing = set[tuple[str, str]]()
         for change in changed:
             if not simple or not change.of_bodies:
                 rise = shares.rise(shares.back(change.vector, change.was))
                 if rise > SHOWS:
                     items.append(self._change_item(change, found, shares))
-                    if items[-1].replicated is not False:
-                        named.add((change.name, change.where))
+                    differing.add((change.name, change.where))
                 else:
                     size = abs(found.estimate.of(change.vector) - change.was)
                     same = (*same, (change, size * float(np.sqrt(SHOWS / max(rise, 1e-6)))))
@@ -352,12 +352,12 @@ class _Pass:
         notes = (*notes, *(_either(joint, gain=joint in by_gain) for joint in open_joints))
         if simple and others:
             # It is fitted whatever differs, for there is more than can be said in few words.
-            named |= {(one.name, one.where) for one in changed if one.of_bodies}
+            differing |= {(one.name, one.where) for one in changed if one.of_bodies}
         bodies = _with_causes(() if others else simple, found)
         kept = [
             (one.vector, float(one.vector @ bodies))
             for one in combinations(found.linear, self.simulation)
-            if (one.name, one.where) not in named
+            if (one.name, one.where) not in differing
         ]
         return _by_share(items), lost, seen, notes, kept
 

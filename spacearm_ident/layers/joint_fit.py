@@ -23,6 +23,7 @@ from ..estimate.consistency import make_consistent
 from ..mismatch.noise import weighted
 from ..mismatch.scene import Whitener, one_way
 from ..regression.held_out import folds_of, predicts_better
+from ..regression.held_out import gain as lowered_by
 from ..regression.prior import make_prior
 from ..signals.motion import Motion
 from ..simulations import Simulation
@@ -37,10 +38,11 @@ from .wiring import DELAY, kind_and_joint
 
 AGREE = 2.58
 """Standard errors of the difference (99 %) within which two estimates of the same thing agree."""
-NEAR = 0.15
-"""Relative standard deviation of what stays near the simulation's (one of `CAD_SCALES`)."""
-STIFF = 30.0
-"""A combination that is kept moves by a thirtieth of its error at most."""
+KEPT = ((30.0, 0.15), (3.0, 0.15), (1.0, 0.15), (1.0, 0.5), (1.0, 1.5), (0.0, 1.5))
+"""How hard what does not differ is kept at the simulation's values: combinations, by so many inverse errors of their
+own, and inertials, within so much of themselves (of `CAD_SCALES`). The first is taken than which none leaves much less
+of held-out parts of the recordings: each of forty combinations may be within its error, and all together not, where a
+residual is model error."""
 NOT_NEGATIVE = frozenset({"J_m", "f_c", "k_v1"})
 """Symbols of what no joint has less than none of; k_v1 where it alone is the viscous friction."""
 HIGHER_ORDERS = frozenset({"k_v2", "k_v2_odd", "k_v3"})
@@ -291,18 +293,20 @@ class JointFit:
 
         The terms of each joint stay or go together, judged beside those of the other joints.
         """
-        with_all = self._held_out_squares(())
+        with_all = self._held_out_squares(self._prior(None))
         kept = []
         for where in dict.fromkeys(one.joints for one in terms):
             own = [one for one in terms if one.joints == where]
-            if predicts_better(self._held_out_squares(own), with_all):
+            if predicts_better(self._held_out_squares(self._prior_without(own)), with_all):
                 kept += own
         return kept
 
-    def _held_out_squares(self, without: Sequence[Added]) -> FloatArray:
-        """(blocks, n) squares that fits without some physics leave in the parts that each does not see."""
-        numbers = [int(number) for one in without for number in one.columns]
-        prior = self._prior([np.array([k]) for k in range(len(self.linear.model.parameters)) if k not in numbers])
+    def _prior_without(self, terms: Sequence[Added]) -> Prior:
+        numbers = [int(number) for one in terms for number in one.columns]
+        return self._prior([np.array([k]) for k in range(len(self.linear.model.parameters)) if k not in numbers])
+
+    def _held_out_squares(self, prior: Prior) -> FloatArray:
+        """(blocks, n) squares that fits with a prior leave in the parts that each does not see."""
         left = np.zeros((self.linear.blocks, len(self.simulation.arm.joints)))
         for fold in folds_of(self.linear.recording):
             rest = np.setdiff1d(np.arange(self.linear.blocks), fold)
@@ -415,16 +419,17 @@ class JointFit:
             )
         return tuple(made)
 
-    def mended(self, cutoff_hz: float, kept: Sequence[tuple[FloatArray, float]]) -> IdentifiedModel:
+    def mended(self, cutoff_hz: float, kept: Sequence[tuple[FloatArray, float]], least: float) -> IdentifiedModel:
         """The simulation with what is named of all layers, its bodies such as can be.
 
         Args:
             cutoff_hz: Bandwidth that it is of.
-            kept: Combinations (P,) of bodies and rotors, and their values, that are not fitted: what does not differ
-                stays as it is in the simulation. Fitted as well, it would take up what no term explains: a spring would
-                make inertias smaller, and a joint without inertia cannot be simulated.
+            kept: Combinations (P,) of bodies and rotors, and their values, that stay as near to the simulation as
+                prediction allows (`KEPT`), for they do not differ. Fitted freely, they would take up what no term
+                explains: a spring would make inertias smaller.
+            least: Share of a joint's variance, summed over the joints, that must be lowered to be worth anything.
         """
-        model, prior = self.linear.model, self._prior_that_keeps(kept)
+        model, prior = self.linear.model, self._prior_that_predicts(kept, least)
         found = self.linear.solve(prior, self.variance)
         count = len(model.parameters)
         scale = np.where(prior.free[:count], make_prior(model.model, self.linear.motions).scale, 0.0)
@@ -438,8 +443,21 @@ class JointFit:
         values = make_consistent(model.model, matrix, found.values[:count], scale)
         return replace(model, parameters=values, cutoff_hz=cutoff_hz)
 
-    def _prior_that_keeps(self, kept: Sequence[tuple[FloatArray, float]]) -> Prior:
-        """Of everything: what the simulation has near its own values, combinations (P,) at given values."""
+    def _prior_that_predicts(self, kept: Sequence[tuple[FloatArray, float]], least: float) -> Prior:
+        """That keeps as much as held-out parts of the recordings allow."""
+        priors = [self._prior_that_keeps(kept, *how) for how in KEPT]
+        left = [self._held_out_squares(prior) for prior in priors]
+        lowered = [lowered_by(left[0], squares) for squares in left]
+        return next(prior for prior, share in zip(priors, lowered) if max(lowered) - share <= least)
+
+    def _prior_that_keeps(self, kept: Sequence[tuple[FloatArray, float]], by: float, within: float) -> Prior:
+        """Of everything: what the simulation has near its own values, combinations (P,) at given values.
+
+        Args:
+            kept: Combinations and values.
+            by: How hard each is kept, in inverse errors of its own.
+            within: How near inertials stay, relatively.
+        """
         prior, was = self._prior(None), self.simulation.values
         mean, precision, free = prior.mean.copy(), prior.precision.copy(), prior.free
         for number, parameter in enumerate(self.linear.model.model.parameters):
@@ -450,11 +468,11 @@ class JointFit:
             if parameter.symbol == "f_b" and free[number] and not self._is_in(number):
                 mean[number] = mean[self.linear.names.index(f"f_c[{parameter.joint}]")]
         slope = precision @ mean
-        for number, near in self._near_the_simulation().items():
+        for number, near in self._near_the_simulation(within).items():
             precision[number, number] += near**-2
             slope[number] += mean[number] * near**-2
         for vector, value in kept:
-            weight = (STIFF / self.estimate.error(vector)) ** 2
+            weight = (by / self.estimate.error(vector)) ** 2
             precision += weight * np.outer(vector, vector)
             slope += weight * value * vector
         slope -= precision[:, ~free] @ mean[~free]
@@ -467,17 +485,17 @@ class JointFit:
         values[: len(model.parameters)] = model.parameters
         return values
 
-    def _near_the_simulation(self) -> dict[int, float]:
+    def _near_the_simulation(self, within: float) -> dict[int, float]:
         """Inertials and rotor inertias by number -> by how much they stay near the simulation's where torque is silent.
 
         Which body has a combination torque does not tell: none is to end up with next to nothing of it.
         """
         was = self.simulation.values
         size = np.sqrt(np.mean(np.concatenate([motion.torque_rows for motion in self.linear.motions]) ** 2, axis=0))
-        near = dict(enumerate((NEAR * inertial_belief(self.simulation.arm, size)[1]).tolist()))
+        near = dict(enumerate((within * inertial_belief(self.simulation.arm, size)[1]).tolist()))
         for number, name in enumerate(self.linear.names):
             if name.startswith("J_m[") and was.get(name, 0.0) > 0.0:
-                near[number] = NEAR * was[name]
+                near[number] = within * was[name]
         return near
 
 
