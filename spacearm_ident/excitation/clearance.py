@@ -18,8 +18,9 @@ import pinocchio as pin
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
+from ..dynamics.frames import Frames, frames_of
 from ..dynamics.meshes import resolve_meshes
-from ..dynamics.regressor import cross, joint_rotation
+from ..dynamics.regressor import cross
 
 NEEDED_M = 0.02
 """Least distance: what a coarse geometry and a servo's lag may take up."""
@@ -133,7 +134,7 @@ class Clearance:
         """
         if not self.pairs:
             return None
-        apart = self._bounds.distances(_frames(self._arm, postures))
+        apart = self._bounds.distances(frames_of(self._arm, postures))
         least, at = np.inf, (0, 0)
         for row, pair in zip(*(k.tolist() for k in np.unravel_index(np.argsort(apart, axis=None), apart.shape))):
             if apart[row, pair] >= least:
@@ -156,7 +157,7 @@ class Clearance:
             slopes: Whether to compute the derivative. It is zero otherwise, and where the barrier is infinite.
         """
         slope = np.zeros_like(postures)
-        frames = _frames(self._arm, postures)
+        frames = frames_of(self._arm, postures)
         within = self._bounds.distances(frames) < self.needed_m + reach_m
         rows, pairs, shares, ends = [], [], [], []
         for row in np.flatnonzero(within.any(axis=1)).tolist():
@@ -177,7 +178,7 @@ class Clearance:
             np.add.at(slope, rows, ((1.0 - 1.0 / near) / reach_m)[:, None] * approach)
         return float((near - 1.0 - np.log(near)).sum()), slope
 
-    def _approach(self, frames: _Frames, rows: np.ndarray, pairs: np.ndarray, ends: FloatArray) -> FloatArray:
+    def _approach(self, frames: Frames, rows: np.ndarray, pairs: np.ndarray, ends: FloatArray) -> FloatArray:
         """Derivatives of pairs' distances by the posture: how the nearest points move along their line.
 
         A point p of a link moves with joint k by axis × (p − origin) where k carries the link, by axis where it
@@ -206,25 +207,6 @@ class Clearance:
         return out.T
 
 
-_Frames = list[tuple[FloatArray, FloatArray]]
-"""The base's and every joint's rotation (3, 3, T) and origin (3, T) in the base frame."""
-
-
-def _frames(arm: Arm, postures: FloatArray) -> _Frames:
-    """Those at `postures` (T, n)."""
-    samples = len(postures)
-    frames = [(np.tile(np.eye(3)[..., None], samples), np.zeros((3, samples)))]
-    for joint, q in zip(arm.joints, postures.T):
-        turn, origin = frames[joint.parent + 1]
-        if joint.revolute:
-            own, moved = joint_rotation(joint, q), joint.translation[:, None]
-        else:
-            own = joint.rotation[..., None]
-            moved = joint.translation[:, None] + (joint.rotation @ joint.axis)[:, None] * q
-        frames.append((np.einsum("ijt,jkt->ikt", turn, own), origin + (turn * moved).sum(axis=1)))
-    return frames
-
-
 class _Spheres:
     """Spheres about the geometries: what lies between two of them is a lower bound of a pair's distance."""
 
@@ -246,7 +228,7 @@ class _Spheres:
         # Either may be the floor; the height is that of the one that is not.
         self._above = np.where(np.isnan(np.array(floor)[self._one]), self._one, self._other)
 
-    def distances(self, frames: _Frames) -> FloatArray:
+    def distances(self, frames: Frames) -> FloatArray:
         """(T, pairs) m that each pair's distance is not below."""
         centres = np.empty((3, len(self._joints), frames[0][1].shape[1]))
         for number, (turn, origin) in enumerate(frames):

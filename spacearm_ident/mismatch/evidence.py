@@ -109,7 +109,6 @@ class Evidence:
         field: Scene,
         reference: Scene | None,
         common: Sequence[tuple[Effect, tuple[float, ...]]] = (),
-        columns: FloatArray | None = None,
     ) -> None:
         """Fit the base.
 
@@ -118,7 +117,6 @@ class Evidence:
             field: Field rows.
             reference: Reference rows, if any.
             common: Effects that reference and field share, each with values of its constants.
-            columns: Of the base in the field rows (`base_columns`), where they are known.
         """
         self.base = base
         self.field = field
@@ -126,21 +124,12 @@ class Evidence:
         self.common = tuple(common)
         self.rows = len(field)
         scenes = [field] if reference is None else [field, reference]
-        known_columns = [] if columns is None else [columns]
-        stacks = [*known_columns, *(base_columns(base, scene, self.common) for scene in scenes[len(known_columns) :])]
-        prior = make_prior(base.model, [motion for scene in scenes for motion in scene.motions])
-        width, known = stacks[0].shape[1], prior.rows.shape[1]
-        # Common effects may be as large as they like; this only breaks ties.
-        beside = np.full(width - known, 1e-3)
-        beside[: self.nuisance] = 1.0 / nuisance_scale(base)
-        belief = np.zeros((len(prior.rows) + width - known, width))
-        belief[: len(prior.rows), :known] = NEARER * prior.rows
-        belief[len(prior.rows) :, known:] = np.diag(beside)
-        near = NEARER * prior.rows @ base.parameters
-        torque = np.concatenate([*(scene.torque() for scene in scenes), near, np.zeros(width - known)])
+        stacks = [base_columns(base, scene, self.common) for scene in scenes]
+        belief, near = _belief(base, scenes, stacks[0].shape[1])
+        torque = np.concatenate([*(scene.torque() for scene in scenes), near])
         stacked = np.concatenate([*stacks, belief])
         self._used = np.flatnonzero(np.any(stacked != 0, axis=0))
-        self._width = width
+        self._width = stacks[0].shape[1]
         self._triangle: FloatArray = np.asarray(np.linalg.qr(stacked[:, self._used], mode="r"))
         basis = solve_triangular(self._triangle, stacked[:, self._used].T, trans="T").T
         # A copy: a view would keep the reference's rows in memory.
@@ -395,6 +384,36 @@ class Evidence:
         if candidates:
             inside = inside - np.concatenate([c.inside for c in candidates], axis=1) @ values
         return np.asarray(inside)
+
+
+def _belief(base: IdentifiedModel, scenes: Sequence[Scene], width: int) -> tuple[FloatArray, FloatArray]:
+    """Rows (b, width) of what is known before the fit of a base, and the right-hand side (b,) that they should give."""
+    prior = make_prior(base.model, [motion for scene in scenes for motion in scene.motions])
+    known = prior.rows.shape[1]
+    # Common effects may be as large as they like; this only breaks ties.
+    beside = np.full(width - known, 1e-3)
+    beside[: NUISANCE * len(base.model.arm.joints)] = 1.0 / nuisance_scale(base)
+    belief = np.zeros((len(prior.rows) + width - known, width))
+    belief[: len(prior.rows), :known] = NEARER * prior.rows
+    belief[len(prior.rows) :, known:] = np.diag(beside)
+    return belief, np.concatenate([NEARER * prior.rows @ base.parameters, np.zeros(width - known)])
+
+
+def left_by_base(base: IdentifiedModel, scene: Scene, columns: FloatArray) -> FloatArray:
+    """(F,) what a base alone leaves of a scene, as `Evidence.residual`, by its normal equations: several times sooner.
+
+    Args:
+        base: Its model.
+        scene: The F rows.
+        columns: (F, width) of the base there (`base_columns`).
+    """
+    belief, near = _belief(base, [scene], columns.shape[1])
+    torque = scene.torque()
+    gram = columns.T @ columns + belief.T @ belief
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(gram), UNDERFLOW))
+    slope = columns.T @ torque + belief.T @ near
+    values = unit * np.linalg.lstsq(gram * np.outer(unit, unit), unit * slope, rcond=SINGULAR)[0]
+    return np.asarray(torque - columns @ values)
 
 
 def inverse_among(gram: FloatArray, free: np.ndarray) -> FloatArray:

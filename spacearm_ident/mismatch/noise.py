@@ -19,7 +19,7 @@ from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..noise.weights import common_correlation, residual_noise, white_correlation_time
 from ..signals.motion import Motion
-from .evidence import Evidence
+from .evidence import left_by_base
 from .rivals import Rival, rivals
 from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, inflated
 from .stacked import base_columns, stacked_effect
@@ -188,7 +188,7 @@ def _unwhitened(
     joints = range(len(base.model.arm.joints))
     start = near.plain if near else [Whitener(np.zeros(0), 1e4 * _least(motions, j)) for j in joints]
     plain, scene, columns = _louder(base, motions, start, 1 if near else 3)
-    return plain, scene, Evidence(base, scene, None, columns=columns).residual
+    return plain, scene, left_by_base(base, scene, columns)
 
 
 def _least(motions: Sequence[Motion], joint: int) -> float:
@@ -214,7 +214,7 @@ def _louder(
     scene = Scene(base, motions, whiteners)
     columns = base_columns(base, scene, ())
     for _ in range(times):
-        whiteners = inflated(whiteners, scene, Evidence(base, scene, None, columns=columns).residual)
+        whiteners = inflated(whiteners, scene, left_by_base(base, scene, columns))
         before, scene = scene.weight, scene.reweighted(whiteners)
         columns *= (scene.weight / before)[:, None]
     return whiteners, scene, columns

@@ -12,7 +12,8 @@ from ...arrays import FloatArray
 from ...signals.motion import Motion
 from ..arm import Arm, Joint
 from ..background import Background
-from ..regressor import rigid_body_blocks
+from ..frames import frames_of
+from ..regressor import cross, rigid_body_blocks
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, nothing
 from .linearised import COARSE_HZ, interpolate, rigid_torque
@@ -332,13 +333,20 @@ class ExternalContact(Effect):
         arm, count = background.arm, len(motion.joints)
 
         def compute() -> FloatArray:
-            # A force F on a point is what gravity -F does to a unit mass there, as torque that must be held: of a mass
-            # at the joint, and of the first moments by which it is elsewhere.
-            units = np.zeros((4, count, 10))
-            units[range(4), number, range(4)] = 1.0
-            return np.stack(
-                [[rigid_torque(arm.with_gravity(-axis), unit, motion.position) for axis in np.eye(3)] for unit in units]
-            )
+            # What holds against a force along each base axis at the link's joint, and more at a metre along its axes.
+            frames, row = frames_of(arm, motion.position), number
+            turn, at = frames[number + 1]
+            held = np.zeros((4, 3, len(motion.position), count))
+            while row >= 0:
+                joint, (own, origin) = arm.joints[row], frames[row + 1]
+                axis = np.einsum("ijt,j->it", own, joint.axis)
+                if joint.revolute:
+                    levers = [at - origin, *np.swapaxes(turn, 0, 1)]
+                    held[..., row] = [cross(axis, lever) for lever in levers]
+                else:
+                    held[0, ..., row] = axis
+                row = joint.parent
+            return held
 
         start, length, rise, *point = constants
         time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
