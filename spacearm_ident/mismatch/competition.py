@@ -18,7 +18,7 @@ from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from .constants import grid_points, polish, refine, search
-from .evidence import Candidate, Evidence, HeldOut, Refit, with_own
+from .evidence import Candidate, Evidence, HeldOut, Refit, inner_each, with_own
 from .finding import Happened
 from .happened import happened, without
 from .residuals import unwhitened
@@ -106,6 +106,7 @@ class Competition:
                 scene.set_high_orders(thin)
         self._pool = list(self._candidates(excluded))
         self._grids: dict[int, list[Candidate]] = {}
+        self._inner: dict[tuple[int, int], tuple[Candidate, Sequence[Candidate], FloatArray]] = {}
         self._rounds: list[Round] = []
         self.common: list[Scored] = []
         self.happened: list[Happened] = []
@@ -238,6 +239,7 @@ class Competition:
             self.held_out = without(held_out, self.happened)
         self.accepted = [evidence.reweighted([candidate], before)[0] for candidate in self.accepted]
         self._grids = {key: evidence.reweighted(grid, before) if grid else [] for key, grid in self._grids.items()}
+        self._inner.clear()
 
     def tried(self) -> Iterator[list[Candidate]]:
         """Named effects that are not accepted, each at the points of its constants' grids."""
@@ -418,6 +420,7 @@ class Competition:
         renew = self._renewed
         self.accepted = [renew(candidate) for candidate in self.accepted]
         self._grids = {key: [renew(c) for c in grid] for key, grid in self._grids.items()}
+        self._inner.clear()
         return True
 
     def _renewed(self, candidate: Candidate) -> Candidate:
@@ -456,11 +459,20 @@ class Competition:
 
     def _best_of(self, grid: Sequence[Candidate], beside: Refit) -> tuple[float, Candidate]:
         """The largest gain of an effect at the points of its grid, and where it is; −∞ where no value is plausible."""
-        values, gains = self.evidence.refit_each(self.accepted, grid, beside)
+        inner = [self._inner_each(one, grid) for one in self.accepted]
+        values, gains = self.evidence.refit_each(self.accepted, grid, beside, inner)
         for k in np.argsort(-gains):
             if np.isfinite(gains[k]) and plausible(grid[k], values[k], self._coulomb):
                 return float(gains[k] - beside.gain), grid[k]
         return -np.inf, grid[-1]
+
+    def _inner_each(self, one: Candidate, grid: Sequence[Candidate]) -> FloatArray:
+        """Inner products of an accepted effect and one at every point of its grid; computed once."""
+        key = id(one), id(grid)
+        if key not in self._inner:
+            # Kept with what they are of, so that no other can be at its address.
+            self._inner[key] = one, grid, inner_each(one, grid)
+        return self._inner[key][2]
 
     def _gain(self, candidate: Candidate, beside: Refit) -> float:
         together = self.evidence.refit([*self.accepted, candidate], beside)

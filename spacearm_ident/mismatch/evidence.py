@@ -299,7 +299,7 @@ class Evidence:
         return Refit(values[0], float(gain[0]), covariance[0], visibility, gram)
 
     def refit_each(
-        self, others: Sequence[Candidate], each: Sequence[Candidate], known: Refit
+        self, others: Sequence[Candidate], each: Sequence[Candidate], known: Refit, beside: Sequence[FloatArray]
     ) -> tuple[FloatArray, FloatArray]:
         """Each of some candidates of one effect fitted with the base and others: many small problems solved together.
 
@@ -307,6 +307,7 @@ class Evidence:
             others: Beside which each is fitted.
             each: One effect at m values of its constants.
             known: Of the others.
+            beside: Of every other one, its inner products with each (`inner_each`).
 
         Returns:
             (m, k) parameters of each, and (m,) drop in chi-square on reference and field, the others' included.
@@ -319,7 +320,7 @@ class Evidence:
         gram[:, :first, :first] = known.gram
         gram[:, first:, first:] = [one.gram for one in each]
         if others:
-            gram[:, :first, first:] = [np.concatenate([_inner(other, one) for other in others]) for one in each]
+            gram[:, :first, first:] = np.concatenate(beside, axis=1)
             gram[:, first:, :first] = np.swapaxes(gram[:, :first, first:], 1, 2)
         slope, energy = np.empty((2, len(each), count))
         slope[:, :first], energy[:, :first] = known_slope, known_energy
@@ -480,6 +481,11 @@ def _gram_with(gram: FloatArray, candidates: Sequence[Candidate]) -> FloatArray:
 def _inner(one: Candidate, other: Candidate) -> FloatArray:
     """(k, l) inner products of what the base cannot take over."""
     return np.asarray(one.stacked.inner(other.stacked) - one.inside.T @ other.inside)
+
+
+def inner_each(one: Candidate, each: Sequence[Candidate]) -> FloatArray:
+    """(m, k, l) the same of one and each of m."""
+    return np.stack([_inner(one, other) for other in each])
 
 
 class HeldOut:
