@@ -28,6 +28,7 @@ from ..conventions.evidence import GAIN_SD as ORDINARY_GAIN_SD
 from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..mismatch.competition import GATE
 from ..mismatch.noise import Noise, model_error_share, weighted
 from ..signals.motion import Motion
 from .linear import STATE_GROUPS, Linear, Prior, Solution, weak_prior
@@ -36,10 +37,11 @@ from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
 SURE = 5.0
 """Log odds from which a hypothesis is taken: one false in 150, were residuals noise; all parts must agree besides."""
-PROBABLE = 0.0
-"""Those from which friction by the load is taken if it is not a gain: without it the joint's friction and damping would
-be named as changed, by one factor. From these on a gain or such a law that is not taken leaves open which of the three
-it is (`Wired.open_factors`)."""
+PROBABLE, CLEAR = 0.0, 0.5 * GATE
+"""Those from which friction by the load is taken if it is not a gain: the first where it leaves both friction and
+damping as written, for without it these would be named as changed, by one factor; else the second, as any other physics
+must have, for with one load or another either of the two alone is as written. From the first on a gain or such a law
+that is not taken leaves open which of the three it is (`Wired.open_factors`)."""
 NOT_A_GAIN = float(np.log(19.0))
 """Log odds of friction by the load against a gain from which it is none: 95 %."""
 GAIN_SD, ZERO_SD, DELAY_SD, TILT_SD = 0.5, 0.05, 0.02, 0.05
@@ -289,7 +291,7 @@ class _State:
         """What was found, with the values of a model's terms."""
         errors, values = self.errors(), dict(zip(self.linear.names, self._solved(self.found).values.tolist()))
         laws = [name for name in self.found if name in self.rivals and kind_and_joint(name)[0] in SCALING]
-        laws = [name for name in laws if self._agreed([name])]
+        laws = [name for name in laws if self._is_friction_by_load(name)]
         return Wired(
             self.wiring,
             tuple(name for name in self.found if name not in self.rivals),
@@ -297,7 +299,7 @@ class _State:
             self.suspected(),
             self.fitted.carried_to(_with_rival_terms(model, laws)),
             {name: (values[name], errors[name]) for name in laws},
-            self._open_factors(),
+            self._open_factors(laws),
         )
 
     def best_addition(self) -> tuple[str, ...] | None:
@@ -319,7 +321,15 @@ class _State:
             return False
         return self._gained(law, self.found) - self._gained(gain, self.found) > NOT_A_GAIN
 
-    def _open_factors(self) -> dict[str, str]:
+    def _is_friction_by_load(self, law: str) -> bool:
+        """Whether such a law among what was found is to be believed, and not only one that rules others out."""
+        joint, odds = kind_and_joint(law)[1], self.log_odds(law)
+        self._keep(law)
+        own = {name for name in self.written if name in (f"f_c[{joint}]", f"k_v1[{joint}]")}
+        factor = len(own) > 1 and own <= set(self.kept[joint])
+        return (factor or odds > CLEAR) and self._agreed([law])
+
+    def _open_factors(self, laws: Sequence[str]) -> dict[str, str]:
         """Joint -> the most probable of a gain and friction by the load, where one is probable and none was taken.
 
         It must leave friction or damping as written; parts of the data need not agree on its size.
@@ -327,9 +337,10 @@ class _State:
         best = {}
         for joint in self.arm.joint_names:
             names = [f"{kind}[{joint}]" for kind in (GAIN, LOADED, DRIVEN)]
-            if set(names) & set(self.found):
+            if names[0] in self.found or set(names) & set(laws):
                 continue
-            odds = {name: self._gained(name, self.found) for name in names if name in (*self.rivals, names[0])}
+            beside = [name for name in self.found if name not in names]
+            odds = {name: self._gained(name, beside) for name in names if name in (*self.rivals, names[0])}
             name = max(odds, key=lambda one: odds[one])
             if odds[name] > PROBABLE:
                 self._keep(name)

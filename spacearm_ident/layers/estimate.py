@@ -50,25 +50,28 @@ class Estimate:
 
     def error(self, combination: FloatArray) -> float:
         """Half the width of its 95 % interval over 1.96: a standard error with the few blocks and groups in it."""
-        found = [_size(self.covariance, combination)]
+        return self.bound(combination) / float(norm.ppf(1 - LEVEL / 2))
+
+    def bound(self, combination: FloatArray, level: float = LEVEL) -> float:
+        """What a combination's estimate is off by at most, but with a probability of `level`.
+
+        Student's, with the few blocks and groups that errors are from: far out in the tails they say much less than at
+        95 %.
+        """
+        found = [float(norm.ppf(1 - level / 2)) * _size(self.covariance, combination)]
         if self.blocks >= 3:
-            found.append(_size(self.jackknife, combination) * _of_few(self.blocks))
-        found += [_size(one, combination) * _of_few(self.groups) for one in self.by_state]
-        return max(found)
+            found.append(float(student.ppf(1 - level / 2, self.blocks - 1)) * _size(self.jackknife, combination))
+        of_groups = float(student.ppf(1 - level / 2, self.groups - 1)) if len(self.by_state) else 0.0
+        return max([*found, *(of_groups * _size(one, combination) for one in self.by_state)])
 
     def interval(self, combination: FloatArray) -> tuple[float, float]:
         """95 % interval of a combination."""
-        half = float(norm.ppf(1 - LEVEL / 2)) * self.error(combination)
+        half = self.bound(combination)
         return self.of(combination) - half, self.of(combination) + half
 
 
 def _size(covariance: FloatArray, combination: FloatArray) -> float:
     return float(np.sqrt(max(float(combination @ covariance @ combination), 0.0)))
-
-
-def _of_few(parts: int) -> float:
-    """Student's factor of so many parts beside a Gaussian's, at `LEVEL`."""
-    return float(student.ppf(1 - LEVEL / 2, parts - 1) / norm.ppf(1 - LEVEL / 2))
 
 
 def estimate(linear: Linear, prior: Prior, variance: FloatArray) -> Estimate:

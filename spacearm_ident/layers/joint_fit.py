@@ -11,7 +11,6 @@ from dataclasses import replace
 from functools import cache, cached_property
 
 import numpy as np
-from scipy.stats import norm
 
 from ..arrays import FloatArray
 from ..conventions.evidence import inertial_belief
@@ -324,9 +323,9 @@ class JointFit:
             others: All other physics.
             least: As for `idle_wiring`; everything is fitted again without the term.
         """
-        bound = float(norm.ppf(1 - LEVEL / 2 / max(len(terms), 1)))
+        level = LEVEL / max(len(terms), 1)
         left = self.judge.rms(self.estimate.values) ** 2
-        large = [one for one in terms if self._exceeds(self.vector(one), bound)]
+        large = [one for one in terms if self._exceeds(self.vector(one), level)]
         return [
             one
             for one in large
@@ -334,9 +333,9 @@ class JointFit:
             and self._rises(self.fit([other for other in (*terms, *others) if other is not one]), left, least)
         ]
 
-    def _exceeds(self, vector: FloatArray, bound: float) -> bool:
-        """Whether the size of what `vector` says is more than so many of its errors."""
-        return bool(abs(self.estimate.of(vector)) > bound * self.estimate.error(vector))
+    def _exceeds(self, vector: FloatArray, level: float) -> bool:
+        """Whether the size of what `vector` says is none with no more than this probability."""
+        return abs(self.estimate.of(vector)) > self.estimate.bound(vector, level)
 
     def vector(self, one: Added) -> FloatArray:
         """(P,) which unknown says how large an effect is: its largest parameter; what a static level is above."""
