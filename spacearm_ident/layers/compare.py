@@ -22,6 +22,7 @@ from scipy.stats import norm
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
+from ..dynamics.effects.drive import CurrentOffset
 from ..dynamics.effects.friction import LoadFriction
 from ..errors import UnfitDataError
 from ..identification.identify import Settings, identify
@@ -65,6 +66,8 @@ at some joint to be named: one per cent of its RMS, as for a model that is no wo
 Errors shrink with the length of the recordings; half a sampling period and a simulator's integration step stay, and
 both look like friction."""
 
+STANDS_OUT = 3.0
+"""Times what is left at a joint, where that follows nothing known, from which a constant torque is not its mean."""
 RELINEARISED = 2
 """Times that everything is fitted again around its values, where physics depends on them: friction by the load grows
 with what the other terms and itself add up to, and the search fitted constants beside other values."""
@@ -231,26 +234,31 @@ class _Pass:
         unclear = [one for one in optional if one not in named]
         rest = found.predicting(unclear)
         found.leave_out([one for one in unclear if one not in rest])
-        order = found.order([*added, *named])
-        stages += [found.fit(with_terms=order[: k + 1]) for k in range(len(order))]
-        if rest:
-            stages.append(found.fit(with_terms=[*order, *rest]))
-        rms = [simulated, *(gain * found.judge.rms(values) for values in stages)]
-        after = rms[-1]
+        whole = found.fit(with_terms=[*added, *named, *rest])
+        after = gain * found.judge.rms(whole)
         noise = np.fmin(after, explanation.noise_floor_Nm * gain)
-        traces = found.traces(stages[-1])
+        traces = found.traces(whole)
         rows = [trace.measured - trace.mended for trace in traces]
         white, slow = white_and_slow(found.judge.motions, rows, [np.isfinite(residual) for residual in rows])
         noise = np.where(slow > white, np.fmin(noise, white), noise)
         torque = gain * found.judge.rms(np.zeros(found.judge.count))
-        ceiling = found.ceiling(stages[1]) * gain
         shares = _Shares(found, gain, simulated, after, noise, torque)
+        left = _rest_items(explanation, after, noise, slow > white, shares)
+        unknown = {joint for item in left for joint in item.joints}
+        part = [one for one in named if unknown & set(one.joints) and self._is_the_mean(one, found, after)]
+        named, rest = [one for one in named if one not in part], [*rest, *part]
+        order = found.order([*added, *named])
+        stages += [found.fit(with_terms=order[: k + 1]) for k in range(len(order))]
+        if rest:
+            stages.append(whole)
+        rms = [simulated, *(gain * found.judge.rms(values) for values in stages)]
+        ceiling = found.ceiling(stages[1]) * gain
         items, lost, seen, notes, kept = self._parameter_items(found, shares, wired.open_factors)
         layers = (
             Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(wired.suspected)),
             Layer(PARAMETERS, rms[1], rms[2], items, (*self.simulation.notes, *notes)),
             Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, shares), _unnamed(rest, gone)),
-            Layer(REST, after, noise, _rest_items(explanation, after, noise, slow > white, shares)),
+            Layer(REST, after, noise, left),
         )
         mended = found.mended(self.cutoff, kept, SHOWS)
         return Comparison(
@@ -272,6 +280,11 @@ class _Pass:
             judged_on=self.judged_on,
             cutoff_hz=self.cutoff,
         )
+
+    def _is_the_mean(self, one: Added, found: JointFit, left: FloatArray) -> bool:
+        """Whether a constant torque may be the mean of what is left (n,), N m, and follows nothing known."""
+        size = abs(found.estimate.of(found.vector(one)))
+        return one.effect == CurrentOffset.kind and size < STANDS_OUT * left[self.joints.index(one.joints[0])]
 
     def _as_simulated(self) -> FloatArray:
         """(n,) RMS residual of the simulation as it is, on the held-out recordings."""
@@ -554,7 +567,7 @@ def _unnamed(small: Sequence[Added], gone: Sequence[Added]) -> tuple[str, ...]:
     notes = []
     if small:
         words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in small)
-        notes.append(f"in the model since it predicts held-out data better, but not significant: {words}")
+        notes.append(f"in the model since it predicts held-out data better, but not clear enough to be named: {words}")
     if gone:
         words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in gone)
         notes.append(f"found in the fit, but not replicated or of a size that may be zero, and left out: {words}")
