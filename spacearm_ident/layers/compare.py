@@ -66,6 +66,9 @@ at some joint to be named: one per cent of its RMS, as for a model that is no wo
 Errors shrink with the length of the recordings; half a sampling period and a simulator's integration step stay, and
 both look like friction."""
 
+LAW_SHOWS = 0.1
+"""The same for friction by the load that is not as sure as other physics (`Wired.doubted`): 5 % of the RMS, by which
+friction laws are off (`mismatch.intervals.LAW_ERROR`)."""
 STANDS_OUT = 3.0
 """Times what is left at a joint, where that follows nothing known, from which a constant torque is not its mean."""
 RELINEARISED = 2
@@ -205,7 +208,8 @@ class _Pass:
             found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         idle = found.idle_wiring(SHOWS)
         if idle:
-            wired = replace(without_columns(whole, self.wired_in, self.simulation.own, wired, idle), laws=laws)
+            other = without_columns(whole, self.wired_in, self.simulation.own, wired, idle)
+            wired = replace(other, laws=laws, doubted=wired.doubted)
             found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         added = [*added_terms(whole, base, explanation.findings), *friction_by_load(whole, laws)]
         optional = optional_terms(whole, base)
@@ -227,6 +231,9 @@ class _Pass:
         simulated = self._as_simulated()
         stages = [found.simulated(), found.fit(with_terms=())]
         gone = [one for one in added if _of_no_size(one, found)]
+        doubted = {int(law.columns[0]) for law in friction_by_load(found.linear.model, wired.doubted)}
+        unsure = [one for one in added if one.finding is None and int(one.columns[0]) in doubted and one not in gone]
+        gone += [one for one in unsure if not found.needs(one, [*added, *optional], LAW_SHOWS)]
         gone += found.contradicted([one for one in added if one not in gone], [*optional, *gone], SHOWS)
         found.leave_out(gone)
         added = [one for one in added if one not in gone]

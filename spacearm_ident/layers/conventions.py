@@ -38,10 +38,9 @@ from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 SURE = 5.0
 """Log odds from which a hypothesis is taken: one false in 150, were residuals noise; all parts must agree besides."""
 PROBABLE, CLEAR = 0.0, 0.5 * GATE
-"""Those from which friction by the load is taken if it is not a gain: the first where it leaves both friction and
-damping as written, for without it these would be named as changed, by one factor; else the second, as any other physics
-must have, for with one load or another either of the two alone is as written. From the first on a gain or such a law
-that is not taken leaves open which of the three it is (`Wired.open_factors`)."""
+"""Those from which friction by the load is taken if it is not a gain: without it the joint's friction and damping would
+be named as changed, by one factor. From these on a gain or such a law that is not taken leaves open which of the three
+it is (`Wired.open_factors`). And those from which it is sure, as any other physics must be."""
 NOT_A_GAIN = float(np.log(19.0))
 """Log odds of friction by the load against a gain from which it is none: 95 %."""
 GAIN_SD, ZERO_SD, DELAY_SD, TILT_SD = 0.5, 0.05, 0.02, 0.05
@@ -122,6 +121,8 @@ class Wired:
         laws: Friction by the load that the data demand and the model did not have: parameter -> value, standard error.
         open_factors: Joint -> a gain, such as `gain[joint_2]`, or friction by the load that is more probable than not
             and was not taken: the joint's friction and damping by one factor may be that.
+        doubted: Names of `laws` that neither leave friction and damping as written nor are sure (`CLEAR`): with one
+            load or another either of the two alone is as written. Held-out recordings must need them.
     """
 
     wiring: Wiring
@@ -131,6 +132,7 @@ class Wired:
     model: IdentifiedModel
     laws: Mapping[str, tuple[float, float]]
     open_factors: Mapping[str, str]
+    doubted: tuple[str, ...]
 
 
 def find_wiring(
@@ -291,7 +293,7 @@ class _State:
         """What was found, with the values of a model's terms."""
         errors, values = self.errors(), dict(zip(self.linear.names, self._solved(self.found).values.tolist()))
         laws = [name for name in self.found if name in self.rivals and kind_and_joint(name)[0] in SCALING]
-        laws = [name for name in laws if self._is_friction_by_load(name)]
+        laws = [name for name in laws if self._agreed([name])]
         return Wired(
             self.wiring,
             tuple(name for name in self.found if name not in self.rivals),
@@ -300,6 +302,7 @@ class _State:
             self.fitted.carried_to(_with_rival_terms(model, laws)),
             {name: (values[name], errors[name]) for name in laws},
             self._open_factors(laws),
+            tuple(name for name in laws if not self._is_clear(name)),
         )
 
     def best_addition(self) -> tuple[str, ...] | None:
@@ -321,13 +324,12 @@ class _State:
             return False
         return self._gained(law, self.found) - self._gained(gain, self.found) > NOT_A_GAIN
 
-    def _is_friction_by_load(self, law: str) -> bool:
-        """Whether such a law among what was found is to be believed, and not only one that rules others out."""
+    def _is_clear(self, law: str) -> bool:
+        """Whether friction by the load among what was found leaves both friction and damping as written, or is sure."""
         joint, odds = kind_and_joint(law)[1], self.log_odds(law)
         self._keep(law)
         own = {name for name in self.written if name in (f"f_c[{joint}]", f"k_v1[{joint}]")}
-        factor = len(own) > 1 and own <= set(self.kept[joint])
-        return (factor or odds > CLEAR) and self._agreed([law])
+        return odds > CLEAR or (len(own) > 1 and own <= set(self.kept[joint]))
 
     def _open_factors(self, laws: Sequence[str]) -> dict[str, str]:
         """Joint -> the most probable of a gain and friction by the load, where one is probable and none was taken.

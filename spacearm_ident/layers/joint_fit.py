@@ -279,13 +279,19 @@ class JointFit:
             others: All other physics.
             least: As for `idle_wiring`.
         """
-        left = self.judge.rms(self.estimate.values) ** 2
         doubted = [one for one in terms if self.replicates(self.vector(one), 0.0) is False]
-        return [
-            one
-            for one in doubted
-            if not self._rises(self.fit([other for other in (*terms, *others) if other is not one]), left, least)
-        ]
+        return [one for one in doubted if not self.needs(one, [*terms, *others], least)]
+
+    def needs(self, one: Added, terms: Sequence[Added], least: float) -> bool:
+        """Whether held-out recordings are predicted worse without one of all physics, everything else fitted again.
+
+        Args:
+            one: In question.
+            terms: All physics.
+            least: As for `idle_wiring`.
+        """
+        left = self.judge.rms(self.estimate.values) ** 2
+        return self._rises(self.fit([other for other in terms if other is not one]), left, least)
 
     def predicting(self, terms: Sequence[Added]) -> list[Added]:
         """Those of some friction terms with which held-out parts of the fitted recordings are predicted better.
@@ -324,14 +330,9 @@ class JointFit:
             least: As for `idle_wiring`; everything is fitted again without the term.
         """
         level = LEVEL / max(len(terms), 1)
-        left = self.judge.rms(self.estimate.values) ** 2
         large = [one for one in terms if self._exceeds(self.vector(one), level)]
-        return [
-            one
-            for one in large
-            if self.replicates(self.vector(one), 0.0) is not False
-            and self._rises(self.fit([other for other in (*terms, *others) if other is not one]), left, least)
-        ]
+        alike = [one for one in large if self.replicates(self.vector(one), 0.0) is not False]
+        return [one for one in alike if self.needs(one, [*terms, *others], least)]
 
     def _exceeds(self, vector: FloatArray, level: float) -> bool:
         """Whether the size of what `vector` says is none with no more than this probability."""

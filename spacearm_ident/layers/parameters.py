@@ -145,8 +145,8 @@ def changes(known: Sequence[Change], found: Estimate) -> tuple[tuple[Change, ...
     Returns:
         What differs; and what does not, with the size from which it would have been named.
     """
-    level = LEVEL / max(len(known), 1)
-    sized = [(one, max(found.bound(one.vector, level), DIGITS * abs(one.was))) for one in known]
+    bound = float(norm.ppf(1 - LEVEL / 2 / max(len(known), 1)))
+    sized = [(one, max(bound * found.error(one.vector), DIGITS * abs(one.was))) for one in known]
     off = [abs(found.of(one.vector) - one.was) for one in known]
     return (
         tuple(one for (one, size), change in zip(sized, off) if change > size),
