@@ -26,7 +26,7 @@ NUISANCE = 1 + len(SHARP_SPEEDS)
 """Columns a joint."""
 
 AT_ONCE = 32
-"""Values of an effect's constants whose columns are computed together; of a minute at 1 kHz they take 100 MB."""
+"""Values of an effect's constants whose columns are computed together: of a minute of seven joints they take 30 MB."""
 
 SHARP_SHARE, SHARP_LEAST = 0.5, 1e-3
 """Standard deviation of a nuisance parameter before the data: a share of the joint's Coulomb friction, whose way
