@@ -47,8 +47,8 @@ CLEARS_UP = 0.5
 NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
 POLISHED = 2.0
-"""An event is searched finely from this share's inverse of the best score on: a search of all its constants doubles it
-at most, and what is far below waits for its round."""
+"""An event is searched finely from this share's inverse of the best score on; what is further behind waits for its
+round. In 74 such searches of two blind trials the score grew by 6 % (median), 76 % at most."""
 LASTS = 0.5
 """An effect must score this share of the gate without its best moments: what shows in one alone is an accident."""
 RELINEARISED = 6
