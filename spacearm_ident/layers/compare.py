@@ -230,11 +230,7 @@ class _Pass:
         gain = found.wiring.gain
         simulated = self._as_simulated()
         stages = [found.simulated(), found.fit(with_terms=())]
-        gone = [one for one in added if _of_no_size(one, found)]
-        doubted = {int(law.columns[0]) for law in friction_by_load(found.linear.model, wired.doubted)}
-        unsure = [one for one in added if one.finding is None and int(one.columns[0]) in doubted and one not in gone]
-        gone += [one for one in unsure if not found.needs(one, [*added, *optional], LAW_SHOWS)]
-        gone += found.contradicted([one for one in added if one not in gone], [*optional, *gone], SHOWS)
+        gone = _not_there(found, added, optional, wired)
         found.leave_out(gone)
         added = [one for one in added if one not in gone]
         named = found.clear(optional, added, SHOWS)
@@ -243,10 +239,10 @@ class _Pass:
         found.leave_out([one for one in unclear if one not in rest])
         whole = found.fit(with_terms=[*added, *named, *rest])
         after = gain * found.judge.rms(whole)
-        noise = np.fmin(after, explanation.noise_floor_Nm * gain)
         traces = found.traces(whole)
         rows = [trace.measured - trace.mended for trace in traces]
         white, slow = white_and_slow(found.judge.motions, rows, [np.isfinite(residual) for residual in rows])
+        noise = np.fmin(after, explanation.noise_floor_Nm * gain)
         noise = np.where(slow > white, np.fmin(noise, white), noise)
         torque = gain * found.judge.rms(np.zeros(found.judge.count))
         shares = _Shares(found, gain, simulated, after, noise, torque)
@@ -436,6 +432,22 @@ class _Pass:
                 )
             )
         return tuple(items)
+
+
+def _not_there(found: JointFit, added: Sequence[Added], optional: Sequence[Added], wired: Wired) -> list[Added]:
+    """Effects that are of no size, not needed though nothing else is sure of them, or of another size in held-out data.
+
+    Args:
+        found: The joint fit.
+        added: Effects that were found.
+        optional: All other physics of the model.
+        wired: Whose `laws` some of the effects are.
+    """
+    gone = [one for one in added if _of_no_size(one, found)]
+    doubted = {int(law.columns[0]) for law in friction_by_load(found.linear.model, wired.doubted)}
+    unsure = [one for one in added if one.finding is None and int(one.columns[0]) in doubted and one not in gone]
+    gone += [one for one in unsure if not found.needs(one, [*added, *optional], LAW_SHOWS)]
+    return gone + found.contradicted([one for one in added if one not in gone], [*optional, *gone], SHOWS)
 
 
 def _of_no_size(one: Added, found: JointFit) -> bool:
