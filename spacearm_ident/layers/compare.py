@@ -22,6 +22,7 @@ from scipy.stats import norm
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
+from ..dynamics.effects.body import ExternalContact
 from ..dynamics.effects.drive import CurrentOffset
 from ..dynamics.effects.friction import LoadFriction
 from ..errors import UnfitDataError
@@ -54,7 +55,15 @@ from .parameters import (
     few_causes,
     places_of,
 )
-from .physics import Added, added_terms, friction_by_load, missing_physics, optional_terms, with_friction_terms
+from .physics import (
+    Added,
+    added_terms,
+    friction_by_load,
+    late_by,
+    missing_physics,
+    optional_terms,
+    with_friction_terms,
+)
 from .wiring import DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
 
 Progress = Callable[[float, str], None]
@@ -175,16 +184,12 @@ class _Pass:
         report(0.05, "conventions and wiring")
         wired = find_wiring(self.simulation.model, self.wired_in, self.simulation.own)
         report(0.2, "searching for missing physics")
-        base, corrections = self.simulation.model.model, wired.wiring.corrections(self.joints)
-        corrected, judged = (
-            [wired.wiring.without_tilt(corrections.applied(recording), wired.model) for recording in runs]
-            for runs in (self.fitted, self.held)
-        )
+        base, corrected = self.simulation.model.model, self._corrected(self.fitted, wired)
         explanation = missing_physics(
             self.arm,
             base.structure,
             corrected,
-            judged,
+            self._corrected(self.held, wired),
             excluded,
             lambda share, what: report(0.2 + 0.6 * share, what),
         )
@@ -192,6 +197,9 @@ class _Pass:
             return _unfit(self.arm, explanation.reasons)
         report(0.8, "fitting all layers together")
         self.judged = voided(self.judged, explanation.happened)
+        if late := late_by(explanation):
+            wired = wired.delayed(late)
+            corrected = self._corrected(self.fitted, wired)
         chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
         extended = explanation.model or wired.model.carried_to(base)
         rubbing = [kind_and_joint(name)[1] for name in wired.laws]
@@ -217,6 +225,11 @@ class _Pass:
         why = "which is within its error of none or lowers no held-out variance"
         lost = tuple(f"{_wiring_words(name)}, {why}" for name in idle)
         return self._answer(found, added, optional, explanation, wired, lost)
+
+    def _corrected(self, recordings: Sequence[Recording], wired: Wired) -> list[Recording]:
+        """Recordings without what their wiring is off by."""
+        corrections = wired.wiring.corrections(self.joints)
+        return [wired.wiring.without_tilt(corrections.applied(one), wired.model) for one in recordings]
 
     def _answer(
         self,
@@ -451,7 +464,12 @@ def _not_there(found: JointFit, added: Sequence[Added], optional: Sequence[Added
 
 
 def _of_no_size(one: Added, found: JointFit) -> bool:
-    """Whether the 95 % interval of an effect's size, the first value of its card or the joint fit's, holds zero."""
+    """Whether the 95 % interval of an effect's size, the first value of its card or the joint fit's, holds zero.
+
+    A touch's force and its lever are one torque, which may be plain where neither of the two is.
+    """
+    if one.effect == ExternalContact.kind:
+        return False
     if one.effect == LoadFriction.kind:
         low, high = found.estimate.interval(found.vector(one))
         return low <= 0.0 <= high

@@ -134,6 +134,11 @@ class Wired:
     open_factors: Mapping[str, str]
     doubted: tuple[str, ...]
 
+    def delayed(self, seconds: float) -> Wired:
+        """The same with torque that is stamped so much later, which may be tested again (`find_wiring`)."""
+        wiring = replace(self.wiring, delay_s=self.wiring.delay_s + seconds)
+        return replace(self, wiring=wiring, found=tuple(dict.fromkeys([*self.found, DELAY])))
+
 
 def find_wiring(
     model: IdentifiedModel,

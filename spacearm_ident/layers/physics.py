@@ -15,6 +15,7 @@ import numpy as np
 
 from ..dynamics.arm import Arm
 from ..dynamics.effects import Effect
+from ..dynamics.effects.drive import TimeDelay
 from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
@@ -46,8 +47,10 @@ class Optional:
     rivals: frozenset[str] = frozenset()
 
 
-EARLIER = ("torque_constant", "time_delay", "base_tilt", "payload", "friction_drift")
-"""Effects that the first two layers are about: a search for physics would find them in place of what is there."""
+EARLIER = ("torque_constant", "base_tilt", "payload", "friction_drift")
+"""Effects that the first two layers are about: a search for physics would find them in place of what is there. Torque
+that is late at all joints alike is not among them: before a contact, say, is known it need not be found, and then hides
+what else there is (`is_physics`)."""
 OPTIONAL = (
     Optional("offset", "current_offset", "constant torque", frozenset({"asymmetric_friction", "base_tilt"})),
     Optional("f_b", "stribeck", "Stribeck friction f_b - f_c"),
@@ -99,7 +102,20 @@ def missing_physics(
     def simulated(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
         return structure, ()
 
-    return explain(arm, [], fitted, held, (*excluded, *EARLIER), progress=progress, choose=simulated)
+    return explain(
+        arm, [], fitted, held, (*excluded, *EARLIER), progress=progress, choose=simulated, is_finding=is_physics
+    )
+
+
+def is_physics(effect: Effect) -> bool:
+    """Whether an effect is physics. Torque that is late at all joints alike is a stamp, of which the wiring is told."""
+    return effect.kind != TimeDelay.kind or "joint" in effect.place
+
+
+def late_by(explanation: Explanation) -> float:
+    """How much later than the motion, beside what was found, torque was stamped at all joints alike, s."""
+    delays = (effect.shown(values)["delay"][0] for effect, values in explanation.beside)
+    return float(sum(delays))
 
 
 def added_terms(model: IdentifiedModel, base: TorqueModel, findings: Sequence[Finding]) -> list[Added]:

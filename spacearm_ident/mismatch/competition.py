@@ -328,10 +328,15 @@ class Competition:
                 return False
         if not self.accepted:
             return True
-        # An event is small beside what goes on while it lasts: there the larger effect's law is most in doubt.
-        large = self._energy(self.accepted, self.evidence.refit(self.accepted).values, None if lasting else scored)
+        # An event is small beside what goes on while it lasts: there the larger effect's law is most in doubt. What
+        # lasts is seen without any event, too.
+        beside = [*with_own(self.accepted, self.evidence.refit(self.accepted).values)]
+        beside = [one for one in beside if not (lasting and one[0].effect.event)]
+        own = np.concatenate([np.zeros(0), *(values for _, values in beside)])
+        large = self._energy([candidate for candidate, _ in beside], own, None if lasting else scored)
         minor = MINOR_SHARE if scored.named and lasting else MINOR_UNKNOWN
-        return float(mine.sum()) > minor * float(large[felt].sum())
+        # Joint by joint: what shows at all of them may be small beside another cause at one.
+        return float(np.median(mine[felt] - minor * large[felt])) > 0.0
 
     def _lasts(self, scored: Scored) -> bool:
         """Whether an effect has a score without the best moments of field and held-out rows, too; an event need not."""

@@ -6,7 +6,7 @@ effects explain what is left (`competition`); and a card for each, judged on a r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
+from ..dynamics.effects.effect import Effect
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
@@ -36,6 +37,7 @@ from .rivals import UNKNOWN
 from .scored import Scored
 
 Progress = Callable[[float, str], None]
+IsFinding = Callable[[Effect], bool]
 AGAIN = 2
 """Times that the search goes on with a smaller noise, where only what it leaves says how large that is."""
 HOLD_OUT = 0.35
@@ -57,6 +59,7 @@ def explain(
     gate: float = GATE,
     progress: Progress | None = None,
     choose: ChooseStructure = choose_base,
+    is_finding: IsFinding = lambda effect: True,
 ) -> Explanation:
     """Say what physics a recording shows that the reference does not.
 
@@ -69,6 +72,8 @@ def explain(
         gate: Score below which nothing is found.
         progress: Called with a share done in 0..1 and what is being done.
         choose: Chooses the structure of the base from a fit of the paper's.
+        is_finding: Whether an effect is one where it is accepted; others are fitted beside the findings
+            (`Explanation.beside`), and are in no model.
 
     Raises:
         UserError: A recording lacks a joint of the arm.
@@ -100,7 +105,7 @@ def explain(
         competition.reweigh(prepared.evidence, prepared.held_out)
         outcome = competition.run(lambda share, what: report(0.75 + 0.15 * share, what))
     report(0.92, "writing the result")
-    answer = _answer(prepared, competition, outcome)
+    answer = _answer(prepared, competition, outcome, is_finding)
     report(1.0, "done")
     return replace(answer, judged_on=judged_on)
 
@@ -111,7 +116,7 @@ def held_out_ends(recordings: Sequence[Recording]) -> tuple[list[Recording], lis
     return [first for first, _ in parts], [last for _, last in parts]
 
 
-def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> Explanation:
+def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_finding: IsFinding) -> Explanation:
     evidence, held_out = competition.evidence, competition.held_out
     assert held_out is not None
     joints = evidence.base.model.arm.joint_names
@@ -127,16 +132,17 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
     judge = _Judge(evidence, healthy, dict(zip(joints, rms_before.tolist())), on_a_day)
     while True:
         cards = Cards(evidence, residuals, outcome, floor, on_a_day)
-        made = [cards.finding(k) for k in range(len(outcome.accepted))]
-        idle = [k for k in range(len(made)) if not judge.stands(k, made, outcome)]
+        shown = [k for k, candidate in enumerate(outcome.accepted) if is_finding(candidate.effect)]
+        made = {k: cards.finding(k) for k in shown}
+        idle = [k for k in shown if not judge.stands(k, made, outcome)]
         if not idle:
             break
         # What shows beside another may show no more without it.
         outcome = competition.without(outcome, idle)
     accepted = outcome.accepted
     effects = [candidate.effect for candidate in accepted]
-    made = [contradicted(finding, effect, effects) for finding, effect in zip(made, effects)]
-    findings = tuple(doubted(finding, judge.floor) for finding in _by_cause(made, joints))
+    stated = [contradicted(finding, effects[k], effects) for k, finding in made.items()]
+    findings = tuple(doubted(finding, judge.floor) for finding in _by_cause(stated, joints))
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     rms_after = residuals.rms(after)
     if not findings:
@@ -169,10 +175,15 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome) -> E
             *_not_judged(competition.happened, len({motion.source for motion in evidence.field.motions})),
             *(() if findings else _moments(joints, rms_after, healthy)),
         ),
-        model=extended_model(evidence, accepted, outcome.refit.values) if accepted else None,
+        model=extended_model(evidence, accepted, outcome.refit.values, is_finding) if accepted else None,
         traces=residuals.traces(before, added),
         cutoff_hz=prepared.cutoff_hz,
         would_have_seen=would_have_seen(evidence, on_a_day, competition.tried(), findings, healthy, competition.gate),
+        beside=tuple(
+            (one.effect, np.concatenate([values, one.constants]))
+            for one, values in with_own(accepted, outcome.refit.values)
+            if not is_finding(one.effect)
+        ),
     )
 
 
@@ -186,10 +197,10 @@ class _Judge:
         self.floor = dict(zip(joints, healthy.floor_Nm.tolist()))
         self._largest = dict(zip(joints, healthy.largest_Nm.tolist()))
 
-    def stands(self, number: int, findings: Sequence[Finding], outcome: Outcome) -> bool:
-        """Whether one of the findings does."""
+    def stands(self, number: int, findings: Mapping[int, Finding], outcome: Outcome) -> bool:
+        """Whether one of the findings, each by the number of its effect in the outcome, does."""
         finding = findings[number]
-        if harms(finding) or not shows(number, findings, self.floor):
+        if harms(finding) or not shows(list(findings).index(number), list(findings.values()), self.floor):
             return False
         if self._is_of_the_day(number, outcome):
             return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,13 +16,16 @@ from .evidence import Candidate, Evidence
 from .rivals import UNKNOWN
 
 
-def extended_model(evidence: Evidence, accepted: Sequence[Candidate], values: FloatArray) -> IdentifiedModel:
+def extended_model(
+    evidence: Evidence, accepted: Sequence[Candidate], values: FloatArray, is_term: Callable[[Effect], bool]
+) -> IdentifiedModel:
     """The base model, refitted beside the effects, and the named effects with their values.
 
     Args:
         evidence: What was fitted.
         accepted: Effects.
         values: (k,) their parameters.
+        is_term: Whether an effect is a term of the model; a function without a name is none.
     """
     base = evidence.base
     count = len(base.model.parameters)
@@ -40,7 +43,7 @@ def extended_model(evidence: Evidence, accepted: Sequence[Candidate], values: Fl
     for candidate in accepted:
         own = values[first : first + len(candidate.effect.parameters)]
         first += len(candidate.effect.parameters)
-        if candidate.effect.kind != UNKNOWN:
+        if candidate.effect.kind != UNKNOWN and is_term(candidate.effect):
             found.append((candidate.effect, own, candidate.constants))
     first = count + evidence.nuisance
     for effect, constants in evidence.common:

@@ -36,9 +36,11 @@ TEETH = (0.95, 1.0, 1.05)
 nearer than any of them."""
 GAP_GRID = tuple(float(b) for b in np.geomspace(8e-5, 0.02, 26))
 """rad, dense: when the teeth meet again follows from how far apart they are."""
-CONTACT_GRID = (3e4, 1e5, 3e5)
-CALM = 0.75
-"""The load that lets teeth part and meet is looked at in this share of the bandwidth."""
+CONTACT_GRID = (4e3, 3.5e4, 3e5)
+"""N·m/rad: from the smallest strain-wave gears to spur gears of a large arm."""
+CALM = 1.5
+"""The load that lets teeth part and meet is looked at in so many times the bandwidth. Below, the jolt of a neighbour's
+reversal is lost, after which the link flies; above, accelerations are encoder noise, which opens the gap too early."""
 ROTORS, ROTOR_REACH = 0.4, (-0.5, 0.75)
 """Share of a first link's least inertia that a model may have taken from its rotor."""
 
