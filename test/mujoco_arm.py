@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -96,3 +97,21 @@ def recorded(
     return Recording(
         time=time, joints=JOINTS, position=position, velocity=velocity, effort=torque, segments=(slice(0, len(time)),)
     )
+
+
+def pushed(
+    recording: Recording, text: str, force_N: tuple[float, float, float], begin_s: float, end_s: float
+) -> Recording:
+    """The recording with a force on the hand that comes and goes as a raised cosine: the motors give -J^T F more."""
+    mujoco = mujoco_or_skip()
+    model = mujoco.MjModel.from_xml_string(text)
+    data, across = mujoco.MjData(model), np.zeros((3, model.nv))
+    hand, effort = model.body("hand").id, recording.effort.copy()
+    for row in np.flatnonzero((recording.time > begin_s) & (recording.time < end_s)):
+        data.qpos[:] = recording.position[row]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacBody(model, data, across, None, hand)
+        rises = 0.5 - 0.5 * np.cos(2 * np.pi * (recording.time[row] - begin_s) / (end_s - begin_s))
+        effort[row] -= rises * across.T @ np.array(force_N)
+    return replace(recording, effort=effort)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from changed_arm import ARM, HEALTHY, NOISE, run
@@ -52,6 +54,30 @@ def test_a_push_in_the_field_alone_leaves_all_of_the_other_recording_judged():
     assert [finding.effect for finding in answer.findings] == ["external_contact"]
     assert not answer.happened
     assert answer.findings[0].explained > 0.8
+
+
+def late(recording, seconds=0.006):
+    """The recording with torque that is stamped later than the motion."""
+    then = recording.time - seconds
+    effort = np.column_stack([np.interp(then, recording.time, one) for one in recording.effort.T])
+    return replace(recording, effort=effort)
+
+
+def test_a_push_does_not_hide_torque_that_is_late():
+    field, judged = [late(run(2, pushed(4.0)))], [late(run(3))]
+    answer = explain(ARM, [HEALTHY], field, judged)
+    named = {finding.effect: finding for finding in answer.findings}
+    assert set(named) == {"external_contact", "time_delay"}
+    assert named["time_delay"].parameters["delay"].value == pytest.approx(0.006, abs=0.001)
+
+
+def test_what_is_no_finding_is_fitted_beside_those_that_are_and_is_in_no_model():
+    field, judged = [late(run(2, pushed(4.0)))], [late(run(3))]
+    answer = explain(ARM, [HEALTHY], field, judged, is_finding=lambda effect: effect.kind != "time_delay")
+    assert [finding.effect for finding in answer.findings] == ["external_contact"]
+    ((effect, values),) = answer.beside
+    assert effect.shown(values)["delay"][0] == pytest.approx(0.006, abs=0.001)
+    assert "time_delay" not in answer.model.model.structure
 
 
 @given(

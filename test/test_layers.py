@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from mujoco_arm import JOINTS, mjcf, mujoco_or_skip, recorded
+from mujoco_arm import JOINTS, mjcf, mujoco_or_skip, pushed, recorded
 from scipy.signal import lfilter
 
 from spacearm_ident.cli.main import main
@@ -114,6 +114,21 @@ def test_wiring_that_is_off_is_found_with_its_size(
     np.testing.assert_allclose(wired.wiring.gain, wiring.gain, rtol=0.02)
     np.testing.assert_allclose(wired.wiring.zero_rad, wiring.zero_rad, atol=0.004)
     assert abs(wired.wiring.delay_s - wiring.delay_s) < 0.001
+
+
+def test_late_torque_beside_a_push_is_a_delay_of_the_recordings_and_no_physics(simulation: Simulation) -> None:
+    """What a push leaves to be found of the delay, the search for physics finds, and the wiring is told."""
+    late, runs = Wiring(np.ones(3), np.zeros(3), 0.005), []
+    for seed, begin_s in ((1, 4.0), (2, 15.0), (3, 9.0)):
+        touched = pushed(recorded(mjcf(), seed), mjcf(), (12.0, -8.0, 10.0), begin_s, begin_s + 3.0)
+        runs.append(_recorded_as(touched, late))
+    comparison = compare(
+        simulation, runs[:2], runs[2:], excluded=tuple(set(EFFECTS) - {"external_contact", "time_delay"})
+    )
+    (delay,) = _items(comparison, "conventions")
+    assert delay.name == "delay"
+    assert delay.low < 0.005 < delay.high
+    assert {item.name for item in _items(comparison, "physics")} == {"external_contact"}
 
 
 def _exchanged(recording: Recording, one: int, other: int) -> Recording:

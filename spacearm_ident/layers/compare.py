@@ -3,7 +3,8 @@
 1. What the simulation predicts of the held-out recordings, as it is.
 2. Conventions and wiring: signs, order, units (`conventions.search`), then gains, zeros, delay and tilt
    (`conventions.py`).
-3. The catalogue's search for physics beside the simulation's own terms, on corrected recordings.
+3. The catalogue's search for physics beside the simulation's own terms, on corrected recordings. Torque that is late
+   at all joints is fitted there as well: beside a touch or backlash it need not have been found before.
 4. Gains, zeros, delay and tilt again, beside the physics: what looked like a gain may have been an effect. Then one
    joint fit of wiring, parameters and physics. Layers are nested sets of its unknowns; each is judged on the
    held-out recordings. Items are read off the whole fit, with errors that hold where the residual is model error, and
@@ -13,48 +14,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import norm
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
-from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.body import ExternalContact
 from ..dynamics.effects.drive import CurrentOffset
 from ..dynamics.effects.friction import LoadFriction
+from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..identification.identify import Settings, identify
 from ..mismatch.explain import held_out_ends
-from ..mismatch.finding import DATA_UNFIT, Detectable, Explanation
+from ..mismatch.finding import DATA_UNFIT, Explanation
 from ..mismatch.happened import voided
 from ..mismatch.integrity import faults
 from ..mismatch.preparation import banded, cut_off_hz, position_cut_off_hz
-from ..mismatch.rivals import UNKNOWN
 from ..noise.slow import white_and_slow
 from ..recording.recording import Recording
 from ..signals.motion import Motion
 from ..simulations import Simulation
-from ..simulations.simulation import ARMATURE, DAMPING, FRICTION
 from .comparison import Comparison
-from .conventions import Suspicion, Wired, find_wiring, without_columns
-from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Item, Layer
+from .conventions import Wired, find_wiring, without_columns
+from .events import with_events_earlier
+from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Layer
+from .itemise import (
+    SHOWS,
+    Shares,
+    not_named,
+    parameter_items,
+    physics_items,
+    rest_items,
+    suspicions,
+    wiring_items,
+    wiring_words,
+)
 from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
-from .parameters import (
-    DIGITS,
-    LEVEL,
-    Change,
-    Explained,
-    changes,
-    combination_of,
-    combinations,
-    determined,
-    few_causes,
-    places_of,
-)
 from .physics import (
     Added,
     added_terms,
@@ -64,27 +62,17 @@ from .physics import (
     optional_terms,
     with_friction_terms,
 )
-from .wiring import DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
+from .wiring import Wiring, kind_and_joint
 
 Progress = Callable[[float, str], None]
-WORDS = {GAIN: "effort_gain", ZERO: "encoder_zero", DELAY: "delay", TILT: "base_tilt"}
-UNITS = {GAIN: "1", ZERO: "rad", DELAY: "s", TILT: "rad"}
-SHOWS = 0.02
-"""Share by which a parameter's change, a gain, a zero, a tilt or a delay must lower the held-out variance that is left
-at some joint to be named: one per cent of its RMS, as for a model that is no worse than another (`bench/real_arms.py`).
-Errors shrink with the length of the recordings; half a sampling period and a simulator's integration step stay, and
-both look like friction."""
-
 LAW_SHOWS = 0.1
-"""The same for friction by the load that is not as sure as other physics (`Wired.doubted`): 5 % of the RMS, by which
+"""As `SHOWS`, for friction by the load that is not as sure as other physics (`Wired.doubted`): 5 % of the RMS, by which
 friction laws are off (`mismatch.intervals.LAW_ERROR`)."""
 STANDS_OUT = 3.0
 """Times what is left at a joint, where that follows nothing known, from which a constant torque is not its mean."""
 RELINEARISED = 2
 """Times that everything is fitted again around its values, where physics depends on them: friction by the load grows
 with what the other terms and itself add up to, and the search fitted constants beside other values."""
-SLOW = "slower than noise; follows nothing that was tried"
-"""Where what is left of a joint has a slow part that is larger than the noise (`noise.slow`)."""
 SIGNAL, LOWEST_HZ = 0.8, 5.0
 """The bandwidth is halved, to no less than this, where half of it holds less than so much of the accelerations' mean
 square at the median joint. Noise of an encoder, differentiated twice, grows with the fifth power of the bandwidth:
@@ -197,18 +185,18 @@ class _Pass:
             return _unfit(self.arm, explanation.reasons)
         report(0.8, "fitting all layers together")
         self.judged = voided(self.judged, explanation.happened)
-        if late := late_by(explanation):
+        late = late_by(explanation)
+        if late:
             wired = wired.delayed(late)
             corrected = self._corrected(self.fitted, wired)
         chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
-        extended = explanation.model or wired.model.carried_to(base)
+        extended = with_events_earlier(explanation.model or wired.model.carried_to(base), late)
         rubbing = [kind_and_joint(name)[1] for name in wired.laws]
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings, rubbing)
-        wired = find_wiring(whole, self.wired_in, self.simulation.own, wired)
+        before, wired = wired, find_wiring(whole, self.wired_in, self.simulation.own, wired)
         if LoadFriction.kind in excluded:
             wired = replace(wired, laws={})
-        elif wired.laws:
-            whole = wired.model
+        whole = wired.model if wired.laws else _moved(whole, before, wired)
         laws = wired.laws
         found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         for _ in range(RELINEARISED if found.depends_on_itself else 0):
@@ -217,13 +205,13 @@ class _Pass:
         idle = found.idle_wiring(SHOWS)
         if idle:
             other = without_columns(whole, self.wired_in, self.simulation.own, wired, idle)
-            wired = replace(other, laws=laws, doubted=wired.doubted)
+            whole, wired = _moved(whole, wired, other), replace(other, laws=laws, doubted=wired.doubted)
             found = JointFit(self.simulation, whole, wired, self.motions, self.judged)
         added = [*added_terms(whole, base, explanation.findings), *friction_by_load(whole, laws)]
         optional = optional_terms(whole, base)
         report(0.9, "what a flexible function could remove")
         why = "which is within its error of none or lowers no held-out variance"
-        lost = tuple(f"{_wiring_words(name)}, {why}" for name in idle)
+        lost = tuple(f"{wiring_words(name)}, {why}" for name in idle)
         return self._answer(found, added, optional, explanation, wired, lost)
 
     def _corrected(self, recordings: Sequence[Recording], wired: Wired) -> list[Recording]:
@@ -258,8 +246,8 @@ class _Pass:
         noise = np.fmin(after, explanation.noise_floor_Nm * gain)
         noise = np.where(slow > white, np.fmin(noise, white), noise)
         torque = gain * found.judge.rms(np.zeros(found.judge.count))
-        shares = _Shares(found, gain, simulated, after, noise, torque)
-        left = _rest_items(explanation, after, noise, slow > white, shares)
+        shares = Shares(found, gain, simulated, after, noise, torque)
+        left = rest_items(explanation, after, noise, slow > white, shares)
         unknown = {joint for item in left for joint in item.joints}
         part = [one for one in named if unknown & set(one.joints) and self._is_the_mean(one, found, after)]
         named, rest = [one for one in named if one not in part], [*rest, *part]
@@ -269,14 +257,14 @@ class _Pass:
             stages.append(whole)
         rms = [simulated, *(gain * found.judge.rms(values) for values in stages)]
         ceiling = found.ceiling(stages[1]) * gain
-        items, lost, seen, notes, kept = self._parameter_items(found, shares, wired.open_factors)
+        of_parameters = parameter_items(found, shares, wired.open_factors)
         layers = (
-            Layer(CONVENTIONS, rms[0], rms[1], self._wiring_items(found, shares), _suspicions(wired.suspected)),
-            Layer(PARAMETERS, rms[1], rms[2], items, (*self.simulation.notes, *notes)),
-            Layer(PHYSICS, rms[2], after, self._physics_items(found, order, rms, shares), _unnamed(rest, gone)),
+            Layer(CONVENTIONS, rms[0], rms[1], wiring_items(found, shares), suspicions(wired.suspected)),
+            Layer(PARAMETERS, rms[1], rms[2], of_parameters.items, (*self.simulation.notes, *of_parameters.notes)),
+            Layer(PHYSICS, rms[2], after, physics_items(found, order, rms[2:], shares), not_named(rest, gone)),
             Layer(REST, after, noise, left),
         )
-        mended = found.mended(self.cutoff, kept, SHOWS)
+        mended = found.mended(self.cutoff, of_parameters.kept, SHOWS)
         return Comparison(
             joints=self.joints,
             layers=layers,
@@ -291,8 +279,8 @@ class _Pass:
             suspected=wired.suspected,
             explanation=_standing(explanation, gone),
             traces=traces,
-            unconfirmed=(*idle, *lost, *(f"{one.effect} at {', '.join(one.joints)}" for one in gone)),
-            would_have_seen=seen,
+            unconfirmed=(*idle, *of_parameters.lost, *(f"{one.effect} at {', '.join(one.joints)}" for one in gone)),
+            would_have_seen=of_parameters.seen,
             judged_on=self.judged_on,
             cutoff_hz=self.cutoff,
         )
@@ -308,143 +296,10 @@ class _Pass:
         plain = Linear(self.simulation.model, self.judged, in_newton_metres(self.arm), right)
         return plain.rms(plain.start())
 
-    def _wiring_items(self, found: JointFit, shares: _Shares) -> tuple[Item, ...]:
-        items, undone = [], found.wiring.by_column(self.joints)
-        for name in found.names:
-            kind, joint = kind_and_joint(name)
-            vector = np.zeros(found.linear.count)
-            vector[found.linear.names.index(name)] = 1.0
-            low, high = found.estimate.interval(vector)
-            now = undone[name]
-            value, low, high = (now + off for off in (found.estimate.of(vector), low, high))
-            was = 0.0
-            if kind == GAIN:
-                value, low, high, was = float(np.exp(value)), float(np.exp(low)), float(np.exp(high)), 1.0
-            items.append(
-                Item(
-                    WORDS[kind],
-                    (joint,) if joint in self.joints else self.joints,
-                    f"base, about its {joint} axis" if kind == TILT else joint or "all joints",
-                    was,
-                    value,
-                    low,
-                    high,
-                    UNITS[kind],
-                    shares.without(vector, -now),
-                    found.replicates(vector, -now),
-                )
-            )
-        return _by_share(items)
 
-    def _parameter_items(
-        self, found: JointFit, shares: _Shares, open_factors: Mapping[str, str]
-    ) -> tuple[
-        tuple[Item, ...], tuple[str, ...], tuple[Detectable, ...], tuple[str, ...], list[tuple[FloatArray, float]]
-    ]:
-        """Of the parameters.
-
-        Args:
-            found: The joint fit.
-            shares: What an item is worth.
-            open_factors: As of `Wired`.
-
-        Returns:
-            What differs and is confirmed; names of what is not confirmed; what agrees; what may differ, in words; and
-            combinations (P,) that keep a value.
-        """
-        known = determined(found.linear, found.estimate, found.prior, self.simulation)
-        simple, others = few_causes(known, found.linear, found.estimate, self.simulation)
-        changed, same = changes(known, found.estimate)
-        either = self._by_a_factor(changed, open_factors)
-        changed = tuple(one for one in changed if one not in either)
-        open_joints = dict.fromkeys(one.joints[0] for one in either)
-        by_gain = [joint for joint in open_joints if kind_and_joint(open_factors[joint])[0] == GAIN]
-        rotor = self.simulation.word(ARMATURE)
-        items = [
-            one for one in _cause_items(simple, found, shares) if one.name != rotor or one.joints[0] not in by_gain
-        ]
-        # Also what is not of the same size in the held-out recordings: they are predicted worse without.
-        differing = set[tuple[str, str]]()
-        for change in changed:
-            if not simple or not change.of_bodies:
-                rise = shares.rise(shares.back(change.vector, change.was))
-                if rise > SHOWS:
-                    items.append(self._change_item(change, found, shares))
-                    differing.add((change.name, change.where))
-                else:
-                    size = abs(found.estimate.of(change.vector) - change.was)
-                    same = (*same, (change, size * float(np.sqrt(SHOWS / max(rise, 1e-6)))))
-        lost = tuple(f"{item.name} of {item.where}" for item in items if item.replicated is False)
-        items = [item for item in items if item.replicated is not False]
-        seen = tuple(Detectable(one.name, one.joints, size, one.unit) for one, size in same)
-        notes = (f"torque does not tell which of these differs, too: {'; '.join(others)}",) if others else ()
-        notes = (*notes, *(_either(joint, gain=joint in by_gain) for joint in open_joints))
-        if simple and others:
-            # It is fitted whatever differs, for there is more than can be said in few words.
-            differing |= {(one.name, one.where) for one in changed if one.of_bodies}
-        bodies = _with_causes(() if others else simple, found)
-        kept = [
-            (one.vector, float(one.vector @ bodies))
-            for one in combinations(found.linear, self.simulation)
-            if (one.name, one.where) not in differing
-        ]
-        return _by_share(items), lost, seen, notes, kept
-
-    def _by_a_factor(self, changed: Sequence[Change], joints: Container[str]) -> list[Change]:
-        """Changes of friction and of damping at those of some joints where both differ."""
-        words = {self.simulation.word(symbol) for symbol in (FRICTION, DAMPING)}
-        own = [one for one in changed if one.name in words and one.joints[0] in joints]
-        both = {one.joints for one in own if {other.name for other in own if other.joints == one.joints} == words}
-        return [one for one in own if one.joints in both]
-
-    def _change_item(self, change: Change, found: JointFit, shares: _Shares) -> Item:
-        low, high = found.estimate.interval(change.vector)
-        return Item(
-            change.name,
-            change.joints,
-            change.where,
-            change.was,
-            found.estimate.of(change.vector),
-            low,
-            high,
-            change.unit,
-            shares.without(change.vector, change.was),
-            found.replicates(change.vector, change.was),
-            combination_of(change, found.linear, self.simulation),
-        )
-
-    def _physics_items(
-        self, found: JointFit, order: Sequence[Added], rms: Sequence[FloatArray], shares: _Shares
-    ) -> tuple[Item, ...]:
-        items = []
-        for number, one in enumerate(order):
-            drop = shares.of_variance(rms[2 + number] ** 2 - rms[3 + number] ** 2)
-            vector = found.vector(one)
-            # Friction by the load is known best where the load is.
-            card = {} if one.finding is None or one.effect == LoadFriction.kind else one.finding.parameters
-            name, quantity = next(iter(card.items()), ("", None))
-            value, low, high, unit = (
-                (quantity.value, quantity.low, quantity.high, quantity.unit)
-                if quantity is not None
-                else (found.estimate.of(vector), *found.estimate.interval(vector), found.unit(one))
-            )
-            where = one.where if not name else f"{one.where} ({name})"
-            items.append(
-                Item(
-                    one.effect,
-                    one.joints,
-                    where,
-                    float("nan"),
-                    value,
-                    low,
-                    high,
-                    unit,
-                    drop,
-                    found.replicates(vector, 0.0),
-                    equivalents=EFFECTS[one.effect].same_torque if one.effect in EFFECTS else (),
-                )
-            )
-        return tuple(items)
+def _moved(model: IdentifiedModel, before: Wired, after: Wired) -> IdentifiedModel:
+    """A model with its events when they are beside another delay."""
+    return with_events_earlier(model, after.wiring.delay_s - before.wiring.delay_s)
 
 
 def _not_there(found: JointFit, added: Sequence[Added], optional: Sequence[Added], wired: Wired) -> list[Added]:
@@ -477,170 +332,7 @@ def _of_no_size(one: Added, found: JointFit) -> bool:
     return size is not None and size.low <= 0.0 <= size.high
 
 
-def _cause_items(simple: Sequence[Explained], found: JointFit, shares: _Shares) -> list[Item]:
-    """Causes as items."""
-    places, items = places_of(found.linear), []
-    half = float(norm.ppf(1 - LEVEL / 2))
-    for one in simple:
-        reported, without = one.reported, found.estimate.values.copy()
-        without[places] -= one.cause.directions @ one.values
-        least = max(half * reported.error, DIGITS * abs(reported.was))
-        if abs(reported.now - reported.was) > least and shares.rise(without) > SHOWS:
-            items.append(
-                Item(
-                    reported.name,
-                    (one.cause.joint,),
-                    reported.where,
-                    reported.was,
-                    reported.now,
-                    reported.now - half * reported.error,
-                    reported.now + half * reported.error,
-                    reported.unit,
-                    shares.of(without),
-                    None,
-                    {reported.key: 1.0} if reported.key else {},
-                )
-            )
-    return items
-
-
-def _with_causes(simple: Sequence[Explained], found: JointFit) -> FloatArray:
-    """(P,) bodies and rotors as in the simulation, but for these causes; the rest is zero."""
-    values, was = np.zeros(found.linear.count), found.simulation.values
-    places = places_of(found.linear)
-    values[places] = [was.get(found.linear.names[place], 0.0) for place in places]
-    for cause, change in {one.cause.claim: (one.cause, one.values) for one in simple}.values():
-        values[places] += cause.directions @ change
-    return values
-
-
-class _Shares:
-    """What an item is worth: the held-out variance that is back when it alone is as the simulation has it.
-
-    As a share of the simulation's variance above the noise, each joint's in units of its torque's: at a joint that the
-    simulation predicts there is nothing to be a share of.
-    """
-
-    def __init__(
-        self,
-        found: JointFit,
-        gain: FloatArray,
-        simulated: FloatArray,
-        after: FloatArray,
-        noise: FloatArray,
-        torque: FloatArray,
-    ) -> None:
-        self._found, self._gain, self._after = found, gain, after
-        self._unit = np.where(torque > 0.0, torque, np.nan) ** -2.0
-        self._whole = float(np.nansum(np.maximum(simulated**2 - noise**2, 0.0) * self._unit))
-
-    def of_variance(self, variance: FloatArray) -> float:
-        """Of variances (n,), N^2 m^2; NaN where the simulation leaves no more than noise."""
-        return float(np.nansum(variance * self._unit)) / self._whole if self._whole > 0.0 else float("nan")
-
-    def without(self, vector: FloatArray, was: float) -> float:
-        """With one combination as in the simulation."""
-        return self.of(self.back(vector, was))
-
-    def back(self, vector: FloatArray, was: float) -> FloatArray:
-        """(P,) the estimates with one combination as in the simulation; its leading unknown is moved."""
-        values = self._found.estimate.values.copy()
-        lead = int(np.argmax(vector == 1.0))
-        values[lead] += was - self._found.estimate.of(vector)
-        return values
-
-    def rise(self, values: FloatArray) -> float:
-        """Largest share by which the variance that is left at a joint rises with other values (P,)."""
-        rms = self._gain * self._found.judge.rms(values)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return float(np.nanmax((rms / self._after) ** 2 - 1.0))
-
-    def of(self, values: FloatArray) -> float:
-        """The same of other values (P,)."""
-        rms = self._gain * self._found.judge.rms(values)
-        return self.of_variance(rms**2 - self._after**2)
-
-
-def _by_share(items: Sequence[Item]) -> tuple[Item, ...]:
-    """Largest share first; those without one before all."""
-    return tuple(sorted(items, key=lambda one: -np.nan_to_num(one.share, nan=np.inf)))
-
-
 def _standing(explanation: Explanation, gone: Sequence[Added]) -> Explanation:
     """The search's answer without the findings that another recording does not show."""
     lost = [one.finding for one in gone]
     return replace(explanation, findings=tuple(one for one in explanation.findings if one not in lost))
-
-
-def _suspicions(suspected: Sequence[Suspicion]) -> tuple[str, ...]:
-    """What may be off and was not undone, in words."""
-    return tuple(
-        f"suspected, {one.probability:.0%}: "
-        + ", ".join(f"{_wiring_words(name)} {value:.3g}" for name, value in zip(one.names, one.values))
-        + "; statistically indistinguishable from links of another mass, and therefore not corrected"
-        for one in suspected
-    )
-
-
-def _either(joint: str, gain: bool) -> str:
-    """That a joint's friction and damping differ, or another thing does."""
-    own = "friction, damping and rotor inertia" if gain else "friction and damping"
-    what = "its torque gain" if gain else "friction that grows with its load"
-    return f"torque does not tell whether {own} of {joint} differ by one factor, or it is {what}"
-
-
-def _wiring_words(name: str) -> str:
-    kind, joint = kind_and_joint(name)
-    return {
-        GAIN: f"torque gain of {joint}",
-        ZERO: f"encoder zero of {joint} (rad)",
-        DELAY: "delay of torque (s)",
-        TILT: f"tilt of the base about its {joint} axis (rad)",
-    }[kind]
-
-
-def _unnamed(small: Sequence[Added], gone: Sequence[Added]) -> tuple[str, ...]:
-    """What is in the model and too small to be named, and what was found and not found again."""
-    notes = []
-    if small:
-        words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in small)
-        notes.append(f"in the model since it predicts held-out data better, but not clear enough to be named: {words}")
-    if gone:
-        words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in gone)
-        notes.append(f"found in the fit, but not replicated or of a size that may be zero, and left out: {words}")
-    return tuple(notes)
-
-
-def _rest_items(
-    explanation: Explanation, after: FloatArray, noise: FloatArray, slow: np.ndarray, shares: _Shares
-) -> tuple[Item, ...]:
-    """What is left, and what it depends on as far as the search can say; `slow` (n,): more than the noise is slow."""
-    items = []
-    for finding in explanation.findings:
-        if finding.effect == UNKNOWN:
-            rows = [explanation.joints.index(joint) for joint in finding.joints]
-            items.append(_left_at(rows, explanation.joints, finding.where, after, noise, shares))
-    named = {joint for item in items for joint in item.joints}
-    for left in explanation.unexplained:
-        if not set(left.joints) <= named:
-            rows = [explanation.joints.index(joint) for joint in left.joints]
-            items.append(_left_at(rows, explanation.joints, left.where, after, noise, shares))
-    named = {joint for item in items for joint in item.joints}
-    for row, joint in enumerate(explanation.joints):
-        if slow[row] and joint not in named:
-            items.append(_left_at([row], explanation.joints, SLOW, after, noise, shares))
-    return _by_share(items)
-
-
-def _left_at(
-    rows: Sequence[int],
-    joints: tuple[str, ...],
-    where: str,
-    after: FloatArray,
-    noise: FloatArray,
-    shares: _Shares,
-) -> Item:
-    largest = float(np.max(after[rows]))
-    share = shares.of_variance(np.where(np.isin(np.arange(len(joints)), rows), after**2 - noise**2, 0.0))
-    nothing = float("nan")
-    return Item(UNKNOWN, tuple(joints[k] for k in rows), where, nothing, largest, nothing, nothing, "N m RMS", share)

@@ -31,6 +31,7 @@ from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..mismatch.competition import GATE
 from ..mismatch.noise import Noise, model_error_share, weighted
 from ..signals.motion import Motion
+from .events import with_events_earlier
 from .linear import STATE_GROUPS, Linear, Prior, Solution, weak_prior
 from .parameters import DIGITS, OFF, ROTOR_SHARE
 from .wiring import AXES, DELAY, GAIN, TILT, ZERO, Wiring, kind_and_joint
@@ -117,7 +118,7 @@ class Wired:
         found: Names of the columns that the data demand, such as `gain[joint_2]`.
         errors: Standard error of each and of the delay: of a gain's logarithm, a zero (rad), a delay (s), a tilt (rad).
         suspected: What else is more probable than not, the most probable first.
-        model: The simulation's terms, and `laws`, with values that fit beside it.
+        model: The simulation's terms, and `laws`, with values that fit beside it; events when they are beside it.
         laws: Friction by the load that the data demand and the model did not have: parameter -> value, standard error.
         open_factors: Joint -> a gain, such as `gain[joint_2]`, or friction by the load that is more probable than not
             and was not taken: the joint's friction and damping by one factor may be that.
@@ -273,9 +274,9 @@ class _State:
         step |= {name: float(np.log1p(max(step[name], LEAST_STEP))) for name in self.found if name.startswith(GAIN)}
         now |= {name: now[name] + step[name] for name in (*self.found, DELAY) if name in now}
         self.found = [name for name in self.found if not _too_large(name, now.get(name, 0.0))]
-        kept = {*self.found, DELAY}
+        kept, before = {*self.found, DELAY}, self.wiring.delay_s
         self.wiring = Wiring.of_columns(joints, {k: v if k in kept else 0.0 for k, v in now.items()})
-        self.fitted = self._with(solution.values)
+        self.fitted = with_events_earlier(self._with(solution.values), self.wiring.delay_s - before)
         self.relinearise()
 
     def drop_what_helps_a_rival(self) -> None:

@@ -5,7 +5,7 @@ Around a model with values, and a wiring, the torque of a recording is linear in
     the model's parameters     tau = Y x
     a gain's logarithm         the model's own torque at that joint
     a zero                     d tau_rigid / dq at all joints
-    a delay                    -d tau / dt
+    a delay                    -d tau / dt of what lasts (`events`)
     a tilt of the base         d tau_rigid / d gravity, times gravity x axis
     a constant's logarithm     d tau / d ln c, for the errors: a Stribeck velocity that is off moves the levels
 
@@ -28,6 +28,7 @@ from ..mismatch.scene import Scene, Whitener
 from ..regression.held_out import time_blocks
 from ..regression.prior import make_prior
 from ..signals.motion import Motion
+from .events import without_events
 from .wiring import Wiring, column_names, gravity_torque
 
 STATE_GROUPS = 6
@@ -311,7 +312,8 @@ def _wiring_columns(model: IdentifiedModel, motion: Motion) -> Columns:
     """Full-rate columns of gains, zeros, the delay and the tilt."""
     n = len(motion.joints)
     torque = model.torque(motion)
-    late = -np.gradient(torque, 1.0 / motion.rate_hz, axis=0)
+    lasting = without_events(model)
+    late = -np.gradient(torque if lasting is model else lasting.torque(motion), 1.0 / motion.rate_hz, axis=0)
     slopes = _slopes(model.model, model.parameters, motion)
     tilts = np.stack([_by_tilt(model, motion, axis) for axis in np.eye(3)], axis=2)
     columns: Columns = {}
