@@ -75,9 +75,9 @@ def test_what_is_no_finding_is_fitted_beside_those_that_are_and_is_in_no_model()
     field, judged = [late(run(2, pushed(4.0)))], [late(run(3))]
     answer = explain(ARM, [HEALTHY], field, judged, is_finding=lambda effect: effect.kind != "time_delay")
     assert [finding.effect for finding in answer.findings] == ["external_contact"]
-    ((effect, values),) = answer.beside
-    assert effect.shown(values)["delay"][0] == pytest.approx(0.006, abs=0.001)
     assert "time_delay" not in answer.model.model.structure
+    # What it explains is in no residual.
+    assert np.all(answer.after_Nm < 1.1 * np.array(NOISE))
 
 
 @given(

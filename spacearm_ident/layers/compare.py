@@ -57,7 +57,6 @@ from .physics import (
     Added,
     added_terms,
     friction_by_load,
-    late_by,
     missing_physics,
     optional_terms,
     with_friction_terms,
@@ -185,12 +184,8 @@ class _Pass:
             return _unfit(self.arm, explanation.reasons)
         report(0.8, "fitting all layers together")
         self.judged = voided(self.judged, explanation.happened)
-        late = late_by(explanation)
-        if late:
-            wired = wired.delayed(late)
-            corrected = self._corrected(self.fitted, wired)
         chosen = identify(corrected, self.arm, Settings(cutoff_hz=self.cutoff)).model
-        extended = with_events_earlier(explanation.model or wired.model.carried_to(base), late)
+        extended = explanation.model or wired.model.carried_to(base)
         rubbing = [kind_and_joint(name)[1] for name in wired.laws]
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings, rubbing)
         before, wired = wired, find_wiring(whole, self.wired_in, self.simulation.own, wired)

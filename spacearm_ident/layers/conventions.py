@@ -43,7 +43,8 @@ PROBABLE, CLEAR = 0.0, 0.5 * GATE
 be named as changed, by one factor. From these on a gain or such a law that is not taken leaves open which of the three
 it is (`Wired.open_factors`). And those from which it is sure, as any other physics must be."""
 NOT_A_GAIN = float(np.log(19.0))
-"""Log odds of friction by the load against a gain from which it is none: 95 %."""
+"""Log odds of friction by the load against a gain from which it is none: 95 %. The other way round it is `SURE`: that
+friction of the arm differs may be said sooner than that its recordings were multiplied."""
 GAIN_SD, ZERO_SD, DELAY_SD, TILT_SD = 0.5, 0.05, 0.02, 0.05
 """Standard deviations of what is off where something is: of a gain's logarithm (a torque constant of a neighbouring
 size of motor), of a zero, rad (three degrees), of a delay, s (a few cycles of a slow bus), of a tilt, rad (three
@@ -134,11 +135,6 @@ class Wired:
     laws: Mapping[str, tuple[float, float]]
     open_factors: Mapping[str, str]
     doubted: tuple[str, ...]
-
-    def delayed(self, seconds: float) -> Wired:
-        """The same with torque that is stamped so much later, which may be tested again (`find_wiring`)."""
-        wiring = replace(self.wiring, delay_s=self.wiring.delay_s + seconds)
-        return replace(self, wiring=wiring, found=tuple(dict.fromkeys([*self.found, DELAY])))
 
 
 def find_wiring(
@@ -322,7 +318,18 @@ class _State:
         kind, joint = kind_and_joint(names[0])
         if kind in (LOADED, DRIVEN) and not self._beats_the_gain(names[0], joint):
             return False
-        return self._possible(names[0]) if names[0] in self.rivals else self._agreed(names)
+        if names[0] in self.rivals:
+            return self._possible(names[0])
+        return self._agreed(names) and all(self._beats_friction(name) for name in names if name.startswith(GAIN))
+
+    def _beats_friction(self, gain: str) -> bool:
+        """Whether a gain is as sure against friction by the load, where that is possible, as against nothing."""
+        joint = kind_and_joint(gain)[1]
+        laws = [
+            law for law in (f"{LOADED}[{joint}]", f"{DRIVEN}[{joint}]") if law in self.rivals and law not in self.found
+        ]
+        odds = self._gained(gain, self.found)
+        return not any(odds - self._gained(law, self.found) < SURE and self._possible(law) for law in laws)
 
     def _beats_the_gain(self, law: str, joint: str) -> bool:
         gain = f"{GAIN}[{joint}]"

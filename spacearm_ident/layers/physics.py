@@ -50,7 +50,7 @@ class Optional:
 EARLIER = ("torque_constant", "base_tilt", "payload", "friction_drift")
 """Effects that the first two layers are about: a search for physics would find them in place of what is there. Torque
 that is late at all joints alike is not among them: before a contact, say, is known it need not be found, and then hides
-what else there is (`is_physics`)."""
+what else there is. It is fitted beside the findings (`is_physics`), and then asked of the wiring again."""
 OPTIONAL = (
     Optional("offset", "current_offset", "constant torque", frozenset({"asymmetric_friction", "base_tilt"})),
     Optional("f_b", "stribeck", "Stribeck friction f_b - f_c"),
@@ -108,14 +108,8 @@ def missing_physics(
 
 
 def is_physics(effect: Effect) -> bool:
-    """Whether an effect is physics. Torque that is late at all joints alike is a stamp, of which the wiring is told."""
+    """Whether an effect is physics. Torque that is late at all joints alike is a stamp: a matter of the wiring."""
     return effect.kind != TimeDelay.kind or "joint" in effect.place
-
-
-def late_by(explanation: Explanation) -> float:
-    """How much later than the motion, beside what was found, torque was stamped at all joints alike, s."""
-    delays = (effect.shown(values)["delay"][0] for effect, values in explanation.beside)
-    return float(sum(delays))
 
 
 def added_terms(model: IdentifiedModel, base: TorqueModel, findings: Sequence[Finding]) -> list[Added]:

@@ -72,8 +72,8 @@ def explain(
         gate: Score below which nothing is found.
         progress: Called with a share done in 0..1 and what is being done.
         choose: Chooses the structure of the base from a fit of the paper's.
-        is_finding: Whether an effect is one where it is accepted; others are fitted beside the findings
-            (`Explanation.beside`), and are in no model.
+        is_finding: Whether an effect is one where it is accepted; others are fitted beside the findings, and are in no
+            model.
 
     Raises:
         UserError: A recording lacks a joint of the arm.
@@ -179,11 +179,6 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
         traces=residuals.traces(before, added),
         cutoff_hz=prepared.cutoff_hz,
         would_have_seen=would_have_seen(evidence, on_a_day, competition.tried(), findings, healthy, competition.gate),
-        beside=tuple(
-            (one.effect, np.concatenate([values, one.constants]))
-            for one, values in with_own(accepted, outcome.refit.values)
-            if not is_finding(one.effect)
-        ),
     )
 
 

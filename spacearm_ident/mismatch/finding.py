@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arrays import FloatArray
-from ..dynamics.effects.effect import Effect
 from ..dynamics.model import IdentifiedModel
 
 MISMATCH, NO_MISMATCH, DATA_UNFIT = "mismatch", "no_mismatch", "data_unfit"
@@ -207,8 +206,6 @@ class Explanation:
         judged_on: In words, what the residuals are on.
         cutoff_hz: Bandwidth that was looked at; NaN where the data are unfit.
         would_have_seen: Of effects that were not found, the smallest size that would have been.
-        beside: Effects that were fitted with the others and are no findings (`explain`), each with its parameters and
-            constants.
     """
 
     verdict: str
@@ -230,7 +227,6 @@ class Explanation:
     judged_on: str = ""
     cutoff_hz: float = float("nan")
     would_have_seen: tuple[Detectable, ...] = ()
-    beside: tuple[tuple[Effect, FloatArray], ...] = ()
 
     @property
     def compared(self) -> tuple[str, ...]:
