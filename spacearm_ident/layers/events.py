@@ -22,7 +22,12 @@ def without_events(model: IdentifiedModel) -> IdentifiedModel:
 
 
 def with_events_earlier(model: IdentifiedModel, seconds: float) -> IdentifiedModel:
-    """The model with every event so much earlier, s."""
+    """The model with its events at another time.
+
+    Args:
+        model: A model with values.
+        seconds: How much earlier every event begins.
+    """
     begins = [constant.begins for constant in model.model.constants]
     if not seconds or not any(begins):
         return model

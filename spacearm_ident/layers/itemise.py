@@ -101,7 +101,12 @@ class Shares:
 
 
 def wiring_items(found: JointFit, shares: Shares) -> tuple[Item, ...]:
-    """Of gains, zeros, the delay and the tilt."""
+    """Of gains, zeros, the delay and the tilt.
+
+    Args:
+        found: The joint fit.
+        shares: What an item is worth.
+    """
     joints = found.simulation.arm.joint_names
     items, undone = [], found.wiring.by_column(joints)
     for name in found.names:
@@ -294,7 +299,12 @@ def wiring_words(name: str) -> str:
 
 
 def not_named(small: Sequence[Added], gone: Sequence[Added]) -> tuple[str, ...]:
-    """What is in the model and too small to be named, and what was found and not found again."""
+    """Physics that is no item, in words.
+
+    Args:
+        small: What is in the model and too small to be named.
+        gone: What was found and not found again.
+    """
     notes = []
     if small:
         words = "; ".join(f"{one.effect} at {', '.join(one.joints)}" for one in small)
