@@ -40,8 +40,8 @@ CONTACT_GRID = (4e3, 3.5e4, 3e5)
 """N·m/rad: from the smallest strain-wave gears to spur gears of a large arm."""
 CALM = 1.5
 """The load that lets teeth part and meet is looked at in so many times the bandwidth. Below, the jolt of a neighbour's
-reversal is lost, after which the link flies; above, accelerations are encoder noise, which opens the gap too early. At 0.75, 1.5 and 3 times a gap of a MuJoCo arm, all
-else known, leaves 0.27, 0.19 and 0.17 N·m of 0.76; of a noisier arm the gap is right at the first two alone."""
+reversal is lost, after which the link flies; above, accelerations are encoder noise, which opens the gap too early. At
+0.75, 1.5 and 3 times a gap of an arm in MuJoCo, all else known, leaves 0.27, 0.19 and 0.17 N·m of 0.76."""
 ROTORS, ROTOR_REACH = 0.4, (-0.5, 0.75)
 """Share of a first link's least inertia that a model may have taken from its rotor."""
 
