@@ -117,7 +117,7 @@ def test_wiring_that_is_off_is_found_with_its_size(
 
 
 def test_late_torque_beside_a_push_is_a_delay_of_the_recordings_and_no_physics(simulation: Simulation) -> None:
-    """What a push leaves to be found of the delay, the search for physics finds, and the wiring is told."""
+    """Before the push is known the delay does not show; it is searched for again once it is."""
     late, runs = Wiring(np.ones(3), np.zeros(3), 0.005), []
     for seed, begin_s in ((1, 4.0), (2, 15.0), (3, 9.0)):
         touched = pushed(recorded(mjcf(), seed), mjcf(), (12.0, -8.0, 10.0), begin_s, begin_s + 3.0)

@@ -53,14 +53,7 @@ from .itemise import (
 )
 from .joint_fit import JointFit, in_newton_metres
 from .linear import Linear
-from .physics import (
-    Added,
-    added_terms,
-    friction_by_load,
-    missing_physics,
-    optional_terms,
-    with_friction_terms,
-)
+from .physics import Added, added_terms, friction_by_load, missing_physics, optional_terms, with_friction_terms
 from .wiring import Wiring, kind_and_joint
 
 Progress = Callable[[float, str], None]

@@ -175,7 +175,15 @@ def find_wiring(
 def without_columns(
     model: IdentifiedModel, motions: Sequence[Motion], written: Mapping[str, float], known: Wired, names: Sequence[str]
 ) -> Wired:
-    """What was found less some of its columns, the rest fitted again (arguments as `find_wiring`)."""
+    """What was found less some of its columns, the rest fitted again.
+
+    Args:
+        model: As for `find_wiring`, and so are `motions` and `written`.
+        motions: As recorded.
+        written: What is in the simulation's file.
+        known: What was found.
+        names: Columns to leave out.
+    """
     state = _State(_with_rivals(model), motions, model.model, written)
     state.begin(known, [name for name in known.found if name not in names])
     for _ in range(1 + SETTLING):
@@ -325,11 +333,10 @@ class _State:
     def _beats_friction(self, gain: str) -> bool:
         """Whether a gain is as sure against friction by the load, where that is possible, as against nothing."""
         joint = kind_and_joint(gain)[1]
-        laws = [
-            law for law in (f"{LOADED}[{joint}]", f"{DRIVEN}[{joint}]") if law in self.rivals and law not in self.found
-        ]
+        laws = (f"{LOADED}[{joint}]", f"{DRIVEN}[{joint}]")
+        rivals = [law for law in laws if law in self.rivals and law not in self.found]
         odds = self._gained(gain, self.found)
-        return not any(odds - self._gained(law, self.found) < SURE and self._possible(law) for law in laws)
+        return not any(odds - self._gained(law, self.found) < SURE and self._possible(law) for law in rivals)
 
     def _beats_the_gain(self, law: str, joint: str) -> bool:
         gain = f"{GAIN}[{joint}]"

@@ -1,4 +1,4 @@
-"""Events of a model: it without them, and it with them at other times.
+"""Events of a model: its torque without them, and it with them at other times.
 
 When an event begins was found in the recorded torque, late or not. Where a delay is undone the event moves with the
 torque, and says nothing of the delay.
@@ -8,17 +8,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
-from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..dynamics.model import IdentifiedModel
+from ..signals.motion import Motion
 
 
-def without_events(model: IdentifiedModel) -> IdentifiedModel:
-    """The model of what lasts; itself where it has no event."""
-    kinds = {term.kind for term in model.model.terms if isinstance(term, Effect) and term.event}
-    if not kinds:
-        return model
-    structure = {kind: options for kind, options in model.model.structure.items() if kind not in kinds}
-    return model.carried_to(TorqueModel(model.model.arm, structure))
+def lasting_torque(model: IdentifiedModel, motion: Motion, torque: FloatArray) -> FloatArray:
+    """Torque of what lasts.
+
+    Args:
+        model: A model with values.
+        motion: N samples of n joints.
+        torque: (N, n) of the whole model, N m.
+
+    Returns:
+        (N, n) N m.
+    """
+    events = {term.kind for term in model.model.terms if isinstance(term, Effect) and term.event}
+    return model.torque(motion, [kind for kind in model.model.structure if kind not in events]) if events else torque
 
 
 def with_events_earlier(model: IdentifiedModel, seconds: float) -> IdentifiedModel:

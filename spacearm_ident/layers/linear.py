@@ -28,7 +28,7 @@ from ..mismatch.scene import Scene, Whitener
 from ..regression.held_out import time_blocks
 from ..regression.prior import make_prior
 from ..signals.motion import Motion
-from .events import without_events
+from .events import lasting_torque
 from .wiring import Wiring, column_names, gravity_torque
 
 STATE_GROUPS = 6
@@ -312,8 +312,7 @@ def _wiring_columns(model: IdentifiedModel, motion: Motion) -> Columns:
     """Full-rate columns of gains, zeros, the delay and the tilt."""
     n = len(motion.joints)
     torque = model.torque(motion)
-    lasting = without_events(model)
-    late = -np.gradient(torque if lasting is model else lasting.torque(motion), 1.0 / motion.rate_hz, axis=0)
+    late = -np.gradient(lasting_torque(model, motion, torque), 1.0 / motion.rate_hz, axis=0)
     slopes = _slopes(model.model, model.parameters, motion)
     tilts = np.stack([_by_tilt(model, motion, axis) for axis in np.eye(3)], axis=2)
     columns: Columns = {}

@@ -235,7 +235,12 @@ def friction_by_load(model: IdentifiedModel, laws: Collection[str]) -> list[Adde
 
 
 def optional_terms(model: IdentifiedModel, base: TorqueModel) -> list[Added]:
-    """The friction terms of a model that its base does not have; effects of the catalogue are none of them."""
+    """The friction terms of a model that its base does not have; effects of the catalogue are none of them.
+
+    Args:
+        model: A model with values.
+        base: The simulation's own terms.
+    """
     known = {parameter.name for parameter, in_base in _free(base) if in_base}
     known |= {p.name for term, _, _ in model.model.numbered() if isinstance(term, Effect) for p in term.parameters}
     by_symbol = {term.symbol: term for term in OPTIONAL}
