@@ -264,6 +264,20 @@ class TestReduction:
         np.testing.assert_allclose(motion.reduce(np.full((600, 2), 7.0)), 7.0)
         assert len(motion.reduce(a)) == len(motion.time) == len(motion.moving)
 
+    @given(
+        periods=st.sampled_from([1, 4]),
+        block=st.integers(1, 4),
+        stride=st.integers(1, 6),
+        first=st.integers(0, 610),
+        length=st.integers(0, 200),
+    )
+    @settings(max_examples=60, deadline=None)
+    def test_of_a_part_it_is_that_of_the_whole_with_zeros_around(self, periods, block, stride, first, length):
+        motion = motion_of(np.ones(601), periods=periods, block=block, stride=stride)
+        whole, lasts = np.zeros((601, 2)), slice(min(first, 601), min(first + length, 601))
+        whole[lasts] = np.random.default_rng(0).standard_normal(whole[lasts].shape)
+        np.testing.assert_allclose(motion.reduce_part(whole[lasts], lasts.start), motion.reduce(whole), atol=1e-12)
+
     def test_it_has_no_phase(self):
         """A signal even about a row's time gives rows even about it; an odd one gives zero there."""
         motion = motion_of(np.ones(601), block=1, stride=5)

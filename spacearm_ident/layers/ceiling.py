@@ -7,7 +7,9 @@ being one of the choices; what it leaves of held-out recordings is the ceiling.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,13 +71,17 @@ def black_box(fitted: Inputs, residual: FloatArray, judged: Inputs) -> FloatArra
     """
     centre, spread = fitted.values.mean(axis=0), fitted.values.std(axis=0) + 1e-9
     known, asked = (fitted.values - centre) / spread, (judged.values - centre) / spread
-    predicted = np.zeros((len(asked), residual.shape[1]))
-    for joint in range(residual.shape[1]):
+
+    def predicted(joint: int) -> FloatArray:
         rows = np.flatnonzero(fitted.counts[:, joint])
         rows = rows[:: max(1, int(np.ceil(len(rows) / MOST_ROWS)))]
-        if len(rows) >= 2 * FOLDS:
-            predicted[:, joint] = _ridge(known[rows], residual[rows, joint], fitted.block[rows], asked)
-    return predicted
+        if len(rows) < 2 * FOLDS:
+            return np.zeros(len(asked))
+        return _ridge(known[rows], residual[rows, joint], fitted.block[rows], asked)
+
+    # Nearly all of it is LAPACK's, which lets other threads go on.
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        return np.stack([*threads.map(predicted, range(residual.shape[1]))], axis=1)
 
 
 def _ridge(inputs: FloatArray, target: FloatArray, block: np.ndarray, asked: FloatArray) -> FloatArray:

@@ -109,10 +109,11 @@ def stacked_effects(scene: Scene, effect: Effect, points: Sequence[Values]) -> l
 
 def _stacked_effects(scene: Scene, effect: Effect, points: Sequence[Values]) -> list[Stacked]:
     here = [m for m, motion in enumerate(scene.motions) if not effect.elsewhere(motion)] or [0]
-    pieces = [piece for m in here for piece in _pieces(scene, effect, points, m)]
     if effect.event:
-        # A second or two of a minute: the rest would take most of the memory that a search has.
-        return [_during(pieces, number, len(effect.parameters)) for number in range(len(points))]
+        # A second or two of a minute: the rest would take most of the time and the memory that a search has.
+        made = ([piece for m in here for piece in _pieces(scene, effect, [point], m)] for point in points)
+        return [_where_it_acts(pieces, len(effect.parameters)) for pieces in made]
+    pieces = [piece for m in here for piece in _pieces(scene, effect, points, m)]
     rows = slice(min(slot.start for slot, _, _ in pieces), max(slot.stop for slot, _, _ in pieces))
     stacked = np.zeros((len(points), rows.stop - rows.start, len(effect.parameters)))
     for slot, indices, values in pieces:
@@ -123,11 +124,16 @@ def _stacked_effects(scene: Scene, effect: Effect, points: Sequence[Values]) -> 
 def _pieces(
     scene: Scene, effect: Effect, points: Sequence[Values], m: int
 ) -> Iterator[tuple[slice, list[int], FloatArray]]:
-    """Of one motion by joint: rows in the stack, numbers of k parameters, and their columns (points, r, k)."""
+    """Of one motion by joint: rows in the stack, numbers of k parameters, and their columns (points, r, k).
+
+    Of an event one point at a time.
+    """
     motion = scene.motions[m]
     each = [effect.columns(motion, point, scene.backgrounds[m]) for point in points]
     joints = sorted(each[0])
-    reduced = motion.reduce(np.concatenate([columns[joint][1] for joint in joints for columns in each], axis=1))
+    lasts = effect.lasts(motion, points[0])
+    whole = np.concatenate([columns[joint][1][lasts] for joint in joints for columns in each], axis=1)
+    reduced = motion.reduce_part(whole, lasts.start) if effect.event else motion.reduce(whole)
     ends = np.cumsum([len(points) * len(each[0][joint][0]) for joint in joints])
     for joint, own in zip(joints, np.split(reduced, ends[:-1], axis=1)):
         indices = list(each[0][joint][0])
@@ -135,13 +141,13 @@ def _pieces(
         yield scene.slot(joint, m), indices, np.swapaxes(whitened, 0, 1)
 
 
-def _during(pieces: Sequence[tuple[slice, list[int], FloatArray]], number: int, count: int) -> Stacked:
-    """Of pieces in the order of the stack, one point's rows that are not zero."""
+def _where_it_acts(pieces: Sequence[tuple[slice, list[int], FloatArray]], count: int) -> Stacked:
+    """Of an event's pieces those rows that are not zero, in the order of the stack."""
     rows, columns = [np.zeros(0, dtype=int)], [np.zeros((0, count))]
     for slot, _, values in sorted(pieces, key=lambda piece: piece[0].start):
-        place = np.flatnonzero(np.any(values[number] != 0.0, axis=1))
+        place = np.flatnonzero(np.any(values[0] != 0.0, axis=1))
         rows.append(slot.start + place)
-        columns.append(values[number][place])
+        columns.append(values[0][place])
     return Stacked(np.concatenate(rows), np.concatenate(columns))
 
 

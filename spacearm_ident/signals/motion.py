@@ -135,6 +135,30 @@ class Motion:
             mean = np.matmul(weights, whole.reshape(blocks, self.block, -1)).reshape(blocks, *tail)
         return np.asarray(self._low_pass @ mean)
 
+    def reduce_part(self, part: FloatArray, first: int) -> FloatArray:
+        """As `reduce` a signal (N, k) that is zero but for a part of it: only the rows that feel it are computed.
+
+        Args:
+            part: (n, k) samples.
+            first: Number of the first of them.
+        """
+        begin = first // self.block
+        end = min(-(-(first + len(part)) // self.block), len(self.position) // self.block)
+        reduced = np.zeros((len(self._rows), part.shape[1]))
+        if end <= begin:
+            return reduced
+        whole = np.zeros(((end - begin) * self.block, part.shape[1]))
+        known = part[: end * self.block - first]
+        whole[first - begin * self.block :][: len(known)] = known
+        mean = np.zeros((len(self.position) // self.block, part.shape[1]))
+        weights = np.full(self.block, 1.0 / self.block)
+        mean[begin:end] = np.matmul(weights, whole.reshape(end - begin, self.block, -1))
+        reach = self._half_length
+        low, high = np.searchsorted(self._rows, (begin - reach, end + reach))
+        felt = slice(None) if self.cyclic else slice(low, high)
+        reduced[felt] = self._low_pass[felt] @ mean
+        return reduced
+
     def smoothed(self, signal: FloatArray, cutoff_hz: float) -> FloatArray:
         """A full-rate signal (N, k) through a low-pass of the same kind, at full rate; it stays where it is."""
         half = max(1, int(np.ceil(HALF_LENGTH / cutoff_hz * self.rate_hz)))

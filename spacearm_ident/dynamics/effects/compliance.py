@@ -118,7 +118,7 @@ class Compliance(Effect):
             return [x.astype(np.float32) for x in swing(links, *np.array(points).T)]
 
         at = np.s_[:, joints.index(row), points.index(tuple(constants[:swung]))]
-        deflection, acceleration = background.keep((swing.__name__, *of_link, *joints), compute)
+        deflection, acceleration = background.keep((swing.__name__, swung, *of_link, *joints), compute)
         return deflection[at].astype(float), acceleration[at].astype(float)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
@@ -251,8 +251,6 @@ class JointElasticity(Compliance):
 
     def deflection(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """Of the joint's link."""
-        if not self.place.get("hardens"):
-            return super().deflection(motion, constants, background)
         return self.of_grid(spring, motion, constants, background)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:

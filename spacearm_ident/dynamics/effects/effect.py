@@ -146,6 +146,16 @@ class Effect(Term):
         """Whether it is an event of another recording than a motion's."""
         return bool(self.place.get("recording", motion.source) != motion.source)
 
+    def lasts(self, motion: Motion, constants: Values) -> slice:
+        """Samples of a motion outside which its columns are zero: of an event, those from its start for its length."""
+        if not self.event:
+            return slice(0, len(motion.position))
+        begins = next(k for k, constant in enumerate(self.constants) if constant.begins)
+        start, length = constants[begins : begins + 2]
+        first, last = (np.array([start, start + length]) - motion.start_s) * motion.rate_hz
+        # A sample more on either side, for rounding.
+        return slice(max(int(first) - 1, 0), max(min(int(last) + 2, len(motion.position)), 0))
+
     def again(self, arm: Arm) -> Effect | None:
         """A further one of the same kind at the same place (another harmonic), once this one is known."""
         return None
