@@ -7,10 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changed_arm import ARM, HEALTHY, NOISE, run
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spacearm_ident.dynamics.effects.body import ExternalContact
+from spacearm_ident.excitation.nominal import nominal_model
 from spacearm_ident.mismatch.explain import explain
+from spacearm_ident.mismatch.preparation import banded
+from spacearm_ident.mismatch.rivals import Rival
 from spacearm_ident.mismatch.stacked import Stacked
 
 FORCE_N = (12.0, -16.0)
@@ -54,6 +58,34 @@ def test_a_push_in_the_field_alone_leaves_all_of_the_other_recording_judged():
     assert [finding.effect for finding in answer.findings] == ["external_contact"]
     assert not answer.happened
     assert answer.findings[0].explained > 0.8
+
+
+def test_pushes_for_most_of_a_held_out_recording_are_no_events_of_it():
+    """It would leave nothing to judge on."""
+
+    def all_the_time(planted):
+        return sum(pushed(begin_s)(planted) for begin_s in (0.5, 3.5, 6.5, 9.5, 12.5))
+
+    answer = explain(ARM, [], [run(2, pushed(4.0)), run(4, pushed(9.0))], [run(3, all_the_time)])
+    assert not answer.happened
+    assert "external_contact" in {finding.effect for finding in answer.findings}
+
+
+@given(start=st.floats(-3.0, 15.0), length=st.floats(0.1, 6.0))
+@settings(max_examples=20, deadline=None)
+def test_an_event_has_no_torque_outside_the_samples_in_which_it_lasts(start, length):
+    (motion,) = banded([HEALTHY], ARM.joint_names, 20.0, 70.0)
+    known = nominal_model(ARM)
+    background = known.model.background(motion, known.parameters, known.constants)
+    for effect, rest in (
+        (ExternalContact.at(ARM, {"joint": "elbow"}), (0.3, 0.1, 0.0, 0.0)),
+        (Rival.at(ARM, {"joint": "elbow", "of": "time_window"}), ()),
+    ):
+        constants = (start, length, *rest)
+        outside = np.ones(len(motion.position), dtype=bool)
+        outside[effect.lasts(motion, constants)] = False
+        for _, columns in effect.columns(motion, constants, background).values():
+            assert not columns[outside].any()
 
 
 def late(recording, seconds=0.006):

@@ -105,6 +105,21 @@ def test_a_contact_acts_on_the_joints_that_feel_it():
     assert acts_on("torque_ripple", (20.0,)) == {"elbow"}
 
 
+def test_constants_are_searched_again_beside_what_joins():
+    """What was not known when an effect was accepted went into its constants."""
+
+    def extra(planted):
+        return ripple(planted) + np.array([4.0, 0.0])
+
+    prepared = prepare_evidence(ARM, [HEALTHY], [run(2, extra)], [run(3, extra)])
+    competition = Competition(prepared.evidence, prepared.held_out)
+    elbow = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
+    competition.accepted = [prepared.evidence.candidate(elbow, (19.4,))]
+    outcome = competition.run(lambda share, what: None)
+    assert {one.effect.kind for one in outcome.accepted} == {"torque_ripple", "current_offset"}
+    assert outcome.accepted[0].constants == pytest.approx((20.0,), abs=0.05)
+
+
 def test_of_two_that_score_alike_the_one_with_less_freedom_is_taken():
     less, more = contender("friction_drift", 5000.0), contender("torque_ripple", 5040.0)
     assert simplest([more, less]) is less

@@ -26,8 +26,9 @@ EXPLAINS = 0.5
 """Share of what is above the noise while it lasts that an event must explain: less, and it is where the model errs."""
 MARGIN_S = 0.5
 """Taken along on both sides: the step of the grid on which an event is looked for."""
-MOST = 4
-"""Events in one recording; more is a model that is wrong throughout."""
+MOST, OFTEN = 4, 0.5
+"""Events in one recording, and the share of its rows that count during them; more is a model that is wrong throughout,
+and nothing is said to have happened."""
 
 
 def happened(held_out: HeldOut, accepted: Sequence[Candidate], values: FloatArray, gate: float) -> list[Happened]:
@@ -42,19 +43,32 @@ def happened(held_out: HeldOut, accepted: Sequence[Candidate], values: FloatArra
     kinds = {c.effect.kind for c in accepted if c.effect.event and c.effect.kind != UNKNOWN}
     if not kinds:
         return []
-    residual, found = held_out.residual(accepted, values), list[Happened]()
-    for recording in sorted({motion.source for motion in held_out.scene.motions}):
-        tried = [*_tried(held_out, kinds, recording)]
-        for _ in range(MOST):
-            gains = [_gain(stacked, residual) - penalty(effect, len(residual)) for effect, _, stacked in tried]
-            if not gains or max(gains) < gate:
-                break
-            effect, (begin, length, *_), stacked = tried[int(np.argmax(gains))]
-            own = residual[stacked.rows]
-            if max(gains) < EXPLAINS * float(np.sum(own**2 - 1.0)):
-                break
-            found.append(Happened(effect.kind, recording, begin - MARGIN_S, begin + length + MARGIN_S))
-            residual[during(held_out.scene, found[-1])] = 0.0
+    residual, scene = held_out.residual(accepted, values), held_out.scene
+    source, found = np.array([motion.source for motion in scene.motions])[scene.owner], list[Happened]()
+    for recording in np.unique(source).tolist():
+        here = _in_recording(held_out, kinds, recording, residual, gate)
+        rows = sum(np.sum(during(scene, event)) for event in here)
+        if rows <= OFTEN * np.sum(source == recording):
+            found += here
+    return found
+
+
+def _in_recording(
+    held_out: HeldOut, kinds: set[str], recording: int, residual: FloatArray, gate: float
+) -> list[Happened]:
+    """Events of some kinds in one recording, the largest first, by what is left (R,) of all rows."""
+    residual, found = residual.copy(), list[Happened]()
+    tried = [*_tried(held_out, kinds, recording)]
+    for _ in range(MOST):
+        gains = [_gain(stacked, residual) - penalty(effect, len(residual)) for effect, _, stacked in tried]
+        if not gains or max(gains) < gate:
+            break
+        effect, (begin, length, *_), stacked = tried[int(np.argmax(gains))]
+        own = residual[stacked.rows]
+        if max(gains) < EXPLAINS * float(np.sum(own**2 - 1.0)):
+            break
+        found.append(Happened(effect.kind, recording, begin - MARGIN_S, begin + length + MARGIN_S))
+        residual[during(held_out.scene, found[-1])] = 0.0
     return found
 
 
@@ -112,6 +126,8 @@ def without(held_out: HeldOut, events: Sequence[Happened]) -> HeldOut:
         held_out: The recordings that no fit sees.
         events: In them.
     """
+    if not events:
+        return held_out
     scene = held_out.scene
     motions = voided(scene.motions, events)
     return HeldOut(held_out.evidence, Scene(held_out.evidence.base, motions, scene.whiteners, scene.backgrounds))
