@@ -116,6 +116,25 @@ def test_wiring_that_is_off_is_found_with_its_size(
     assert abs(wired.wiring.delay_s - wiring.delay_s) < 0.001
 
 
+def test_a_gain_beside_a_push_is_found_with_its_size(tmp_path: Path) -> None:
+    """Where the push acts was found beside torque that is off, and would explain the gain."""
+    mujoco_or_skip()
+    path = tmp_path / "three.xml"
+    path.write_text(mjcf())
+    wiring = Wiring(np.array([0.8, 1.0, 1.0]), np.zeros(3))
+    runs = [recorded(mjcf(), seed, noise_Nm=0.05) for seed in (1, 2, 3)]
+    for number, begin_s in enumerate((7.0, 9.0)):
+        runs[number] = pushed(runs[number], mjcf(), (20.0, -20.0, 20.0), begin_s, begin_s + 3.0)
+    runs = [_recorded_as(run, wiring) for run in runs]
+    comparison = compare(read_simulation(path), runs[:2], runs[2:])
+    (gain,) = _items(comparison, "conventions")
+    assert (gain.name, gain.joints) == ("effort_gain", ("base_turn",))
+    assert gain.low < 0.8 < gain.high and gain.value == pytest.approx(0.8, abs=0.015)
+    assert _items(comparison, "parameters") == ()
+    assert [item.name for item in _items(comparison, "physics")] == ["external_contact"]
+    assert np.all(comparison.after_Nm < 1.2 * comparison.noise_Nm)
+
+
 def test_late_torque_beside_a_push_is_a_delay_of_the_recordings_and_no_physics(simulation: Simulation) -> None:
     """Before the push is known the delay does not show; it is searched for again once it is."""
     late, runs = Wiring(np.ones(3), np.zeros(3), 0.005), []
@@ -269,7 +288,8 @@ def test_share_of_a_residual_that_is_a_function_of_the_joints_state(simulation: 
     bump = away * np.exp(-0.5 * away**2) * np.array([1.0, 0.0, 0.0])
     for size, least, most in ((0.0, 0.0, 0.1), (0.5, 0.6, 1.0)):
         motions = banded([replace(run, effort=run.effort + size * bump)], JOINTS, 20.0, 70.0)
-        share = model_error_share(simulation.model, motions, np.ones(3))
+        left = [motion.torque - simulation.model.torque(motion) for motion in motions]
+        share = model_error_share(simulation.model, motions, left)
         assert least <= share[0] <= most
         assert np.all(share[1:] < 0.1)
 

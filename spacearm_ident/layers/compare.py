@@ -38,7 +38,7 @@ from ..signals.motion import Motion
 from ..simulations import Simulation
 from .comparison import Comparison
 from .conventions import Wired, find_wiring, without_columns
-from .events import with_events_earlier
+from .events import with_events_earlier, without_events
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Layer
 from .itemise import (
     SHOWS,
@@ -181,6 +181,7 @@ class _Pass:
         extended = explanation.model or wired.model.carried_to(base)
         rubbing = [kind_and_joint(name)[1] for name in wired.laws]
         whole = with_friction_terms(extended, base.structure, chosen, explanation.findings, rubbing)
+        self.motions, self.wired_in = (without_events(motions, whole) for motions in (self.motions, self.wired_in))
         before, wired = wired, find_wiring(whole, self.wired_in, self.simulation.own, wired)
         if LoadFriction.kind in excluded:
             wired = replace(wired, laws={})

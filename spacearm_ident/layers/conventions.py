@@ -78,9 +78,9 @@ LARGEST = {GAIN: 1.6, ZERO: 0.35, DELAY: 0.1, TILT: 0.35}
 """Largest size of each that is considered: a factor of five, twenty degrees, a tenth of a second, twenty degrees.
 Beyond, the torque is in another unit or the joint has another zero, and the linear problem around the simulation does
 not hold."""
-AGREE = 0.001
-"""Probability below which values from different parts do not agree: they are compared within errors that take residuals
-for noise."""
+AGREE, ALIKE = 0.001, 0.1
+"""Probability below which values from different parts do not agree, and the share of the size by which they differ
+(standard deviation) because of what is not described yet: their errors take residuals for noise."""
 LEAST_FACTOR = 1e-4
 """Smallest factor on a joint's variance: a hundredth of its residual's standard deviation."""
 MODEL_ERROR = 0.5
@@ -253,11 +253,16 @@ class _State:
             self._keep(name)
 
     def doubt_what_is_left(self) -> None:
-        """Let joints whose residual is mostly model error count for as many rows as there are states to be wrong in."""
-        values = self._solved(self.found).values
-        # Gains that are no finding are not undone.
-        gains = np.exp([values[self.linear.names.index(f"{GAIN}[{joint}]")] for joint in self.arm.joint_names])
-        share = model_error_share(self._with(values), self.linear.motions, gains)
+        """Let joints whose residual is mostly model error count for as many rows as there are states to be wrong in.
+
+        What is left beside any gain: what a missing one leaves is model error, and would hide it.
+        """
+        gains = [f"{GAIN}[{joint}]" for joint in self.arm.joint_names]
+        values = self._solved([*dict.fromkeys([*self.found, *gains])]).values
+        steps, model = values[[self.linear.names.index(name) for name in gains]], self._with(values)
+        # As the columns are: a step of a gain is one of the torque that they are built around.
+        left = [m.torque - model.torque(m) - steps * self.fitted.torque(m) for m in self.linear.motions]
+        share = model_error_share(model, self.linear.motions, left)
         cluster = self.linear.rows.sum(axis=1) * self.relative_weight / STATE_GROUPS
         self.design_effect = np.where(share > MODEL_ERROR, 1.0 + share * np.maximum(cluster - 1.0, 0.0), 1.0)
 
@@ -475,6 +480,9 @@ class _State:
                 return False
             solutions.append((solution.values[places], np.diag(solution.covariance)[places]))
         values, variances = (np.stack(each) for each in zip(*solutions))
+        # Of a tilt about two axes the size is the whole: the smaller of the two is off by what the larger leaves.
+        sizes = values if kind_and_joint(names[0])[0] != TILT else np.linalg.norm(values, axis=1, keepdims=True)
+        variances = variances + (ALIKE * sizes) ** 2
         mean = np.sum(values / variances, axis=0) / np.sum(1.0 / variances, axis=0)
         squares = np.sum((values - mean) ** 2 / variances, axis=0)
         return bool(np.all(chi2.sf(squares, max(len(values) - 1, 1)) > AGREE))

@@ -1,16 +1,20 @@
-"""Events of a model: its torque without them, and it with them at other times.
+"""Events of a model: its torque without them, it with them at other times, and recordings without them.
 
 When an event begins was found in the recorded torque, late or not. Where a delay is undone the event moves with the
-torque, and says nothing of the delay.
+torque, and says nothing of the delay. Where it acts was found likewise: beside a gain that nobody knew of the point of
+a touch is another, one that explains the gain. So its rows say nothing of the gain.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from ..dynamics.model import IdentifiedModel
+from ..mismatch.finding import Happened
+from ..mismatch.happened import MARGIN_S, OFTEN, voided
 from ..signals.motion import Motion
 
 
@@ -42,3 +46,24 @@ def with_events_earlier(model: IdentifiedModel, seconds: float) -> IdentifiedMod
     constants = model.constants.copy()
     constants[begins] -= seconds
     return replace(model, constants=constants)
+
+
+def without_events(motions: Sequence[Motion], model: IdentifiedModel) -> list[Motion]:
+    """Motions of which no row counts while an event of a model lasts; all count where most would be left out.
+
+    Args:
+        motions: Numbered as the events' recordings are (`Motion.source`).
+        model: A model with values.
+    """
+    quiet = []
+    for motion in motions:
+        spans = [
+            Happened(term.kind, motion.source, begin - MARGIN_S, begin + length + MARGIN_S)
+            for term, _, first in model.model.numbered()
+            if isinstance(term, Effect) and term.event and not term.elsewhere(motion)
+            for begin, length in [model.constants[first : first + 2]]
+        ]
+        taken = sum(one.end_s - one.begin_s for one in spans)
+        often = taken > OFTEN * len(motion.position) / motion.rate_hz
+        quiet += [motion] if often else voided([motion], spans)
+    return quiet

@@ -218,6 +218,11 @@ class JointFit:
                 _tie(precision, number, names[f"f_c[{parameter.joint}]"])
             else:
                 free[number], mean[number] = False, 0.0
+        for number in self._of_events:
+            # It stays as the search has it: while it lasts hardly any row counts (`events.without_events`).
+            free[number] = False
+            if number in kept or terms is None:
+                mean[number] = linear.model.parameters[number]
         for number, name in enumerate(linear.names):
             if name in self.names or name == DELAY:
                 free[number], mean[number] = True, 0.0
@@ -229,6 +234,13 @@ class JointFit:
                 mean[number], error = self._laws[name]
                 precision[number, number] = error**-2
         return Prior(mean, precision, free)
+
+    @cached_property
+    def _of_events(self) -> list[int]:
+        """Numbers of the parameters of events."""
+        model = self.linear.model.model
+        spans = [range(k, k + len(t.parameters)) for t, k, _ in model.numbered() if isinstance(t, Effect) and t.event]
+        return [number for span in spans for number in span]
 
     def _is_in(self, number: int) -> bool:
         """Whether a parameter is of the simulation's own terms, or of physics that was not left out."""
@@ -380,7 +392,7 @@ class JointFit:
             return None
         here, there = self.estimate.of(vector), by_them.of(vector)
         error = float(np.hypot(self.estimate.error(vector), by_them.error(vector)))
-        if by_them.error(vector) > abs(here - was):
+        if by_them.error(vector) > abs(here - was) or set(np.flatnonzero(vector)) <= set(self._of_events):
             return None
         return bool(abs(here - there) < AGREE * error and (here - was) * (there - was) > 0)
 

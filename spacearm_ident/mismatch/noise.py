@@ -128,20 +128,20 @@ def floor_in_field(base: IdentifiedModel, scene: Scene, residual: FloatArray) ->
     return _spread(scene, residual - _smooth(base, scene, residual)[0])
 
 
-def model_error_share(model: IdentifiedModel, motions: Sequence[Motion], gain: FloatArray) -> FloatArray:
+def model_error_share(model: IdentifiedModel, motions: Sequence[Motion], residuals: Sequence[FloatArray]) -> FloatArray:
     """(n,) share of each joint's residual variance that is a function of its own state: what the model leaves out.
 
     The coefficient of determination of the splines of `of_field`, adjusted for their number (Ezekiel 1930), rows being
     as independent as white noise is after the low-pass.
 
     Args:
-        model: With the values whose residual it is.
+        model: With the values whose residuals they are.
         motions: Recordings.
-        gain: (n,) what the model's torque is multiplied by.
+        residuals: (N, n) of each, N m.
     """
-    joints = range(len(gain))
+    joints = range(len(model.model.arm.joints))
     scene = Scene(model, motions, [Whitener(np.zeros(0), 1.0) for _ in joints])
-    left = [motion.reduce(motion.torque - gain * model.torque(motion)) for motion in motions]
+    left = [motion.reduce(residual) for motion, residual in zip(motions, residuals)]
     slots = [(scene.slot(j, m), j, rows) for j in joints for m, rows in enumerate(left)]
     residual = np.concatenate([rows[scene.place[slot], j] for slot, j, rows in slots])
     explained, columns = _smooth(model, scene, residual)
