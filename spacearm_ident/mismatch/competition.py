@@ -262,8 +262,10 @@ class Competition:
         before, self.evidence, self._with_events = self.evidence, evidence, held_out
         self.held_out = held_out and without(held_out, self.happened)
         self.accepted = [evidence.reweighted([candidate], before)[0] for candidate in self.accepted]
-        self._grids = {key: evidence.reweighted(grid, before) if grid else [] for key, grid in self._grids.items()}
         self._inner.clear()
+        # One after the other: all of them twice would be most of the memory that a search takes.
+        for key, grid in self._grids.items():
+            self._grids[key] = evidence.reweighted(grid, before) if grid else []
 
     def tried(self) -> Iterator[list[Candidate]]:
         """Named effects that are not accepted, each at the points of its constants' grids."""
