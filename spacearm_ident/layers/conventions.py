@@ -80,7 +80,8 @@ Beyond, the torque is in another unit or the joint has another zero, and the lin
 not hold."""
 AGREE, ALIKE = 0.001, 0.1
 """Probability below which values from different parts do not agree, and the share of the size by which they differ
-(standard deviation) because of what is not described yet: their errors take residuals for noise."""
+(standard deviation) because of what is not described yet: their errors take residuals for noise. As much as a law is
+off at most (`mismatch.intervals.LAW_ERROR`); values of a false zero differ by more than their size."""
 LEAST_FACTOR = 1e-4
 """Smallest factor on a joint's variance: a hundredth of its residual's standard deviation."""
 MODEL_ERROR = 0.5

@@ -147,7 +147,13 @@ class Effect(Term):
         return bool(self.place.get("recording", motion.source) != motion.source)
 
     def lasts(self, motion: Motion, constants: Values) -> slice:
-        """Samples of a motion outside which its columns are zero: of an event, those from its start for its length."""
+        """Samples of a motion outside which its columns are zero: of an event, those from its start for its length.
+
+        Args:
+            motion: N samples.
+            constants: (c,) values in the order of `self.constants`; of an event the one that begins is followed by its
+                length, both in s.
+        """
         if not self.event:
             return slice(0, len(motion.position))
         begins = next(k for k, constant in enumerate(self.constants) if constant.begins)
