@@ -80,7 +80,7 @@ def black_box(fitted: Inputs, residual: FloatArray, judged: Inputs) -> FloatArra
         return _ridge(known[rows], residual[rows, joint], fitted.block[rows], asked)
 
     # Nearly all of it is LAPACK's, which lets other threads go on.
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
         return np.stack([*threads.map(predicted, range(residual.shape[1]))], axis=1)
 
 

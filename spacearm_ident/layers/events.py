@@ -13,8 +13,7 @@ from dataclasses import replace
 from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from ..dynamics.model import IdentifiedModel
-from ..mismatch.finding import Happened
-from ..mismatch.happened import MARGIN_S, OFTEN, voided
+from ..mismatch.happened import OFTEN, event_of, voided
 from ..signals.motion import Motion
 
 
@@ -58,10 +57,9 @@ def without_events(motions: Sequence[Motion], model: IdentifiedModel) -> list[Mo
     quiet = []
     for motion in motions:
         spans = [
-            Happened(term.kind, motion.source, begin - MARGIN_S, begin + length + MARGIN_S)
+            event_of(term, model.constants[first : first + len(term.constants)], motion.source)
             for term, _, first in model.model.numbered()
             if isinstance(term, Effect) and term.event and not term.elsewhere(motion)
-            for begin, length in [model.constants[first : first + 2]]
         ]
         taken = sum(one.end_s - one.begin_s for one in spans)
         often = taken > OFTEN * len(motion.position) / motion.rate_hz

@@ -213,16 +213,14 @@ class JointFit:
         names = {name: number for number, name in enumerate(linear.names)}
         for number, parameter in enumerate(linear.model.model.parameters):
             if self._is_in(number) and (terms is None or number in kept or parameter.name in self._known):
+                if number in self._of_events:
+                    # It stays as the search has it: while it lasts hardly any row counts (`events.without_events`).
+                    free[number], mean[number] = False, linear.model.parameters[number]
                 continue
             if parameter.symbol == "f_b" and free[number]:
                 _tie(precision, number, names[f"f_c[{parameter.joint}]"])
             else:
                 free[number], mean[number] = False, 0.0
-        for number in self._of_events:
-            # It stays as the search has it: while it lasts hardly any row counts (`events.without_events`).
-            free[number] = False
-            if number in kept or terms is None:
-                mean[number] = linear.model.parameters[number]
         for number, name in enumerate(linear.names):
             if name in self.names or name == DELAY:
                 free[number], mean[number] = True, 0.0

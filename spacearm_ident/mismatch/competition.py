@@ -96,7 +96,6 @@ class Competition:
         self, evidence: Evidence, held_out: HeldOut | None, excluded: Sequence[str] = (), gate: float = GATE
     ) -> None:
         self.evidence = evidence
-        self.held_out = self._with_events = held_out
         self.gate = gate
         self.accepted: list[Candidate] = []
         base = evidence.base
@@ -113,6 +112,7 @@ class Competition:
         self._rounds: list[Round] = []
         self.common: list[Scored] = []
         self.happened: list[Happened] = []
+        self._judge_on(held_out)
 
     def _candidates(self, excluded: Sequence[str]) -> Iterator[Effect]:
         arm = self.evidence.base.model.arm
@@ -195,8 +195,9 @@ class Competition:
 
         grid = self._grids.get(id(one.effect))
         far, best = self._best_of(grid, beside, others) if grid else (-np.inf, one)
-        moved = search(refine, best if far > gain(one) else one, self.evidence, gain)
-        return moved if gain(moved) - gain(one) > MOVES * self.gate else one
+        now = gain(one)
+        moved = search(refine, best if far > now else one, self.evidence, gain)
+        return moved if gain(moved) - now > MOVES * self.gate else one
 
     def _relinearise(self) -> None:
         """Accepted effects whose columns depend on their own parameters, around the values that they now have."""
@@ -250,7 +251,12 @@ class Competition:
         if self._with_events is not None:
             values = self.evidence.refit(self.accepted).values
             self.happened = happened(self._with_events, self.accepted, values, self.gate)
-            self.held_out = without(self._with_events, self.happened)
+            self._judge_on(self._with_events)
+
+    def _judge_on(self, held_out: HeldOut | None) -> None:
+        """Judge on held-out recordings, less the events in them."""
+        self._with_events = held_out
+        self.held_out = held_out and without(held_out, self.happened)
 
     def _causes(self, rounds: Sequence[Round]) -> int:
         """How many effects there are; the same event in several recordings counts once."""
@@ -259,8 +265,8 @@ class Competition:
 
     def reweigh(self, evidence: Evidence, held_out: HeldOut | None) -> None:
         """Go on with the same rows under other weights of the joints."""
-        before, self.evidence, self._with_events = self.evidence, evidence, held_out
-        self.held_out = held_out and without(held_out, self.happened)
+        before, self.evidence = self.evidence, evidence
+        self._judge_on(held_out)
         self.accepted = [evidence.reweighted([candidate], before)[0] for candidate in self.accepted]
         self._inner.clear()
         # One after the other: all of them twice would be most of the memory that a search takes.
@@ -447,8 +453,7 @@ class Competition:
         self.common.append(winner)
         self.evidence = new
         if self._with_events is not None:
-            self._with_events = HeldOut(self.evidence, self._with_events.scene)
-            self.held_out = without(self._with_events, self.happened)
+            self._judge_on(HeldOut(self.evidence, self._with_events.scene))
         renew = self._renewed
         self.accepted = [renew(candidate) for candidate in self.accepted]
         self._grids = {key: [renew(c) for c in grid] for key, grid in self._grids.items()}

@@ -13,6 +13,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
+from ..dynamics.term import Values
 from ..signals.motion import Motion
 from .constants import grid_points
 from .evidence import Candidate, HeldOut
@@ -27,8 +28,8 @@ EXPLAINS = 0.5
 MARGIN_S = 0.5
 """Taken along on both sides: the step of the grid on which an event is looked for."""
 MOST, OFTEN = 4, 0.5
-"""Events in one recording, and the share of its rows that count during them; more is a model that is wrong throughout,
-and nothing is said to have happened."""
+"""So many events of one recording are looked for. Where rows during them are more than this share of its rows, the
+model is wrong throughout, and it is said to have none: an event is the exception."""
 
 
 def happened(held_out: HeldOut, accepted: Sequence[Candidate], values: FloatArray, gate: float) -> list[Happened]:
@@ -63,13 +64,25 @@ def _in_recording(
         gains = [_gain(stacked, residual) - penalty(effect, len(residual)) for effect, _, stacked in tried]
         if not gains or max(gains) < gate:
             break
-        effect, (begin, length, *_), stacked = tried[int(np.argmax(gains))]
+        effect, point, stacked = tried[int(np.argmax(gains))]
         own = residual[stacked.rows]
         if max(gains) < EXPLAINS * float(np.sum(own**2 - 1.0)):
             break
-        found.append(Happened(effect.kind, recording, begin - MARGIN_S, begin + length + MARGIN_S))
+        found.append(event_of(effect, point, recording))
         residual[during(held_out.scene, found[-1])] = 0.0
     return found
+
+
+def event_of(effect: Effect, constants: Values, recording: int) -> Happened:
+    """An event in one recording, with its margin.
+
+    Args:
+        effect: The effect.
+        constants: (c,) values in the order of its constants.
+        recording: Number of the recording.
+    """
+    begin_s, end_s = effect.window(constants)
+    return Happened(effect.kind, recording, begin_s - MARGIN_S, end_s + MARGIN_S)
 
 
 def _tried(held_out: HeldOut, kinds: set[str], recording: int) -> Iterator[tuple[Effect, tuple[float, ...], Stacked]]:

@@ -146,19 +146,26 @@ class Effect(Term):
         """Whether it is an event of another recording than a motion's."""
         return bool(self.place.get("recording", motion.source) != motion.source)
 
+    def window(self, constants: Values) -> tuple[float, float]:
+        """Start and end of an event, s.
+
+        Args:
+            constants: (c,) values in the order of `self.constants`; the one that begins is followed by a length, s.
+        """
+        begins = next(k for k, constant in enumerate(self.constants) if constant.begins)
+        start, length = constants[begins : begins + 2]
+        return float(start), float(start + length)
+
     def lasts(self, motion: Motion, constants: Values) -> slice:
         """Samples of a motion outside which its columns are zero: of an event, those from its start for its length.
 
         Args:
             motion: N samples.
-            constants: (c,) values in the order of `self.constants`; of an event the one that begins is followed by its
-                length, both in s.
+            constants: (c,) values in the order of `self.constants`.
         """
         if not self.event:
             return slice(0, len(motion.position))
-        begins = next(k for k, constant in enumerate(self.constants) if constant.begins)
-        start, length = constants[begins : begins + 2]
-        first, last = (np.array([start, start + length]) - motion.start_s) * motion.rate_hz
+        first, last = (np.array(self.window(constants)) - motion.start_s) * motion.rate_hz
         # A sample more on either side, for rounding.
         return slice(max(int(first) - 1, 0), max(min(int(last) + 2, len(motion.position)), 0))
 
