@@ -324,7 +324,7 @@ def test_static_level_that_was_left_out_is_not_in_the_corrected_simulation(simul
     fit.leave_out(optional_terms(whole, model.model))
     corrected = fit.mended(20.0, (), 0.02)
     assert corrected.value("f_b", "elbow") == pytest.approx(corrected.value("f_c", "elbow"), rel=1e-3)
-    np.testing.assert_allclose(fit.judge.rms(fit.with_model(corrected)), fit.judge.rms(fit.estimate.values), rtol=0.1)
+    np.testing.assert_allclose(fit.judge.rms(fit.beside(corrected)), fit.judge.rms(fit.estimate.values), rtol=0.1)
 
 
 @pytest.mark.parametrize("mass", [3.0, 3.6], ids=["as in the file", "heavier"])
@@ -336,7 +336,7 @@ def test_corrected_simulation_keeps_bodies_as_they_are_as_far_as_that_predicts(
     wired = find_wiring(simulation.model, motions, simulation.own)
     fit = JointFit(simulation, simulation.model, wired, motions[:1], motions[1:])
     known = combinations(fit.linear, simulation)
-    values = fit.with_model(fit.mended(20.0, [(one.vector, one.was) for one in known], 0.02))
+    values = fit.beside(fit.mended(20.0, [(one.vector, one.was) for one in known], 0.02))
     assert np.all(fit.judge.rms(values) < 1.1 * fit.judge.rms(fit.estimate.values))
     moved = max(abs(float(one.vector @ values) - one.was) / fit.estimate.error(one.vector) for one in known)
     assert (moved < 0.3) is (mass == 3.0)

@@ -231,7 +231,7 @@ class _Pass:
         after = gain * found.judge.rms(whole)
         traces = found.traces(whole)
         rows = [trace.measured - trace.mended for trace in traces]
-        white, slow = white_and_slow(found.judge.motions, rows, [np.isfinite(residual) for residual in rows])
+        white, slow = white_and_slow(found.judge.motions, rows, found.in_full())
         noise = np.fmin(after, explanation.noise_floor_Nm * gain)
         noise = np.where(slow > white, np.fmin(noise, white), noise)
         torque = gain * found.judge.rms(np.zeros(found.judge.count))
@@ -254,6 +254,7 @@ class _Pass:
             Layer(REST, after, noise, left),
         )
         mended = found.mended(self.cutoff, of_parameters.kept, SHOWS)
+        as_mended = found.beside(mended)
         return Comparison(
             joints=self.joints,
             layers=layers,
@@ -262,9 +263,9 @@ class _Pass:
             torque_Nm=torque,
             noise_Nm=noise,
             ceiling_Nm=ceiling,
-            mended_Nm=gain * found.judge.rms(found.with_model(mended)),
+            mended_Nm=gain * found.judge.rms(as_mended),
             model=mended,
-            wiring=found.wiring,
+            wiring=found.wiring_of(as_mended),
             suspected=wired.suspected,
             explanation=_standing(explanation, gone),
             traces=traces,

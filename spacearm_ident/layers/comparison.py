@@ -46,7 +46,7 @@ class Comparison:
         ceiling_Nm: (n,) what a flexible function of the same inputs leaves beside the simulation's own terms, refitted.
         mended_Nm: (n,) the same of `model`.
         model: The mended simulation with the physics it lacked.
-        wiring: What recordings are off by.
+        wiring: What recordings are off by, beside `model`.
         suspected: What else may be off.
         explanation: The search for physics, with its cards.
         traces: For figures.

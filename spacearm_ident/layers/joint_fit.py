@@ -19,7 +19,7 @@ from ..dynamics.effects.effect import Effect
 from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..estimate.consistency import make_consistent
-from ..mismatch.noise import weighted
+from ..mismatch.noise import in_full, weighted
 from ..mismatch.scene import Whitener, one_way
 from ..regression.held_out import folds_of, predicts_better
 from ..regression.held_out import gain as lowered_by
@@ -33,7 +33,7 @@ from .estimate import Estimate, estimate
 from .linear import CONSTANT_SPREAD, Linear, Prior, weak_prior
 from .parameters import DETERMINED, LEVEL
 from .physics import Added
-from .wiring import DELAY, kind_and_joint
+from .wiring import DELAY, Wiring, kind_and_joint
 
 AGREE = 2.58
 """Standard errors of the difference (99 %) within which two estimates of the same thing agree."""
@@ -410,6 +410,10 @@ class JointFit:
         model = replace(self.simulation.model, parameters=own)
         return np.concatenate([motion.torque_rows - motion.reduce(model.torque(motion)) for motion in linear.motions])
 
+    def in_full(self) -> list[np.ndarray]:
+        """By held-out motion, (M, n) rows that count in full."""
+        return [in_full(self._whiteners, motion) for motion in self.judge.motions]
+
     def traces(self, values: FloatArray) -> tuple[Trace, ...]:
         """Held-out torque for figures."""
         count = len(self.judge.model.model.parameters)
@@ -489,11 +493,22 @@ class JointFit:
         mean[free] = np.linalg.lstsq(precision[np.ix_(free, free)], slope[free])[0]
         return Prior(mean, precision, free)
 
-    def with_model(self, model: IdentifiedModel) -> FloatArray:
-        """(P,) the estimate's wiring with the parameters of a model of the same terms."""
-        values = self.estimate.values.copy()
-        values[: len(model.parameters)] = model.parameters
-        return values
+    def beside(self, model: IdentifiedModel) -> FloatArray:
+        """(P,) a model of the same terms, and the wiring that fits best beside its parameters.
+
+        Bodies that are such as can be take another gain than those that are fitted freely.
+        """
+        parameters = np.arange(self.linear.count) < len(model.parameters)
+        mean = self.prior.mean.copy()
+        mean[parameters] = model.parameters
+        prior = Prior(mean, self.prior.precision, self.prior.free & ~parameters)
+        return self.linear.solve(prior, self.variance).values
+
+    def wiring_of(self, values: FloatArray) -> Wiring:
+        """What recordings are off by, with values (P,)."""
+        joints = self.simulation.arm.joint_names
+        step = dict(zip(self.linear.names, values.tolist()))
+        return Wiring.of_columns(joints, {name: was + step[name] for name, was in self.wiring.by_column(joints).items()})
 
     def _near_the_simulation(self, within: float) -> dict[int, float]:
         """Inertials and rotor inertias by number -> by how much they stay near the simulation's where torque is silent.

@@ -21,7 +21,7 @@ from ..noise.weights import common_correlation, residual_noise, white_correlatio
 from ..signals.motion import Motion
 from .evidence import left_by_base
 from .rivals import Rival, rivals
-from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, inflated
+from .scene import FEWEST_ROWS, Scene, Whitener, fit_whitener, inflated, one_way, travel
 from .stacked import base_columns, stacked_effect
 
 ORDER = 6
@@ -149,6 +149,13 @@ def model_error_share(model: IdentifiedModel, motions: Sequence[Motion], residua
     chance = columns / np.maximum(scene.by_joint(np.ones(len(scene))) / white, columns + 1.0)
     share = scene.by_joint(explained**2) / np.maximum(scene.by_joint(residual**2), np.finfo(float).tiny)
     return np.asarray(np.maximum((share - chance) / (1.0 - chance), 0.0))
+
+
+def in_full(whiteners: Sequence[Whitener], motion: Motion) -> np.ndarray:
+    """(M, n) rows of a motion that count in full: neither slow nor near a reversal, as far as that matters there."""
+    speed, gone = motion.velocity_rows, travel(motion)
+    weights = [whitener.weight(speed[:, j], gone[:, j]) for j, whitener in enumerate(whiteners)]
+    return one_way(motion) & (np.stack(weights, axis=1) > IN_FULL)
 
 
 def _spread(scene: Scene, noise: FloatArray) -> FloatArray:
