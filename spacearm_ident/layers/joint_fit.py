@@ -508,7 +508,9 @@ class JointFit:
         """What recordings are off by, with values (P,)."""
         joints = self.simulation.arm.joint_names
         step = dict(zip(self.linear.names, values.tolist()))
-        return Wiring.of_columns(joints, {name: was + step[name] for name, was in self.wiring.by_column(joints).items()})
+        return Wiring.of_columns(
+            joints, {name: was + step[name] for name, was in self.wiring.by_column(joints).items()}
+        )
 
     def _near_the_simulation(self, within: float) -> dict[int, float]:
         """Inertials and rotor inertias by number -> by how much they stay near the simulation's where torque is silent.
