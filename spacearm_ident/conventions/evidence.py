@@ -375,8 +375,8 @@ class _Problem:
         cross_spread = np.sum(grams[:, :r, r:] * cross, axis=(1, 2))
         own_spread = np.sum(grams[:, r:, r:] * own, axis=(1, 2))
         rigid_square = grams[:, :r, :r] @ x @ x
-        cross_square = np.einsum("jrc,r,jc->j", grams[:, :r, r:], x, y, optimize=True)
-        own_square = np.einsum("jab,ja,jb->j", grams[:, r:, r:], y, y, optimize=True)
+        cross_square = np.sum((x @ grams[:, :r, r:]) * y, axis=1)
+        own_square = np.sum((y[:, None, :] @ grams[:, r:, r:])[:, 0] * y, axis=1)
         along = self.products[:, :r] @ x
         lost = self.squares - 2 * (gains * along + np.sum(self.products[:, r:] * y, axis=1))
         lost += gains**2 * rigid_square + 2 * gains * cross_square + own_square

@@ -11,6 +11,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..dynamics.regressor import rigid_body_torque
+from ..forks import each
 from .change import PRIOR, Change, Kind, discrete_changes
 from .evidence import (
     CAD_SCALES,
@@ -253,7 +254,7 @@ def compete(scorer: Scorer, start: Scored, again: Sequence[Scored] | None = None
         tried.sort(key=lambda one: -one.score)
         close = int(np.clip(sum(one.score > tried[0].score - scorer.sure for one in tried), SHORT_LIST, LONG_LIST))
     chosen = [one for k, one in enumerate(tried) if k < close or one.changes[-1].kind in _SECOND_LOOK]
-    short = [judged(scorer, start, one) for one in chosen]
+    short = each(lambda one: judged(scorer, start, one), chosen)
     short = [one for one in short if _is_off(start, one)]
     short = _apart(sorted(short, key=lambda one: -one.score))
     best = short[0] if short and short[0].score > start.score else start

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.regressor import rigid_body_torque
 from ..dynamics.term import Columns
+from ..forks import each
 from ..mismatch.noise import Noise
 from ..mismatch.scene import Scene, Whitener
 from ..regression.held_out import time_blocks
@@ -117,34 +119,24 @@ class Linear:
         self.model, self.wiring = model, wiring
         undone = wiring.undone(motions, model)
         self.motions = undone
-        scene = Scene(model, undone, whiteners)
         joints = model.model.arm.joint_names
-        stacked = np.column_stack(
-            [
-                _model_columns(model, scene),
-                scene.stack([_wiring_columns(model, motion) for motion in undone], len(column_names(joints))),
-                _constant_columns(model, scene) if by_state else np.zeros((len(scene), len(model.constants))),
-                scene.torque(),
-            ]
-        )
         self.names = (
             *(parameter.name for parameter in model.model.parameters),
             *column_names(joints),
             *(f"ln {constant.name}" for constant in model.model.constants),
         )
+        parts = each(lambda motion: _rows_of(model, motion, whiteners, by_state), undone)
         block_of, self.recording = time_blocks(undone)
         self.blocks = len(self.recording)
-        slots = [(j, m) for j in range(len(joints)) for m in range(len(undone))]
-        block = np.concatenate([block_of[m][scene.place[scene.slot(j, m)]] for j, m in slots])
-        width = stacked.shape[1]
-        self.gram = np.zeros((len(joints), self.blocks, width, width))
+        self.gram = np.zeros((len(joints), self.blocks, self.count + 1, self.count + 1))
         self.rows = np.zeros((len(joints), self.blocks))
-        for joint in range(len(joints)):
-            for number in range(self.blocks):
-                rows = stacked[(scene.joint == joint) & (block == number)]
-                self.gram[joint, number] = rows.T @ rows
-                self.rows[joint, number] = len(rows)
-        self.by_state = _by_state(scene, stacked) if by_state else None
+        for blocks, part in zip(block_of, parts):
+            for joint, (place, stacked) in enumerate(part):
+                for number in np.unique(blocks[place]):
+                    rows = stacked[blocks[place] == number]
+                    self.gram[joint, number] = rows.T @ rows
+                    self.rows[joint, number] = len(rows)
+        self.by_state = _by_state(undone, parts) if by_state else None
 
     @property
     def count(self) -> int:
@@ -236,20 +228,41 @@ class Linear:
         return np.where(counts > 0, left / np.maximum(counts, 1e-9), 1.0).clip(least, LARGEST_FACTOR)
 
     def _weighted(self, noise: FloatArray, blocks: np.ndarray | None) -> FloatArray:
-        chosen = self.gram if blocks is None else self.gram[:, blocks]
-        return np.asarray(np.tensordot(1.0 / noise, chosen.sum(axis=1), axes=1))
+        chosen = self._of_all_blocks if blocks is None else self.gram[:, blocks].sum(axis=1)
+        return np.asarray(np.tensordot(1.0 / noise, chosen, axes=1))
+
+    @cached_property
+    def _of_all_blocks(self) -> FloatArray:
+        """(n, P + 1, P + 1) sum of `gram`."""
+        return np.asarray(self.gram.sum(axis=1))
 
 
-def _by_state(scene: Scene, stacked: FloatArray) -> FloatArray:
-    """(2, n, G, c, c) Gram matrices of stacked rows (R, c), of each joint's by its velocity and by its position."""
-    n, width = len(scene.motions[0].joints), stacked.shape[1]
+def _rows_of(
+    model: IdentifiedModel, motion: Motion, whiteners: Sequence[Whitener], with_constants: bool
+) -> list[tuple[np.ndarray, FloatArray]]:
+    """By joint, (M,) which rows of a motion count, and (M, P + 1) their weighted columns and, last, torque."""
+    scene = Scene(model, [motion], whiteners)
+    stacked = np.column_stack(
+        [
+            _model_columns(model, scene),
+            scene.stack([_wiring_columns(model, motion)], len(column_names(motion.joints))),
+            _constant_columns(model, scene) if with_constants else np.zeros((len(scene), len(model.constants))),
+            scene.torque(),
+        ]
+    )
+    slots = [scene.slot(joint, 0) for joint in range(len(motion.joints))]
+    return [(scene.place[slot], stacked[slot]) for slot in slots]
+
+
+def _by_state(motions: Sequence[Motion], parts: Sequence[list[tuple[np.ndarray, FloatArray]]]) -> FloatArray:
+    """(2, n, G, c, c) Gram matrices of rows, by motion and joint, by the joint's velocity and by its position."""
+    n, width = len(motions[0].joints), parts[0][0][1].shape[1]
     gram = np.zeros((2, n, STATE_GROUPS, width, width))
     for joint in range(n):
-        owners = range(len(scene.motions))
-        places = [scene.place[scene.slot(joint, m)] for m in owners]
-        rows = stacked[scene.joint == joint]
-        speed = np.concatenate([m.velocity_rows[place, joint] for m, place in zip(scene.motions, places)])
-        where = np.concatenate([m.reduce(m.position)[place, joint] for m, place in zip(scene.motions, places)])
+        along = [(motion, *part[joint]) for motion, part in zip(motions, parts)]
+        rows = np.concatenate([stacked for _, _, stacked in along])
+        speed = np.concatenate([motion.velocity_rows[place, joint] for motion, place, _ in along])
+        where = np.concatenate([motion.reduce(motion.position)[place, joint] for motion, place, _ in along])
         for kind, state in enumerate((speed, where)):
             for number, group in enumerate(np.array_split(np.argsort(state), STATE_GROUPS)):
                 gram[kind, joint, number] = rows[group].T @ rows[group]

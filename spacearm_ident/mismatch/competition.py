@@ -17,7 +17,9 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
-from .constants import grid_points, polish, refine, search
+from ..dynamics.term import Values
+from ..forks import each
+from .constants import Method, grid_points, polish, refine, search
 from .evidence import Candidate, Evidence, HeldOut, Refit, inner_each, with_own
 from .finding import Happened
 from .happened import happened, without
@@ -194,9 +196,11 @@ class Competition:
             return self._gain(trial, beside, others)
 
         grid = self._grids.get(id(one.effect))
-        far, best = self._best_of(grid, beside, others) if grid else (-np.inf, one)
-        now = gain(one)
-        moved = search(refine, best if far > now else one, self.evidence, gain)
+        now, best = gain(one), one
+        if grid:
+            far, number, _ = self._best_of(grid, beside, others)
+            best = grid[number] if far > now else one
+        moved = search(refine, best, self.evidence, gain)
         return moved if gain(moved) - now > MOVES * self.gate else one
 
     def _relinearise(self) -> None:
@@ -277,7 +281,7 @@ class Competition:
         """Named effects that are not accepted, each at the points of its constants' grids."""
         for effect in self._pool:
             if effect.kind != UNKNOWN:
-                yield self._grid(effect)
+                yield self._grids.get(id(effect)) or self._at_every_point(effect)
 
     def _choose(self, ranked: Sequence[Scored]) -> Scored | None:
         """The winner; None below the gate.
@@ -467,51 +471,75 @@ class Competition:
         """The best of every effect at every place, best first."""
         beside = self.evidence.refit(self.accepted)
         held_out_before = self._on_held_out(self.accepted, beside.values)
-        rough: list[tuple[float, int, Candidate]] = []
-        for effect in self._pool:
-            # Where none of its places was passed there is none to try.
-            if grid := self._grid(effect):
-                gain, best = self._best_of(grid, beside, self.accepted)
-                rough.append((gain - penalty(effect, self.evidence.rows), len(rough), best))
-        rough.sort(key=lambda item: -item[0])
-        scored = []
-        named = [item for item in rough if item[2].effect.kind != UNKNOWN][:REFINED]
-        generic = [item for item in rough if item[2].effect.kind == UNKNOWN][:RIVALS]
-        for _, _, candidate in [*named, *generic]:
-            refined = search(refine, candidate, self.evidence, lambda trial: self._gain(trial, beside, self.accepted))
-            scored.append(self._scored(refined, beside, held_out_before))
+        rough = self._rough(beside)
+        named = [one for one in rough if one.effect.kind != UNKNOWN][:REFINED]
+        generic = [one for one in rough if one.effect.kind == UNKNOWN][:RIVALS]
+        refined = self._all_searched(refine, [*named, *generic], beside)
+        scored = [self._scored(candidate, beside, held_out_before) for candidate in refined]
         largest = max((s.score for s in scored), default=0.0)
         # Which link was touched, only windows that fit well tell.
         touches = [s.named and s.candidate.effect.event and POLISHED * s.score > largest for s in scored]
-        scored = [self._polished(s) if touch else s for s, touch in zip(scored, touches)]
+        polished = iter(self._all_searched(polish, [s.candidate for s, touch in zip(scored, touches) if touch], beside))
+        scored = [self._scored(next(polished), beside, held_out_before) if t else s for s, t in zip(scored, touches)]
         return sorted(scored, key=lambda s: -s.score)
 
-    def _grid(self, effect: Effect) -> list[Candidate]:
-        """An effect at every point of its constants' grids; computed once."""
-        key = id(effect)
-        if key not in self._grids:
-            points = grid_points(effect, self.evidence.field.motions)
-            self._grids[key] = self.evidence.candidates(effect, points)
-        return self._grids[key]
+    def _rough(self, beside: Refit) -> list[Candidate]:
+        """Every effect at every place at the best point of its grid, best first."""
+        self._compute_grids()
+        # Where none of its places was passed there is none to try.
+        grids = [grid for effect in self._pool if (grid := self._grids[id(effect)])]
+        found, scored = each(lambda grid: self._best_of(grid, beside, self.accepted), grids), []
+        for grid, (gain, number, inner) in zip(grids, found):
+            for one, own in zip(self.accepted, inner):
+                # Kept with what they are of, so that no other can be at its address.
+                self._inner[id(one), id(grid)] = one, grid, own
+            scored.append((gain - penalty(grid[0].effect, self.evidence.rows), grid[number]))
+        return [candidate for _, candidate in sorted(scored, key=lambda one: -one[0])]
+
+    def _all_searched(self, method: Method, candidates: Sequence[Candidate], beside: Refit) -> list[Candidate]:
+        """Candidates with better constants, if the method finds any, each beside what is accepted."""
+
+        def constants(candidate: Candidate) -> Values:
+            found = search(method, candidate, self.evidence, lambda trial: self._gain(trial, beside, self.accepted))
+            return found.constants
+
+        found = each(constants, candidates)
+        return [
+            one if values == one.constants else self.evidence.candidate(one.effect, values)
+            for one, values in zip(candidates, found)
+        ]
+
+    def _compute_grids(self) -> None:
+        """Everything in the pool at every point of its constants' grids, computed once."""
+        # What effects of a kind have in common is kept with the motions: one process computes it for all of them.
+        alike: dict[object, list[Effect]] = {}
+        for effect in self._pool:
+            if id(effect) not in self._grids:
+                alike.setdefault(id(effect) if effect.kind == UNKNOWN else effect.kind, []).append(effect)
+        made = each(lambda effects: [self._at_every_point(one) for one in effects], [*alike.values()])
+        for effects, grids in zip(alike.values(), made):
+            for effect, grid in zip(effects, grids):
+                # What another process computed is of a copy of the effect.
+                self._grids[id(effect)] = [replace(candidate, effect=effect) for candidate in grid]
+
+    def _at_every_point(self, effect: Effect) -> list[Candidate]:
+        """An effect at every point of its constants' grids."""
+        return self.evidence.candidates(effect, grid_points(effect, self.evidence.field.motions))
 
     def _best_of(
         self, grid: Sequence[Candidate], beside: Refit, others: Sequence[Candidate]
-    ) -> tuple[float, Candidate]:
-        """The largest gain of an effect at the points of its grid, and where it is; −∞ where no value is plausible."""
-        inner = [self._inner_each(one, grid) for one in others]
-        values, gains = self.evidence.refit_each(others, grid, beside, inner)
-        for k in np.argsort(-gains):
-            if np.isfinite(gains[k]) and plausible(grid[k], values[k], self._coulomb):
-                return float(gains[k] - beside.gain), grid[k]
-        return -np.inf, grid[-1]
+    ) -> tuple[float, int, list[FloatArray]]:
+        """The largest gain of an effect at the points of its grid, −∞ where no value is plausible, and at which it is.
 
-    def _inner_each(self, one: Candidate, grid: Sequence[Candidate]) -> FloatArray:
-        """Inner products of an accepted effect and one at every point of its grid; computed once."""
-        key = id(one), id(grid)
-        if key not in self._inner:
-            # Kept with what they are of, so that no other can be at its address.
-            self._inner[key] = one, grid, inner_each(one, grid)
-        return self._inner[key][2]
+        Inner products of every other with all of the points besides; computed once.
+        """
+        known = (self._inner.get((id(one), id(grid))) for one in others)
+        inner = [inner_each(one, grid) if own is None else own[2] for one, own in zip(others, known)]
+        values, gains = self.evidence.refit_each(others, grid, beside, inner)
+        for k in np.argsort(-gains).tolist():
+            if np.isfinite(gains[k]) and plausible(grid[k], values[k], self._coulomb):
+                return float(gains[k] - beside.gain), k, inner
+        return -np.inf, len(grid) - 1, inner
 
     def _gain(self, candidate: Candidate, beside: Refit, others: Sequence[Candidate]) -> float:
         """Drop in chi-square of a candidate beside others, which are fitted already."""

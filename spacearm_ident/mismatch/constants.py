@@ -21,6 +21,8 @@ POLISHES, POLISH_STEP = 80, 0.2
 EVENT_POLISHES, EDGE_S = 240, 0.5
 """The same of an event, which has more constants and is computed faster; its edges move by so much."""
 Gain = Callable[[Values], float]
+Method = Callable[[Effect, Values, Gain, float], Values]
+"""From effect, constants, gain and present gain to constants: `refine` or `polish`."""
 
 
 def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[float, ...]]:
@@ -42,7 +44,7 @@ def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[flo
 
 
 def search(
-    method: Callable[[Effect, Values, Gain, float], Values],
+    method: Method,
     candidate: Candidate,
     evidence: Evidence,
     gain: Callable[[Candidate], float],
@@ -50,7 +52,7 @@ def search(
     """The candidate with better constants, if the method finds any with a larger gain; else the candidate itself.
 
     Args:
-        method: `refine` or `polish`: from effect, constants, gain and present gain to constants.
+        method: How.
         candidate: Effect with the constants to begin at.
         evidence: Computes a candidate's columns at other constants.
         gain: Drop in chi-square of a candidate; −∞ where its values are implausible.

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -496,7 +497,7 @@ class HeldOut:
         self.scene = scene
         self.columns = base_columns(evidence.base, scene, evidence.common)
         self.torque = scene.torque()
-        self._kept: dict[tuple[int, tuple[float, ...]], tuple[Effect, Stacked]] = {}
+        self._kept: dict[object, Any] = {}
 
     def residual(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
         """(V,) whitened residual with these effects in the model."""
@@ -504,10 +505,16 @@ class HeldOut:
         return without_effects(residual, candidates, values, self._effect)
 
     def _effect(self, candidate: Candidate) -> Stacked:
-        key = id(candidate.effect), candidate.constants
-        if key not in self._kept:
-            self._kept[key] = candidate.effect, stacked_effect(self.scene, candidate.effect, candidate.constants)
-        return self._kept[key][1]
+        effect, constants = candidate.effect, candidate.constants
+        # Kept with the effect, so that no other can be at its address.
+        kept = self.keep((id(effect), constants), lambda: (effect, stacked_effect(self.scene, effect, constants)))
+        return cast(Stacked, kept[1])
+
+    def keep(self, what: object, compute: Callable[[], Any]) -> Any:
+        """The result of a computation on this recording, done once."""
+        if what not in self._kept:
+            self._kept[what] = compute()
+        return self._kept[what]
 
 
 def with_own(candidates: Sequence[Candidate], values: FloatArray) -> Iterator[tuple[Candidate, FloatArray]]:

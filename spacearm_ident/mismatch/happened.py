@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def _in_recording(
 ) -> list[Happened]:
     """Events of some kinds in one recording, the largest first, by what is left (R,) of all rows."""
     residual, found = residual.copy(), list[Happened]()
-    tried = [*_tried(held_out, kinds, recording)]
+    tried = [one for kind in sorted(kinds) for one in _tried(held_out, kind, recording)]
     for _ in range(MOST):
         gains = [_gain(stacked, residual) - penalty(effect, len(residual)) for effect, _, stacked in tried]
         if not gains or max(gains) < gate:
@@ -85,14 +86,17 @@ def event_of(effect: Effect, constants: Values, recording: int) -> Happened:
     return Happened(effect.kind, recording, begin_s - MARGIN_S, end_s + MARGIN_S)
 
 
-def _tried(held_out: HeldOut, kinds: set[str], recording: int) -> Iterator[tuple[Effect, tuple[float, ...], Stacked]]:
-    """Events of some kinds everywhere and at any time in one recording."""
-    arm = held_out.evidence.base.model.arm
-    for kind in sorted(kinds):
+def _tried(held_out: HeldOut, kind: str, recording: int) -> list[tuple[Effect, tuple[float, ...], Stacked]]:
+    """Events of a kind everywhere and at any time in one recording."""
+
+    def compute() -> Iterator[tuple[Effect, tuple[float, ...], Stacked]]:
+        arm = held_out.evidence.base.model.arm
         for place in EFFECTS[kind].variants(arm):
             effect = EFFECTS[kind].at(arm, {**place, "recording": recording})
             for point in grid_points(effect, held_out.scene.motions):
                 yield effect, point, stacked_effect(held_out.scene, effect, point)
+
+    return cast(list[tuple[Effect, tuple[float, ...], Stacked]], held_out.keep((kind, recording), lambda: [*compute()]))
 
 
 def _gain(stacked: Stacked, residual: FloatArray) -> float:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ..arrays import FloatArray
+from ..forks import each
 from .evidence import INVISIBLE, UNDERFLOW, Candidate, Evidence
 from .finding import Detectable, Finding
 from .healthy import Healthy
@@ -48,15 +49,18 @@ def would_have_seen(
     """
     seen = {(finding.effect, joint) for finding in findings for joint in finding.joints}
     power = _Power(evidence, on_a_day, healthy, gate)
+
+    def is_asked(grid: Sequence[Candidate]) -> bool:
+        effect = grid[0].effect
+        return not effect.event and not any((effect.kind, joint) in seen for joint in effect.joints)
+
+    def smallest(grid: Sequence[Candidate]) -> Detectable | None:
+        return power.of_constant(grid) if grid[0].held.all() else power.of_parameter(grid)
+
     sizes: dict[tuple[str, tuple[str, ...]], Detectable] = {}
-    for grid in tried:
-        if not grid or (effect := grid[0].effect).event or (effect.kind, effect.joints) in sizes:
-            continue
-        if any((effect.kind, joint) in seen for joint in effect.joints):
-            continue
-        size = power.of_constant(grid) if grid[0].held.all() else power.of_parameter(grid)
+    for size in each(smallest, [grid for grid in tried if grid and is_asked(grid)]):
         if size is not None:
-            sizes[effect.kind, effect.joints] = size
+            sizes.setdefault((size.name, size.joints), size)
     return tuple(sizes.values())
 
 

@@ -129,6 +129,8 @@ def _pieces(
     Of an event one point at a time.
     """
     motion = scene.motions[m]
+    if len(points) > 1:
+        effect.prepare(motion, points, scene.backgrounds[m])
     each = [effect.columns(motion, point, scene.backgrounds[m]) for point in points]
     joints = sorted(each[0])
     lasts = effect.lasts(motion, points[0])

@@ -20,7 +20,7 @@ from ...signals.motion import Motion
 from ..arm import Arm
 from ..background import Background
 from ..term import Constant, Parameter, Values
-from .compliance import Compliance, FloatArrays, own_signals
+from .compliance import Compliance, FloatArrays, Swing, own_signals
 from .effect import Effect, Options, known_joint
 from .linearised import Sensitivity, by_position, least_inertia
 
@@ -136,6 +136,7 @@ def _held(half: Any, signals: Sequence[Any]) -> Any:
 class Backlash(Compliance):
     """Play between the teeth of the gear."""
 
+    at_once: ClassVar[bool] = True
     kind: ClassVar[str] = "backlash"
     words: ClassVar[str] = "play in the gear"
     equation: ClassVar[str] = "-(M d'' + C d' + G d), d free within the gap, on a spring beyond"
@@ -174,6 +175,7 @@ class Backlash(Compliance):
         """None: how fast teeth bounce depends on how hard they meet."""
         return None
 
-    def deflection(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
-        """Of a gap."""
-        return self.of_grid(gap, motion, constants, background)
+    @property
+    def swing(self) -> Swing:
+        """A gap."""
+        return gap

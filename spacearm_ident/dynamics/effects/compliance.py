@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any, ClassVar
 
@@ -58,6 +59,9 @@ Swing = Callable[..., FloatArrays]
 class Compliance(Effect):
     """Something gives way by d(t)."""
 
+    at_once: ClassVar[bool] = False
+    """Whether `prepare` computes the grid at all joints together, which costs the same as at one."""
+
     @property
     def parts(self) -> tuple[Compliance, ...]:
         """What gives way on its own; what one part's swing does to another is of second order and left out."""
@@ -83,43 +87,66 @@ class Compliance(Effect):
         """About the axis that gives way: the joint's own; others say which."""
         return self.own_link(motion, constants, background, motion.joints.index(self.place["joint"]))
 
+    @property
+    def swing(self) -> Swing:
+        """Law of what gives way: a spring; others say which."""
+        return spring
+
+    def prepare(self, motion: Motion, points: Sequence[Values], background: Background | None) -> None:
+        """The whole grid, at all joints at once, where `at_once` says that they have the same."""
+        if background is None or background.arm is None or not self.at_once:
+            return
+        for constants in points:
+            if self._is_on_grid(constants):
+                background.keep(self._of_grid(motion, constants), partial(self._grid, motion, constants, background))
+
     def deflection(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
-        """(N,) d and d'' of a link on a spring; others say what is different."""
-        return self._alone(spring, motion, constants, background)
+        """(N,) d and d'' of what gives way; others say what is different."""
+        if not self.at_once or not self._is_on_grid(constants):
+            swung = np.array([constants[: len(constants) - self.of_link]]).T
+            deflection, acceleration = self.swing([self.sensitivity(motion, constants, background)], *swung)
+            return deflection[:, 0, 0], acceleration[:, 0, 0]
+        key, row = self._of_grid(motion, constants), motion.joints.index(self.place["joint"])
+        if key in background.kept:
+            at = np.s_[:, key[2].index(row), self._points.index(tuple(constants[: key[1]]))]
+            deflection, acceleration = (of_grid[at] for of_grid in background.kept[key])
+        else:
+            alone = self._rounded(motion, constants, background, [row], [constants[: key[1]]])
+            deflection, acceleration = (of_one[:, 0, 0] for of_one in alone)
+        return deflection.astype(float), acceleration.astype(float)
 
-    def _alone(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
-        """(N,) d and d'' of what gives way, on one spring or gap."""
-        deflection, acceleration = swing(
-            [self.sensitivity(motion, constants, background)], *np.array([constants[: len(constants) - self.of_link]]).T
-        )
-        return deflection[:, 0, 0], acceleration[:, 0, 0]
+    def _is_on_grid(self, constants: Values) -> bool:
+        return all(value in constant.grid for value, constant in zip(constants, self.constants))
 
-    def of_grid(self, swing: Swing, motion: Motion, constants: Values, background: Background) -> FloatArrays:
-        """(N,) d and d'' of the joint's own link; those of the whole grid, at all joints, are computed at once.
-
-        The grid's results are kept in `background`. Constants off the grid are computed alone.
-
-        Args:
-            swing: Law of the spring or gap.
-            motion: N samples of n joints.
-            constants: Values in the order of `self.constants`; the last `of_link` of them belong to the link.
-            background: What the rest of the model says of this motion; the arm and its inertials must be known.
-        """
-        grids, swung = [constant.grid for constant in self.constants], len(constants) - self.of_link
-        if any(value not in grid for value, grid in zip(constants, grids)):
-            return self._alone(swing, motion, constants, background)
-        points, row = list(product(*grids[:swung])), motion.joints.index(self.place["joint"])
+    def _of_grid(self, motion: Motion, constants: Values) -> tuple[str, int, tuple[int, ...], tuple[float, ...]]:
+        """What one grid has in common: law, how many constants of it, joints, and what is not the law's."""
+        swung = len(constants) - self.of_link
         of_link = tuple(value for value in constants[swung:] if value)
         # What only this link has is no other's concern.
-        joints = [row] if of_link else list(range(len(motion.joints)))
+        joints = [motion.joints.index(self.place["joint"])] if of_link else range(len(motion.joints))
+        return self.swing.__name__, swung, tuple(joints), of_link
 
-        def compute() -> list[FloatArray]:
-            links = [self.own_link(motion, constants, background, joint) for joint in joints]
-            return [x.astype(np.float32) for x in swing(links, *np.array(points).T)]
+    @property
+    def _points(self) -> list[tuple[float, ...]]:
+        """Of the law's grid."""
+        return list(product(*(constant.grid for constant in self.constants[: len(self.constants) - self.of_link])))
 
-        at = np.s_[:, joints.index(row), points.index(tuple(constants[:swung]))]
-        deflection, acceleration = background.keep((swing.__name__, swung, *of_link, *joints), compute)
-        return deflection[at].astype(float), acceleration[at].astype(float)
+    def _grid(self, motion: Motion, constants: Values, background: Background) -> list[FloatArray]:
+        """(N, n, p) d and d'' of some joints' links at all points."""
+        joints = self._of_grid(motion, constants)[2]
+        return self._rounded(motion, constants, background, joints, self._points)
+
+    def _rounded(
+        self,
+        motion: Motion,
+        constants: Values,
+        background: Background,
+        joints: Sequence[int],
+        points: Sequence[Values],
+    ) -> list[FloatArray]:
+        """(N, n, p) d and d'' of some joints' links at some points, in single precision, for a grid is large."""
+        links = [self.own_link(motion, constants, background, joint) for joint in joints]
+        return [one.astype(np.float32) for one in self.swing(links, *np.array(points).T)]
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
         """(N,) stiffness that a small swing about where it is feels, N·m/rad; others say what is different."""
@@ -225,6 +252,7 @@ def _finer(signal: FloatArray, step: int, samples: int) -> FloatArray:
 class JointElasticity(Compliance):
     """The gear is a spring between motor and link."""
 
+    at_once: ClassVar[bool] = True
     kind: ClassVar[str] = "joint_elasticity"
     words: ClassVar[str] = "the gear gives way like a spring"
     equation: ClassVar[str] = "-(M d'' + C d' + G d), M d'' + C d' + G d + K d (1 + (d/d_2)^2) = tau_load"
@@ -248,10 +276,6 @@ class JointElasticity(Compliance):
             return cls((share,), springs(joint), place=place)
         doubles_at = Constant("doubles_at", joint, "rad", DOUBLES_GRID)
         return cls((share,), (*springs(joint), doubles_at), place=place)
-
-    def deflection(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
-        """Of the joint's link."""
-        return self.of_grid(spring, motion, constants, background)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
         """The stiffer the further it is wound up."""

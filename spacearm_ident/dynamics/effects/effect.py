@@ -156,6 +156,15 @@ class Effect(Term):
         start, length = constants[begins : begins + 2]
         return float(start), float(start + length)
 
+    def prepare(self, motion: Motion, points: Sequence[Values], background: Background | None) -> None:
+        """Compute what columns at many values of the constants have in common; it is kept in the background.
+
+        Args:
+            motion: N samples.
+            points: (c,) values of the constants each.
+            background: What the rest of the model says of this motion.
+        """
+
     def lasts(self, motion: Motion, constants: Values) -> slice:
         """Samples of a motion outside which its columns are zero: of an event, those from its start for its length.
 

@@ -1,0 +1,94 @@
+"""`forks.each`: the results of a loop, whatever happens to the processes that help."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from spacearm_ident.forks import MOST, each
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+
+@pytest.fixture
+def alone(monkeypatch):
+    """As in a process of its own: the threads of test runners wait, and hold no lock that a fork would copy."""
+    monkeypatch.setattr(threading, "active_count", lambda: 1)
+
+
+TWO_CORES = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: nothing is shared")
+
+
+def test_results_are_in_the_order_of_the_items(alone):
+    factor = 3
+    assert each(lambda item: factor * item, range(2 * MOST + 5)) == [3 * item for item in range(2 * MOST + 5)]
+    assert each(lambda item: item, []) == []
+
+
+@TWO_CORES
+def test_other_processes_take_their_share(alone):
+    def where(_: int) -> int:
+        time.sleep(0.02)
+        return os.getpid()
+
+    assert len(set(each(where, range(20)))) > 1
+
+
+@TWO_CORES
+def test_what_this_process_computes_stays_in_its_memory(alone):
+    kept: dict[int, int] = {}
+
+    def keep(item: int) -> int:
+        time.sleep(0.02)
+        kept[item] = os.getpid()
+        return kept[item]
+
+    found = each(keep, range(20))
+    assert kept == {item: pid for item, pid in enumerate(found) if pid == os.getpid()}
+    assert 0 < len(kept) < 20
+
+
+@TWO_CORES
+def test_what_a_killed_process_leaves_is_done_by_this_one(alone):
+    own = os.getpid()
+
+    def risky(item: int) -> int:
+        time.sleep(0.02)
+        if os.getpid() != own:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return item
+
+    assert each(risky, range(20)) == list(range(20))
+
+
+@TWO_CORES
+def test_results_larger_than_a_pipe_come_whole(alone):
+    found = each(lambda item: bytes([item]) * 3_000_000, range(8))
+    assert [set(one) for one in found] == [{item} for item in range(8)]
+
+
+def test_an_error_is_raised_here_and_leaves_no_process(alone):
+    def fails(item: int) -> int:
+        if item == 3:
+            raise ValueError("three")
+        return item
+
+    with pytest.raises(ValueError, match="three"):
+        each(fails, range(20))
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def test_with_other_threads_it_works_alone():
+    waits = threading.Event()
+    other = threading.Thread(target=waits.wait)
+    other.start()
+    try:
+        assert set(each(lambda _: os.getpid(), range(20))) == {os.getpid()}
+    finally:
+        waits.set()
+        other.join()
