@@ -57,8 +57,9 @@ PLACES = {
     "documents": Place(1, 20, 700, "files that others wrote, read safely"),
     "config": Place(1, 1020, 1160, "where config/ is"),
     "errors": Place(0, 20, 450, "the one line a user sees"),
-    "arrays": Place(0, 460, 800, "types of arrays"),
-    "blas_threads": Place(0, 820, 1160, "one thread for BLAS"),
+    "arrays": Place(0, 460, 620, "types of arrays"),
+    "forks": Place(0, 630, 900, "a loop on all cores"),
+    "blas_threads": Place(0, 910, 1160, "one thread for BLAS"),
 }
 FLOORS = 1 + max(place.floor for place in PLACES.values())
 STEP, HEIGHT, WIDTH = 68, 44, 1180
