@@ -28,6 +28,7 @@ from ..conventions.evidence import GAIN_SD as ORDINARY_GAIN_SD
 from ..dynamics.effects.friction import LoadFriction
 from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..forks import each
 from ..mismatch.competition import GATE
 from ..mismatch.noise import Noise, model_error_share, weighted
 from ..signals.motion import Motion
@@ -82,6 +83,8 @@ AGREE, ALIKE = 0.001, 0.1
 """Probability below which values from different parts do not agree, and the share of the size by which they differ
 (standard deviation) because of what is not described yet: their errors take residuals for noise. As much as a law is
 off at most (`mismatch.intervals.LAW_ERROR`); values of a false zero differ by more than their size."""
+DELAYS = (-0.06, -0.03, -0.015, 0.015, 0.03, 0.06)
+"""Delays to begin with, s: between them, and from none to the first, Gauss and Newton's steps find the way."""
 LEAST_FACTOR = 1e-4
 """Smallest factor on a joint's variance: a hundredth of its residual's standard deviation."""
 MODEL_ERROR = 0.5
@@ -153,7 +156,9 @@ def find_wiring(
         known: What was found before that physics was known; tested again beside it.
     """
     state = _State(_with_rivals(model), motions, model.model, written)
-    if known is not None:
+    if known is None:
+        state.begin_late()
+    else:
         state.begin(known, known.found)
     for _ in range(1 if known is None else 1 + SETTLING):
         state.settle()
@@ -253,6 +258,31 @@ class _State:
         for name in found:
             self._keep(name)
 
+    def begin_late(self) -> None:
+        """Begin with the most probable of `DELAYS`, if all parts of the data support it.
+
+        A delay moves the change of friction at a reversal away from where the velocity changes sign. Rows there do not
+        count, so that a torque that is late by more than a few milliseconds shows in rows further away, and not at all
+        in the derivative by a delay that is none.
+        """
+        parts: list[np.ndarray | None] = [None, *self.linear.parts()]
+        log_prior = float(np.log(ODDS[DELAY]))
+
+        def odds(delay_s: float) -> list[float]:
+            late = Linear(self.fitted, self.motions, self._whiteners, replace(self.wiring, delay_s=delay_s))
+            return [self._of(late, part) - self._of(self.linear, part) + log_prior for part in parts]
+
+        found = each(odds, DELAYS)
+        whole, delay_s = max((min(one), delay_s) for one, delay_s in zip(found, DELAYS))
+        if whole > SURE:
+            self.found, self.wiring = [DELAY], replace(self.wiring, delay_s=delay_s)
+            self.relinearise()
+
+    def _of(self, linear: Linear, blocks: np.ndarray | None) -> float:
+        """Log evidence of rows of a linear problem under the present noise, no more being off."""
+        logs = [linear.log_evidence(self._prior((), scale), self.variance, blocks) for scale in CAD_SCALES]
+        return float(logsumexp(logs))
+
     def doubt_what_is_left(self) -> None:
         """Let joints whose residual is mostly model error count for as many rows as there are states to be wrong in.
 
@@ -334,15 +364,18 @@ class _State:
             return False
         if names[0] in self.rivals:
             return self._possible(names[0])
-        return self._agreed(names) and all(self._beats_friction(name) for name in names if name.startswith(GAIN))
+        gains = [name for name in names if name.startswith(GAIN)]
+        # Of two that need each other either is judged beside the other.
+        beside = {gain: [*self.found, *(name for name in names if name != gain)] for gain in gains}
+        return self._agreed(names) and all(self._beats_friction(gain, beside[gain]) for gain in gains)
 
-    def _beats_friction(self, gain: str) -> bool:
-        """Whether a gain is as sure against friction by the load, where that is possible, as against nothing."""
+    def _beats_friction(self, gain: str, beside: Sequence[str]) -> bool:
+        """Whether a gain beside others is as sure against friction by the load, where possible, as against nothing."""
         joint = kind_and_joint(gain)[1]
         laws = (f"{LOADED}[{joint}]", f"{DRIVEN}[{joint}]")
         rivals = [law for law in laws if law in self.rivals and law not in self.found]
-        odds = self._gained(gain, self.found)
-        return not any(odds - self._gained(law, self.found) < SURE and self._possible(law) for law in rivals)
+        odds = self._gained(gain, beside)
+        return not any(odds - self._gained(law, beside) < SURE and self._possible(law) for law in rivals)
 
     def _beats_the_gain(self, law: str, joint: str) -> bool:
         gain = f"{GAIN}[{joint}]"
@@ -511,6 +544,7 @@ class _State:
             # What rows count for a step of the same hypotheses hardly changes, and takes as long as all else.
             self._noise = list(self.found), weighted(self.fitted, undone, self._noise and self._noise[1])
         noise = self._noise[1]
+        self._whiteners = noise.whiteners
         self.linear = Linear(self.fitted, self.motions, noise.whiteners, self.wiring)
         size = np.sqrt(np.mean(np.concatenate([motion.torque_rows for motion in undone]) ** 2, axis=0))
         self.centre, self.spread, self.payload = inertial_belief(self.arm, size)
