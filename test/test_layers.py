@@ -273,7 +273,7 @@ def test_what_the_model_leaves_out_is_judged_once_values_have_settled(
         shares.append(model_error_share(*args))
         return shares[-1]
 
-    monkeypatch.setattr("spacearm_ident.layers.conventions.model_error_share", share)
+    monkeypatch.setattr("spacearm_ident.layers.hypotheses.model_error_share", share)
     rough = replace(known, wiring=replace(known.wiring, gain=np.ones(3)))
     again = find_wiring(written.model, motions, written.own, rough)
     assert shares[0][0] < 0.2

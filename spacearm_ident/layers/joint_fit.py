@@ -28,8 +28,9 @@ from ..signals.motion import Motion
 from ..simulations import Simulation
 from .ceiling import black_box, inputs_of
 from .comparison import Trace
-from .conventions import SPREAD, Wired
+from .conventions import Wired
 from .estimate import Estimate, estimate
+from .hypotheses import SPREAD
 from .linear import CONSTANT_SPREAD, Linear, Prior, weak_prior
 from .parameters import DETERMINED, LEVEL
 from .physics import Added
