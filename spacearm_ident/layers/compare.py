@@ -36,7 +36,7 @@ from ..noise.slow import white_and_slow
 from ..recording.recording import Recording
 from ..signals.motion import Motion
 from ..simulations import Simulation
-from .comparison import Comparison
+from .comparison import Comparison, Trace
 from .conventions import Wired, find_wiring, without_columns
 from .events import with_events_earlier, without_events
 from .item import CONVENTIONS, PARAMETERS, PHYSICS, REST, Layer
@@ -223,20 +223,13 @@ class _Pass:
         gone = _not_there(found, added, optional, wired)
         found.leave_out(gone)
         added = [one for one in added if one not in gone]
-        named = found.clear(optional, added, SHOWS)
-        unclear = [one for one in optional if one not in named]
-        rest = found.predicting(unclear)
-        found.leave_out([one for one in unclear if one not in rest])
+        named, rest = _of_optional(found, added, optional)
         whole = found.fit(with_terms=[*added, *named, *rest])
-        after = gain * found.judge.rms(whole)
-        traces = found.traces(whole)
-        rows = [trace.measured - trace.mended for trace in traces]
-        white, slow = white_and_slow(found.judge.motions, rows, found.in_full())
-        noise = np.fmin(after, explanation.noise_floor_Nm * gain)
-        noise = np.where(slow > white, np.fmin(noise, white), noise)
+        after, traces = gain * found.judge.rms(whole), found.traces(whole)
+        noise, is_slow = _noise(found, traces, np.fmin(after, explanation.noise_floor_Nm * gain))
         torque = gain * found.judge.rms(np.zeros(found.judge.count))
         shares = Shares(found, gain, simulated, after, noise, torque)
-        left = rest_items(explanation, after, noise, slow > white, shares)
+        left = rest_items(explanation, after, noise, is_slow, shares)
         unknown = {joint for item in left for joint in item.joints}
         part = [one for one in named if unknown & set(one.joints) and self._is_the_mean(one, found, after)]
         named, rest = [one for one in named if one not in part], [*rest, *part]
@@ -306,6 +299,22 @@ def _not_there(found: JointFit, added: Sequence[Added], optional: Sequence[Added
     unsure = [one for one in added if one.finding is None and int(one.columns[0]) in doubted and one not in gone]
     gone += [one for one in unsure if not found.needs(one, [*added, *optional], LAW_SHOWS)]
     return gone + found.contradicted([one for one in added if one not in gone], [*optional, *gone], SHOWS)
+
+
+def _of_optional(found: JointFit, added: Sequence[Added], optional: Sequence[Added]) -> tuple[list[Added], list[Added]]:
+    """Friction terms that are clear enough to be named, and those that only predict better; others leave the fit."""
+    named = found.clear(optional, added, SHOWS)
+    unclear = [one for one in optional if one not in named]
+    predicting = found.predicting(unclear)
+    found.leave_out([one for one in unclear if one not in predicting])
+    return named, predicting
+
+
+def _noise(found: JointFit, traces: Sequence[Trace], most: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """(n,) RMS of the noise in what is left, N m, no more than `most`, and (n,) whether more than that is slow."""
+    rows = [trace.measured - trace.mended for trace in traces]
+    white, slow = white_and_slow(found.judge.motions, rows, found.in_full())
+    return np.where(slow > white, np.fmin(most, white), most), slow > white
 
 
 def _of_no_size(one: Added, found: JointFit) -> bool:
