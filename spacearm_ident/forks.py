@@ -49,8 +49,14 @@ def each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Resu
     for _ in range(helpers):
         results, given = context.Pipe(duplex=False)
         process = context.Process(target=_help, args=(function, items, numbers, results, given), daemon=True)
-        process.start()
-        given.close()
+        try:
+            process.start()
+        except OSError:
+            # No memory, or no process, is left for one more.
+            results.close()
+            break
+        finally:
+            given.close()
         helping.append((process, results))
     done: dict[int, Result] = {}
     # After the last fork: no process but this one has other threads.

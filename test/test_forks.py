@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import signal
@@ -82,6 +83,15 @@ def test_an_error_is_raised_here_and_leaves_no_process(alone):
     with pytest.raises(ValueError, match="three"):
         each(fails, range(20))
     assert set(multiprocessing.active_children()) <= before
+
+
+@TWO_CORES
+def test_without_memory_for_another_process_it_works_alone(alone, monkeypatch):
+    def no_memory() -> int:
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+    monkeypatch.setattr(os, "fork", no_memory)
+    assert set(each(lambda _: os.getpid(), range(20))) == {os.getpid()}
 
 
 def test_with_other_threads_it_works_alone():
