@@ -6,13 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mujoco_arm import mujoco_or_skip
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import structure_of
 from spacearm_ident.estimate.identified import Identified, Validation
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.validation import validate
+from spacearm_ident.layers.conventions import find_wiring
+from spacearm_ident.mismatch.preparation import banded, cut_off_hz, position_cut_off_hz
 from spacearm_ident.recording import Recording, read_recording
+from spacearm_ident.simulations import read_simulation
 
 REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
 UR10E_WLS_MOVING = (6.6, 3.5, 3.0, 3.9, 5.7, 5.0)
@@ -103,3 +107,17 @@ def test_chosen_terms_predict_a_held_out_recording_about_as_well_as_the_plain_la
     # Joints share their inertials: what helps one (Panda joint 7, 15 to 8 %) may cost its neighbour (joint 6, 5 to 7).
     assert np.all(ours <= 1.5 * theirs)
     assert np.mean(1.0 - (ours / theirs) ** 2) >= -0.01
+
+
+def test_torque_that_is_late_by_more_than_the_rows_beside_a_reversal_show_is_found() -> None:
+    """The AIRBOT's, which `bench/relative_delay.py` finds without a model: 24 ms between two of its runs."""
+    mujoco_or_skip()
+    runs = read("airbot/run_1.mcap", "airbot/run_2.mcap")
+    simulation = read_simulation(REAL / "airbot" / "simulation.xml")
+    cutoff_hz = cut_off_hz(runs)
+    motions = banded(
+        runs, simulation.arm.joint_names, cutoff_hz, position_cut_off_hz(runs, simulation.arm.joint_names, cutoff_hz)
+    )
+    wired = find_wiring(simulation.model, motions, simulation.own)
+    assert "delay" in wired.found
+    assert 0.014 < wired.wiring.delay_s < 0.034
