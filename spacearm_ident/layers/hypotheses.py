@@ -80,7 +80,12 @@ def with_rivals(model: IdentifiedModel) -> IdentifiedModel:
 
 
 def with_rival_terms(model: TorqueModel, names: Sequence[str]) -> TorqueModel:
-    """A model with some of the `RIVALS`, such as `mu[joint_2]`."""
+    """A model with some of the `RIVALS`.
+
+    Args:
+        model: The terms that there are.
+        names: Parameters of the rivals, such as `mu[joint_2]`.
+    """
     structure = dict(model.structure)
     for name in names:
         symbol, joint = kind_and_joint(name)

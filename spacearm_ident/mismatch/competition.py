@@ -551,9 +551,7 @@ class Competition:
     def _polished(self, scored: Scored) -> Scored:
         """The winner with its constants searched together."""
         beside = self.evidence.refit(self.accepted)
-        candidate = search(
-            polish, scored.candidate, self.evidence, lambda trial: self._gain(trial, beside, self.accepted)
-        )
+        (candidate,) = self._all_searched(polish, [scored.candidate], beside)
         if candidate is scored.candidate:
             return scored
         return self._scored(candidate, beside, self._on_held_out(self.accepted, beside.values))

@@ -152,7 +152,12 @@ def model_error_share(model: IdentifiedModel, motions: Sequence[Motion], residua
 
 
 def in_full(whiteners: Sequence[Whitener], motion: Motion) -> np.ndarray:
-    """(M, n) rows of a motion that count in full: neither slow nor near a reversal, as far as that matters there."""
+    """(M, n) rows of a motion that count in full: neither slow nor near a reversal, as far as that matters there.
+
+    Args:
+        whiteners: (n,) what a row of each joint counts for.
+        motion: M rows of n joints.
+    """
     speed, gone = motion.velocity_rows, travel(motion)
     weights = [whitener.weight(speed[:, j], gone[:, j]) for j, whitener in enumerate(whiteners)]
     return one_way(motion) & (np.stack(weights, axis=1) > IN_FULL)
