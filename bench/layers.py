@@ -3,6 +3,8 @@
     python bench/layers.py run --draws 12 --seed 1 --out DIR      draw, compare, score; a JSON line a draw
     python bench/layers.py score DIR                              score what is there again
     python bench/layers.py real --out DIR                         the five real arms of ../shared, a line each
+    python bench/layers.py turns --out DIR                        the AIRBOT, each of three runs held out in turn,
+                                                                  beside `identify` from the same two runs
 
 The arm is one of ../shared/models with friction, damping and armature of its size. Of the simulation every mass is
 ±20 % off, every centre of mass ±2 cm, damping and friction loss ±50 %. Each with probability one half: a torque
@@ -26,7 +28,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from spacearm_ident.recording import Recording
+from spacearm_ident.dynamics.arm import load_arm
+from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.identification.identify import identify
+from spacearm_ident.mismatch.preparation import banded, position_cut_off_hz
+from spacearm_ident.mismatch.scene import one_way
+from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.recording.writer import write_recording
 
 MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
@@ -395,6 +402,44 @@ def _real_line(arm: str, result: dict[str, Any], seconds: float) -> str:
     return "| " + " | ".join([*cells, "–" if again is None else f"{again:.0%}", f"{seconds:.0f}"]) + " |"
 
 
+AIRBOT_RUNS = ("run_1", "run_2", "run_3")
+
+
+def turns(out: Path) -> None:
+    """What the corrected simulation of the AIRBOT leaves of a run that it has not seen, beside `identify`'s model.
+
+    Both are from the other two runs, both judged in the bandwidth of the comparison on rows free of reversals; RMS over
+    the torque's by joint, %.
+    """
+    print("| held out | | " + " | ".join(f"joint{k}" for k in range(1, 7)) + " | conventions |")
+    print("|---" * 9 + "|")
+    folder = REAL / "airbot"
+    for held in AIRBOT_RUNS:
+        paths = [folder / f"{name}.mcap" for name in AIRBOT_RUNS if name != held]
+        command = ["mismatch", *map(str, paths), "--simulation", str(folder / "simulation.xml")]
+        command += ["--validate", str(folder / f"{held}.mcap"), "--out", str(out / held)]
+        subprocess.run([sys.executable, "-m", "spacearm_ident.cli.main", *command], capture_output=True, check=True)
+        result = json.loads((out / held / "mismatch.json").read_text())
+        cutoff_hz = load_model(out / held / "extended_model.yaml").cutoff_hz or 0.0
+        own = np.array(list(result["mended_Nm"].values())) / np.array(list(result["torque_Nm"].values()))
+        found = ", ".join(f"{one['name']} {one['is']:.3g}" for one in result["layers"][0]["items"])
+        scratch = _from_scratch(
+            [read_recording(path) for path in paths], read_recording(folder / f"{held}.mcap"), cutoff_hz
+        )
+        for words, shares, more in (("corrected simulation", own, found), ("`identify`", scratch, "")):
+            print(f"| {held} | {words} | " + " | ".join(f"{100 * x:.1f}" for x in shares) + f" | {more} |", flush=True)
+
+
+def _from_scratch(fitted: list[Recording], held: Recording, cutoff_hz: float) -> FloatArray:
+    """(n,) RMS that `identify` leaves of a recording over its torque's."""
+    arm = load_arm(REAL / "airbot" / "arm.urdf")
+    model, joints = identify(fitted, arm).model, arm.joint_names
+    (motion,) = banded([held], joints, cutoff_hz, position_cut_off_hz([*fitted, held], joints, cutoff_hz))
+    left, counts = motion.torque_rows - motion.reduce(model.torque(motion)), one_way(motion)
+    squares = [np.where(counts, rows**2, 0.0).sum(axis=0) for rows in (left, motion.torque_rows)]
+    return np.asarray(np.sqrt(squares[0] / squares[1]))
+
+
 def totals(out: Path) -> None:
     """Sums over the draws."""
     lines = [json.loads(line) for line in (out / "scores.jsonl").read_text().splitlines()]
@@ -424,11 +469,13 @@ def main() -> None:
     one.add_argument("--out", type=Path, required=True)
     again = commands.add_parser("score")
     again.add_argument("out", type=Path)
-    arms = commands.add_parser("real")
-    arms.add_argument("--out", type=Path, required=True)
+    for command in ("real", "turns"):
+        commands.add_parser(command).add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     if options.command == "real":
         real(options.out)
+    elif options.command == "turns":
+        turns(options.out)
     elif options.command == "run":
         options.out.mkdir(parents=True, exist_ok=True)
         run(options.arm, options.draws, options.seed, options.out)

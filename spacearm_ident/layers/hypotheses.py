@@ -105,6 +105,7 @@ class Hypotheses:
 
     Attributes:
         found: Names of the hypotheses.
+        beyond: Names of those that were found and left, their values beyond `LARGEST`.
         rivals: Names of the physics that is none of them, and may be taken for one (`RIVALS`).
         tilts: Names of the axes of a tilt.
         wiring: What is undone in the motions.
@@ -134,6 +135,7 @@ class Hypotheses:
         self.rivals = [name for name in rivals if name not in own]
         self.arm = model.model.arm
         self.found: list[str] = []
+        self.beyond: set[str] = set()
         self._noise: tuple[list[str], Noise] | None = None
         self.wiring = Wiring.right(len(self.arm.joints))
         self.fitted = model
@@ -158,19 +160,44 @@ class Hypotheses:
             self.keep(name)
 
     def of_delays(self, delays: Sequence[float]) -> list[list[float]]:
-        """Log odds of each of some delays (s) against none, by all data and by every part (`Linear.parts`)."""
+        """Log odds of each of some delays (s) against none, beside what else was found.
+
+        Args:
+            delays: Compared outright, each with a linear problem of its own.
+
+        Returns:
+            Of each: by all data, then by every part (`Linear.parts`).
+        """
         parts: list[np.ndarray | None] = [None, *self.linear.parts()]
 
-        def odds(delay_s: float) -> list[float]:
-            late = Linear(self.fitted, self.motions, self._whiteners, replace(self.wiring, delay_s=delay_s))
-            return [self._of(late, part) - self._of(self.linear, part) + self.log_prior([DELAY]) for part in parts]
+        def evidence(delay_s: float) -> list[float]:
+            linear = self._late_by(delay_s)
+            return [self._of(linear, part) for part in parts]
 
-        return each(odds, delays)
+        none, *others = each(evidence, [0.0, *delays])
+        return [[one - zero + self.log_prior([DELAY]) for one, zero in zip(other, none)] for other in others]
 
-    def _of(self, linear: Linear, blocks: np.ndarray | None) -> float:
-        """Log evidence of rows of a linear problem under the present noise, no more being off."""
-        logs = [linear.log_evidence(self._prior((), scale), self.variance, blocks) for scale in CAD_SCALES]
+    def _late_by(self, delay_s: float) -> Linear:
+        """The linear problem with another delay undone."""
+        if delay_s == self.wiring.delay_s:
+            return self.linear
+        return Linear(self.fitted, self.motions, self._whiteners, replace(self.wiring, delay_s=delay_s))
+
+    def _of(self, linear: Linear, blocks: np.ndarray | None = None) -> float:
+        """Log evidence of rows of a linear problem under the present noise, its delay as it is."""
+        logs = []
+        for scale in CAD_SCALES:
+            prior = self._prior([name for name in self.found if name != DELAY], scale)
+            prior.mean[linear.names.index(DELAY)] = 0.0
+            logs.append(linear.log_evidence(prior, self.variance, blocks))
         return float(logsumexp(logs))
+
+    def leave_out(self, name: str) -> None:
+        """Drop one of those found. A delay is none then at once: its derivative may not lead back (`settle`)."""
+        self.found.remove(name)
+        if name == DELAY:
+            self.wiring = replace(self.wiring, delay_s=0.0)
+            self.relinearise()
 
     def doubt_what_is_left(self) -> None:
         """Let joints whose residual is mostly model error count for as many rows as there are states to be wrong in.
@@ -202,10 +229,17 @@ class Hypotheses:
         # A gain's column is the torque: its step is a factor's.
         step |= {name: float(np.log1p(max(step[name], LEAST_STEP))) for name in self.found if name.startswith(GAIN)}
         now |= {name: now[name] + step[name] for name in (*self.found, DELAY) if name in now}
-        self.found = [name for name in self.found if not too_large(name, now.get(name, 0.0))]
+        self.beyond |= {name for name in self.found if too_large(name, now.get(name, 0.0))}
+        self.found = [name for name in self.found if name not in self.beyond]
         kept, before = {*self.found, DELAY}, self.wiring.delay_s
         self.wiring = Wiring.of_columns(joints, {k: v if k in kept else 0.0 for k, v in now.items()})
         self.fitted = with_events_earlier(self.with_values(solution.values), self.wiring.delay_s - before)
+        if DELAY in self.found:
+            # The derivative does not know the change of friction at a reversal, nor a filter's lag: both ends do.
+            ends = (before, self.wiring.delay_s)
+            wirings = [replace(self.wiring, delay_s=delay_s) for delay_s in ends]
+            logs = each(lambda one: self._of(Linear(self.fitted, self.motions, self._whiteners, one)), wirings)
+            self.wiring = wirings[int(np.argmax(logs))]
         self.relinearise()
 
     def errors(self) -> dict[str, float]:
@@ -214,7 +248,10 @@ class Hypotheses:
         return {name: float(spread[self.linear.names.index(name)]) for name in dict.fromkeys([*self.found, DELAY])}
 
     def log_odds(self, name: str) -> float:
-        """Of a hypothesis among those found."""
+        """Of a hypothesis among those found; of a delay against none, and against the same of the other sign."""
+        if name == DELAY:
+            now, opposite = self.of_delays([self.wiring.delay_s, -self.wiring.delay_s])
+            return min(now[0], now[0] - opposite[0])
         return self.gained(name, [one for one in self.found if one != name])
 
     def gained(self, name: str, beside: Sequence[str], blocks: np.ndarray | None = None) -> float:
