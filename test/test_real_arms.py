@@ -13,7 +13,7 @@ from spacearm_ident.dynamics.model import structure_of
 from spacearm_ident.estimate.identified import Identified, Validation
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.validation import validate
-from spacearm_ident.layers.conventions import find_wiring
+from spacearm_ident.layers.conventions import Wired, find_wiring
 from spacearm_ident.mismatch.preparation import banded, cut_off_hz, position_cut_off_hz
 from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.simulations import read_simulation
@@ -109,6 +109,15 @@ def test_chosen_terms_predict_a_held_out_recording_about_as_well_as_the_plain_la
     assert np.mean(1.0 - (ours / theirs) ** 2) >= -0.01
 
 
+def wiring_found(simulation_file: str, *recordings: str) -> Wired:
+    """What a comparison with a simulation begins with: gains, zeros, a delay and a tilt."""
+    runs = read(*recordings)
+    simulation = read_simulation(REAL / simulation_file)
+    joints, cutoff_hz = simulation.arm.joint_names, cut_off_hz(runs)
+    motions = banded(runs, joints, cutoff_hz, position_cut_off_hz(runs, joints, cutoff_hz))
+    return find_wiring(simulation.model, motions, simulation.own)
+
+
 @pytest.mark.parametrize("fitted", [(1, 2), (2, 3), (1, 3)])
 def test_late_torque_and_gains_of_the_airbot_are_found_whichever_two_runs_are_taken(fitted: tuple[int, int]) -> None:
     """Late as `bench/relative_delay.py` finds without a model: 24 ms between two of its runs.
@@ -117,13 +126,13 @@ def test_late_torque_and_gains_of_the_airbot_are_found_whichever_two_runs_are_ta
     torque alone sets no scale.
     """
     mujoco_or_skip()
-    runs = read(*(f"airbot/run_{number}.mcap" for number in fitted))
-    simulation = read_simulation(REAL / "airbot" / "simulation.xml")
-    cutoff_hz = cut_off_hz(runs)
-    motions = banded(
-        runs, simulation.arm.joint_names, cutoff_hz, position_cut_off_hz(runs, simulation.arm.joint_names, cutoff_hz)
-    )
-    wired = find_wiring(simulation.model, motions, simulation.own)
+    wired = wiring_found("airbot/simulation.xml", *(f"airbot/run_{number}.mcap" for number in fitted))
     assert {"delay", "gain[joint4]", "gain[joint5]"} <= set(wired.found)
     assert 0.014 < wired.wiring.delay_s < 0.034
     assert np.all((wired.wiring.gain[3:5] > 1.8) & (wired.wiring.gain[3:5] < 2.5))
+
+
+@pytest.mark.parametrize("run", ["rokae/run_1", "rokae/run_2", "panda/run_1", "ur10e/commissioning", "tx40/excitation"])
+def test_an_arm_without_late_torque_has_no_delay(run: str) -> None:
+    """The Rokae's torque is better explained late and early alike: its friction changes slowly at reversals."""
+    assert "delay" not in wiring_found(f"{run.split('/')[0]}/arm.urdf", f"{run}.mcap").found

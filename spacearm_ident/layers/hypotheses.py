@@ -74,9 +74,14 @@ LEAST_STEP = -0.8
 
 def with_rivals(model: IdentifiedModel) -> IdentifiedModel:
     """With `RIVALS` at every joint, hypotheses beside gains, zeros and tilt; a spring comes with a constant torque."""
-    own = {parameter.name for parameter in model.model.parameters}
-    names = [f"{symbol}[{joint}]" for symbol in RIVALS for joint in model.model.arm.joint_names]
-    return model.carried_to(with_rival_terms(model.model, [name for name in names if name not in own]))
+    return model.carried_to(with_rival_terms(model.model, _rivals_of(model.model)))
+
+
+def _rivals_of(model: TorqueModel) -> list[str]:
+    """Names of the `RIVALS` that are no terms of a model."""
+    own = {parameter.name for parameter in model.parameters}
+    names = (f"{symbol}[{joint}]" for symbol in RIVALS for joint in model.arm.joint_names)
+    return [name for name in names if name not in own]
 
 
 def with_rival_terms(model: TorqueModel, names: Sequence[str]) -> TorqueModel:
@@ -130,9 +135,7 @@ class Hypotheses:
         self.kept: dict[str, tuple[str, ...]] = {}
         # Hypotheses are compared with the same others again and again.
         self._evidences: dict[object, float] = {}
-        own = {parameter.name for parameter in known.parameters}
-        rivals = [f"{symbol}[{joint}]" for symbol in RIVALS for joint in known.arm.joint_names]
-        self.rivals = [name for name in rivals if name not in own]
+        self.rivals = _rivals_of(known)
         self.arm = model.model.arm
         self.found: list[str] = []
         self.beyond: set[str] = set()
@@ -172,23 +175,36 @@ class Hypotheses:
 
         def evidence(delay_s: float) -> list[float]:
             linear = self._late_by(delay_s)
-            return [self._of(linear, part) for part in parts]
+            return [self._of(linear, delay_s, SPREAD[DELAY] if delay_s else None, part) for part in parts]
 
         none, *others = each(evidence, [0.0, *delays])
         return [[one - zero + self.log_prior([DELAY]) for one, zero in zip(other, none)] for other in others]
 
     def _late_by(self, delay_s: float) -> Linear:
-        """The linear problem with another delay undone."""
-        if delay_s == self.wiring.delay_s:
-            return self.linear
+        """The linear problem with a delay undone: the present one, if it is that."""
+        return self.linear if delay_s == self.wiring.delay_s else self._undone(delay_s)
+
+    def _undone(self, delay_s: float) -> Linear:
         return Linear(self.fitted, self.motions, self._whiteners, replace(self.wiring, delay_s=delay_s))
 
-    def _of(self, linear: Linear, blocks: np.ndarray | None = None) -> float:
-        """Log evidence of rows of a linear problem under the present noise, its delay as it is."""
+    def _of(
+        self, linear: Linear, delay_s: float, spread_s: float | None = None, blocks: np.ndarray | None = None
+    ) -> float:
+        """Log evidence of rows of a linear problem with another delay undone, under the present noise.
+
+        Args:
+            linear: The problem.
+            delay_s: What is undone in it.
+            spread_s: Standard deviation of the whole delay; None: it is this one, but for half a sampling period.
+            blocks: Of time; None: all.
+        """
         logs = []
         for scale in CAD_SCALES:
             prior = self._prior([name for name in self.found if name != DELAY], scale)
-            prior.mean[linear.names.index(DELAY)] = 0.0
+            number = linear.names.index(DELAY)
+            prior.mean[number] = 0.0
+            if spread_s is not None:
+                prior.mean[number], prior.precision[number, number] = -delay_s, spread_s**-2
             logs.append(linear.log_evidence(prior, self.variance, blocks))
         return float(logsumexp(logs))
 
@@ -234,12 +250,14 @@ class Hypotheses:
         kept, before = {*self.found, DELAY}, self.wiring.delay_s
         self.wiring = Wiring.of_columns(joints, {k: v if k in kept else 0.0 for k, v in now.items()})
         self.fitted = with_events_earlier(self.with_values(solution.values), self.wiring.delay_s - before)
-        if DELAY in self.found:
-            # The derivative does not know the change of friction at a reversal, nor a filter's lag: both ends do.
+        if DELAY in self.found and abs(self.wiring.delay_s) > abs(before):
+            # The derivative does not know the change of friction at a reversal, nor a filter's lag, and leads away from
+            # delays that explain more. The way back to none needs no proof: whether the delay stays is asked later.
             ends = (before, self.wiring.delay_s)
-            wirings = [replace(self.wiring, delay_s=delay_s) for delay_s in ends]
-            logs = each(lambda one: self._of(Linear(self.fitted, self.motions, self._whiteners, one)), wirings)
-            self.wiring = wirings[int(np.argmax(logs))]
+            logs = each(lambda delay_s: self._of(self._undone(delay_s), delay_s), ends)
+            better = ends[int(np.argmax(logs))]
+            self.fitted = with_events_earlier(self.fitted, better - self.wiring.delay_s)
+            self.wiring = replace(self.wiring, delay_s=better)
         self.relinearise()
 
     def errors(self) -> dict[str, float]:

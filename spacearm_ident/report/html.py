@@ -6,8 +6,8 @@ how it was obtained.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from functools import cache
+from collections.abc import Callable, Iterable
+from functools import cache, partial
 from importlib import resources
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from ..dynamics.arm import Arm
 from ..estimate.counts import DEFINITION
 from ..estimate.identified import Fit, Identified, JointValidation
+from ..forks import each
 from ..identification.verdict import FAIR, GOOD
 from ..results.store import Result
 from ..results.tables import base, by_joint
@@ -37,19 +38,23 @@ def report_html(result: Result) -> str:
     identified, validation = result.identified, result.validation
     arm = identified.model.model.arm
     title = f"Identified dynamics of {arm.name}"
+    sections: list[Callable[[], Markup | None]] = [
+        lambda: _verdict(opening(identified, validation)),
+        lambda: _validation(result),
+        *_signals(result),
+        lambda: join(*spectrum(result)),
+        lambda: recordings(result),
+        lambda: _parameters(result),
+        lambda: exports(identified.model, validation),
+        lambda: since_the_prior(identified),
+        lambda: structure(identified),
+        lambda: obtained(identified),
+    ]
     body = join(
         element("h1", title),
         element("p", f"{len(arm.joints)} joints · written {_date(result.written)}", class_="quiet"),
-        _verdict(opening(identified, validation)),
-        _validation(result),
-        *_signals(result),
-        *spectrum(result),
-        recordings(result),
-        _parameters(result),
-        exports(identified.model, validation),
-        since_the_prior(identified),
-        structure(identified),
-        obtained(identified),
+        # Drawing takes longer than identification.
+        *each(lambda section: section(), sections),
     )
     return page(title, body)
 
@@ -187,8 +192,8 @@ def _p_value(value: float) -> str:
     return f"< {LEAST_P}" if value < LEAST_P else f"= {number(value, 2)}"
 
 
-def _signals(result: Result) -> Iterable[Markup]:
-    """Every figure that is drawn from the validation's signals."""
+def _signals(result: Result) -> Iterable[Callable[[], Markup]]:
+    """Every figure that is drawn from the validation's signals, to be drawn."""
     model, validation = result.identified.model, result.validation
     names, joints = model.model.arm.joint_names, model.model.arm.joints
     found = {
@@ -198,37 +203,47 @@ def _signals(result: Result) -> Iterable[Markup]:
     signals = {name: mine for name, mine in found.items() if mine is not None}
     if not signals:
         return
-    yield element("h2", "Torque over time")
-    yield element(
-        "div",
-        *(
-            element("span", element("span", class_="swatch", style=f"border-color: var(--{role})"), role)
-            for role in ("measured", "predicted", "residual")
-        ),
-        element("span", element("span", class_="swatch block"), "standstill"),
-        class_="key",
-    )
+    yield _key
     for name, mine in signals.items():
-        joint = validation.joints.get(name)
-        small = joint and element(
-            "small",
-            f"residual {number(joint.everything.rmse)} {mine.torque_unit} RMS, "
-            f"{percent(joint.everything.relative_rms)} of the torque ({percent(joint.moving.relative_rms)} moving)",
-        )
-        yield element("section", element("h3", breakable(name), small), figures.over_time(mine, name), class_="joint")
-    yield element("h2", "Residual over velocity")
-    yield captioned(
-        figures.over_velocity(signals),
-        "Blue: the joint moves; grey: it is at rest. Line: mean over ranges of equally many moving samples. "
-        "Where it differs from zero, the model lacks a friction term.",
+        yield partial(_over_time, name, mine, validation.joints.get(name))
+    yield lambda: join(
+        element("h2", "Residual over velocity"),
+        captioned(
+            figures.over_velocity(signals),
+            "Blue: the joint moves; grey: it is at rest. Line: mean over ranges of equally many moving samples. "
+            "Where it differs from zero, the model lacks a friction term.",
+        ),
     )
-    yield element("h2", "Friction")
     pose = np.mean(np.concatenate([trace.position for trace in validation.traces if len(trace.time)]), axis=0)
-    yield captioned(
-        figures.friction(model, signals, pose),
-        "Line: the model's friction in steady motion, in the mean pose of the recording. Dots: the same plus the "
-        "residual, which is the measured torque minus all other terms of the model, while the joint moves.",
+    yield lambda: join(
+        element("h2", "Friction"),
+        captioned(
+            figures.friction(model, signals, pose),
+            "Line: the model's friction in steady motion, in the mean pose of the recording. Dots: the same plus the "
+            "residual, which is the measured torque minus all other terms of the model, while the joint moves.",
+        ),
     )
+
+
+def _key() -> Markup:
+    """Heading of the torques over time, and what their colours mean."""
+    swatches = (
+        element("span", element("span", class_="swatch", style=f"border-color: var(--{role})"), role)
+        for role in ("measured", "predicted", "residual")
+    )
+    standstill = element("span", element("span", class_="swatch block"), "standstill")
+    return join(element("h2", "Torque over time"), element("div", *swatches, standstill, class_="key"))
+
+
+def _over_time(name: str, signals: figures.JointSignals, joint: JointValidation | None) -> Markup:
+    """One joint's torques over time."""
+    small = joint and element(
+        "small",
+        f"residual {number(joint.everything.rmse)} {signals.torque_unit} RMS, "
+        f"{percent(joint.everything.relative_rms)} of the torque ({percent(joint.moving.relative_rms)} moving)",
+    )
+    heading = element("h3", breakable(name), small)
+    return element("section", heading, figures.over_time(signals, name), class_="joint")
 
 
 def captioned(drawing: Markup, caption: str) -> Markup:
