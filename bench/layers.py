@@ -413,7 +413,7 @@ def turns(out: Path) -> None:
     """
     print("| held out | | " + " | ".join(f"joint{k}" for k in range(1, 7)) + " | conventions |")
     print("|---" * 9 + "|")
-    folder = REAL / "airbot"
+    folder, shares = REAL / "airbot", []
     for held in AIRBOT_RUNS:
         paths = [folder / f"{name}.mcap" for name in AIRBOT_RUNS if name != held]
         command = ["mismatch", *map(str, paths), "--simulation", str(folder / "simulation.xml")]
@@ -422,12 +422,16 @@ def turns(out: Path) -> None:
         result = json.loads((out / held / "mismatch.json").read_text())
         cutoff_hz = load_model(out / held / "extended_model.yaml").cutoff_hz or 0.0
         own = np.array(list(result["mended_Nm"].values())) / np.array(list(result["torque_Nm"].values()))
+        *fitted, unseen = [read_recording(path) for path in (*paths, folder / f"{held}.mcap")]
+        shares.append((own, _from_scratch(fitted, unseen, cutoff_hz)))
         found = ", ".join(f"{one['name']} {one['is']:.3g}" for one in result["layers"][0]["items"])
-        scratch = _from_scratch(
-            [read_recording(path) for path in paths], read_recording(folder / f"{held}.mcap"), cutoff_hz
-        )
-        for words, shares, more in (("corrected simulation", own, found), ("`identify`", scratch, "")):
-            print(f"| {held} | {words} | " + " | ".join(f"{100 * x:.1f}" for x in shares) + f" | {more} |", flush=True)
+        _print_turn(held, *shares[-1], found)
+    _print_turn("RMS of the three", *np.sqrt(np.mean(np.square(shares), axis=0)), "")
+
+
+def _print_turn(held: str, own: FloatArray, scratch: FloatArray, found: str) -> None:
+    for words, values, more in (("corrected simulation", own, found), ("`identify`", scratch, "")):
+        print(f"| {held} | {words} | " + " | ".join(f"{100 * x:.1f}" for x in values) + f" | {more} |", flush=True)
 
 
 def _from_scratch(fitted: list[Recording], held: Recording, cutoff_hz: float) -> FloatArray:
