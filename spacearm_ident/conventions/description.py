@@ -16,7 +16,12 @@ MASS_SHARE = 0.02
 
 
 def compare_description(recording: Recording, arm: Arm) -> list[Finding]:
-    """What the bag's /robot_description says otherwise than the arm given; nothing where it holds none."""
+    """What the bag's /robot_description says otherwise than the arm given; nothing where it holds none.
+
+    Args:
+        recording: As read.
+        arm: What the user says it is of.
+    """
     if recording.urdf is None or recording.urdf == arm.urdf:
         return []
     try:

@@ -46,7 +46,16 @@ not known, for friction of a simulation may be guessed: the likelihood is summed
 
 
 def inertial_belief(arm: Arm, torque: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(10 n,) mean, spread and fixed part of the inertials; torque (n,) RMS stands in for masses that are not given."""
+    """(10 n,) mean, spread and fixed part of the inertials; torque stands in for masses that are not given.
+
+    Args:
+        arm: With the inertials of its description.
+        torque: (n,) RMS, N·m.
+
+    Returns:
+        Mean; standard deviation for a scale of 1, as large as the inertials themselves; and one that is there at every
+        scale, of a payload at the last link. In the order and units of the inertial parameters.
+    """
     n = len(arm.joints)
     lengths = [float(np.linalg.norm(joint.translation)) for joint in arm.joints]
     length = float(np.median([one for one in lengths if one > 0.01] or [0.3]))
@@ -215,9 +224,14 @@ class Design:
         return np.where(loaded, ratios, np.nan)
 
     def times_cad(self, joint: int, torque: FloatArray) -> tuple[float, FloatArray]:
-        """The factor on the CAD inertials' torque that fits a joint's torque (M,) best beside its own; what both leave.
+        """The factor on the CAD inertials' torque that fits a joint's torque best beside its own parameters.
 
-        The torque must be zero where the joint stands still, as the columns are.
+        Args:
+            joint: Its number, in the arm's order.
+            torque: (M,) N·m; zero where the joint stands still, as the columns are.
+
+        Returns:
+            The factor, and what both leave (M,), N·m.
         """
         columns = self.columns[joint]
         whole = np.column_stack([columns[:, : self.rigid] @ self.frame.centre, columns[:, self.rigid :]])
@@ -427,7 +441,12 @@ class _Signs:
 
 
 def mass_likelihood(design: Design, evidence: Evidence) -> float:
-    """Log-likelihood that all masses together are off CAD as much as they are; 0 where CAD says nothing of them."""
+    """Log-likelihood that all masses together are off CAD as much as they are; 0 where CAD says nothing of them.
+
+    Args:
+        design: Columns of the joints under a setup.
+        evidence: The posterior under that setup.
+    """
     if design.frame.rough:
         return 0.0
     ratios = design.mass_ratios(evidence.parameters[: design.rigid])
@@ -436,7 +455,12 @@ def mass_likelihood(design: Design, evidence: Evidence) -> float:
 
 
 def predicted(design: Design, evidence: Evidence) -> FloatArray:
-    """(M, n) torque under the posterior mean, N·m; zero where a joint stands still."""
+    """(M, n) torque under the posterior mean, N·m; zero where a joint stands still.
+
+    Args:
+        design: Columns of the joints under a setup.
+        evidence: The posterior under that setup.
+    """
     r = design.rigid
     own = evidence.parameters[r:].reshape(len(design.columns), OWN)
     rigid = design.columns[:, :, :r] @ evidence.parameters[:r]

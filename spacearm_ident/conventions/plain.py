@@ -113,7 +113,15 @@ def _blocks(recording: Recording, length_s: float = 0.04) -> list[tuple[FloatArr
 
 
 def compare_velocity(recording: Recording, still: frozenset[int]) -> tuple[FloatArray, list[Finding]]:
-    """Recorded over differentiated velocity (n,), and what is wrong with the recorded one."""
+    """Recorded over differentiated velocity (n,), and what is wrong with the recorded one.
+
+    Args:
+        recording: With or without velocities.
+        still: Numbers of the joints that stand still.
+
+    Returns:
+        (n,) ratios, NaN where nothing can be said; and findings.
+    """
     n = len(recording.joints)
     slopes = np.full(n, np.nan)
     if recording.velocity is None:

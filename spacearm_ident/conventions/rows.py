@@ -62,7 +62,11 @@ class Rows:
 
 
 def rows_of(motions: Sequence[Motion], most: int = MOST_ROWS) -> Rows:
-    """Rows of motions, thinned evenly to at most about `most`.
+    """Rows of motions, thinned evenly.
+
+    Args:
+        motions: Filtered alike.
+        most: About so many rows remain at most.
 
     Raises:
         UnfitDataError: No run is longer than twice `LONGEST_DELAY_S` and a second.

@@ -182,7 +182,11 @@ def rows_a_sample(residual: FloatArray, torque: FloatArray) -> float:
     """Rows that one independent sample of a residual (M,) stands for, at least 1.
 
     The larger of two: 1 plus twice its autocorrelations to the first zero; and its power spectral density where the
-    torque (M,) has its power, over its mean. The second sees a slow model error under white noise.
+    torque has its power, over its mean. The second sees a slow model error under white noise.
+
+    Args:
+        residual: (M,) at even intervals, N·m.
+        torque: (M,) what the residual is of, N·m.
     """
     n = len(residual)
     if n < 8 or not residual.any():
@@ -308,7 +312,12 @@ def _apart(found: Sequence[Scored]) -> list[Scored]:
 
 
 def tilted(stated: FloatArray, gravity: FloatArray) -> bool:
-    """Whether one gravity is another by size, or by at least `LEAST_TILT_RAD`."""
+    """Whether one gravity is another by size, or by at least `LEAST_TILT_RAD`.
+
+    Args:
+        stated: (3,) of the arm, m/s².
+        gravity: (3,) that was found, m/s².
+    """
     sizes = float(np.linalg.norm(stated) * np.linalg.norm(gravity))
     return bool(sizes == 0.0 or stated @ gravity < np.cos(LEAST_TILT_RAD) * sizes)
 
@@ -342,14 +351,30 @@ def is_testable(scorer: Scorer, start: Scored, change: Change) -> bool:
 
 
 def loaded_joints(scorer: Scorer, start: Scored) -> tuple[int, ...]:
-    """Joints whose torque is gravity's enough to tell a gain from CAD inertias or a payload that are not known."""
+    """Joints whose torque is gravity's enough to tell a gain from CAD inertias or a payload that are not known.
+
+    Args:
+        scorer: Scores, with the arm and what was recorded.
+        start: The scored setup whose parameters are taken.
+
+    Returns:
+        Their numbers, in the arm's order.
+    """
     design = scorer.design(start.setup)
     ratios = design.mass_ratios(start.evidence.parameters[: design.rigid])
     return tuple(int(j) for j in np.flatnonzero(np.isfinite(ratios)))
 
 
 def zeros(scorer: Scorer, start: Scored) -> list[Scored]:
-    """The best encoder zero of each joint by Gauss-Newton; from a quarter turn, too, where little is explained."""
+    """The best encoder zero of each joint by Gauss-Newton; from a quarter turn, too, where little is explained.
+
+    Args:
+        scorer: Scores, with the arm and what was recorded.
+        start: The scored setup that a change would be made to.
+
+    Returns:
+        One scored setup a revolute joint, but for those at which none gains anything.
+    """
     base = scorer.score(start.changes, start.setup, (ZERO_SCALE,), SCREEN_ITERATIONS)
     design, torque = scorer.design(base.setup), scorer.measured(base.setup).torque
     left = rms(np.where(design.motion.moving, torque - predicted(design, base.evidence), 0.0)) / (rms(torque) + 1e-12)
@@ -384,7 +409,12 @@ def _zero_from(scorer: Scorer, start: Scored, joint: int, first: float) -> Score
 
 
 def zero_prior(zero: float, n: int) -> float:
-    """Log prior of a zero: Gaussian, or a quarter turn."""
+    """Log prior of a zero: Gaussian, or a quarter turn.
+
+    Args:
+        zero: Of the joint's encoder, rad.
+        n: Number of joints that it could be of.
+    """
     return float(np.log(PRIOR / n) - 0.5 * (zero / ZERO_SD) ** 2 - 3.0)
 
 
@@ -448,7 +478,15 @@ def reduced(scorer: Scorer, here: Scored, along: FloatArray) -> tuple[FloatArray
 
 
 def tilts(scorer: Scorer, start: Scored) -> list[Scored]:
-    """Gravity that explains best what is left, of the size stated: a base mounted at any angle."""
+    """Gravity that explains best what is left, of the size stated: a base mounted at any angle.
+
+    Args:
+        scorer: Scores, with the arm and what was recorded.
+        start: The scored setup that a change would be made to.
+
+    Returns:
+        One scored setup; none in orbit, or where the best gravity is the one stated.
+    """
     size = float(np.linalg.norm(start.setup.gravity))
     if size == 0.0:
         return []
@@ -465,7 +503,12 @@ def tilts(scorer: Scorer, start: Scored) -> list[Scored]:
 
 
 def refined_gravity(scorer: Scorer, one: Scored) -> Scored:
-    """Where gravity was changed: its direction, searched by Gauss-Newton with all parameters free."""
+    """Where gravity was changed: its direction, searched by Gauss-Newton with all parameters free.
+
+    Args:
+        scorer: Scores, with the arm and what was recorded.
+        one: The scored setup; returned as it is where its last change is none of gravity.
+    """
     last = one.changes[-1] if one.changes else None
     size = 0.0 if last is None or last.kind is not Kind.GRAVITY else float(np.linalg.norm(last.value))
     if last is None or size == 0.0:
@@ -502,7 +545,15 @@ def gravity_step(scorer: Scorer, one: Scored, size: float) -> FloatArray:
 
 
 def delays(scorer: Scorer, start: Scored) -> list[Scored]:
-    """A delay that all joints share, and of every joint by itself where it is too long for friction to look like it."""
+    """A delay that all joints share, and of every joint by itself where it is too long for friction to look like it.
+
+    Args:
+        scorer: Scores, with the arm and what was recorded.
+        start: The scored setup that a change would be made to.
+
+    Returns:
+        Scored setups whose delay is longer than `SHORTEST_DELAY_S` and shorter than `LONGEST_DELAY_S`.
+    """
     n, silent = len(scorer.arm.joints), scorer.silent(start.setup)
     found = [_best_delay(scorer, start, tuple(range(n)))]
     least = LATE_S / np.maximum(1.0 - friction_shares(scorer, start), 0.2)
@@ -519,7 +570,12 @@ def delays(scorer: Scorer, start: Scored) -> list[Scored]:
 
 
 def friction_shares(scorer: Scorer, start: Scored) -> FloatArray:
-    """(n,) share of friction in the mean square of each joint's predicted torque, at most 1."""
+    """(n,) share of friction in the mean square of each joint's predicted torque, at most 1.
+
+    Args:
+        scorer: Scores, with the arm and what was recorded.
+        start: The scored setup whose parameters are taken.
+    """
     design, evidence = scorer.design(start.setup), start.evidence
     r = design.rigid
     own = evidence.parameters[r:].reshape(-1, OWN)[:, :2]

@@ -59,7 +59,12 @@ class Setup:
 
 
 def motion_of(rows: Rows, setup: Setup) -> ArmMotion:
-    """Motion of the arm's joints under a setup."""
+    """Motion of the arm's joints under a setup.
+
+    Args:
+        rows: As recorded.
+        setup: What is recorded how.
+    """
     source, scale, back = setup.position_from, setup.position_scale, setup.time_sign
     return ArmMotion(
         position=rows.position[:, source] * scale + setup.position_offset,
@@ -72,7 +77,12 @@ def motion_of(rows: Rows, setup: Setup) -> ArmMotion:
 
 
 def torque_of(rows: Rows, setup: Setup) -> FloatArray:
-    """(M, n) torque of the arm's joints under a setup, N·m; a delay belongs to the joint, wherever it is recorded."""
+    """(M, n) torque of the arm's joints under a setup, N·m; a delay belongs to the joint, wherever it is recorded.
+
+    Args:
+        rows: As recorded.
+        setup: What is recorded how.
+    """
     delay = np.empty(len(setup.effort_from))
     delay[setup.effort_from] = setup.delay_s
     return np.asarray(rows.torque(delay)[:, setup.effort_from] * setup.effort_sign)

@@ -16,7 +16,12 @@ UNIT_FACTOR = 4.0
 
 
 def joint_names(arm: Arm, change: Change) -> tuple[str, ...]:
-    """Names of a change's joints."""
+    """Names of a change's joints.
+
+    Args:
+        arm: Whose joints are numbered.
+        change: With numbers of joints.
+    """
     return tuple(arm.joint_names[k] for k in change.joints)
 
 
@@ -97,7 +102,12 @@ def _gain(arm: Arm, change: Change, evidence: Evidence) -> str:
 
 
 def is_unit(change: Change, evidence: Evidence) -> bool:
-    """Whether a free gain is so far off that it is another unit."""
+    """Whether a free gain is so far off that it is another unit.
+
+    Args:
+        change: Of the effort.
+        evidence: The posterior with it; gains (n,).
+    """
     if change.kind is Kind.EFFORT_UNIT and change.value:
         return True
     logs = np.abs(np.log(evidence.gains[list(change.joints)]))

@@ -101,7 +101,12 @@ def with_rival_terms(model: TorqueModel, names: Sequence[str]) -> TorqueModel:
 
 
 def too_large(name: str, value: float) -> bool:
-    """Whether a value is beyond `LARGEST`."""
+    """Whether a value is beyond `LARGEST`.
+
+    Args:
+        name: Of the hypothesis.
+        value: Its value: a gain's logarithm, a zero or tilt (rad), a delay (s).
+    """
     return abs(value) > LARGEST.get(kind_and_joint(name)[0], np.inf)
 
 
@@ -230,7 +235,12 @@ class Hypotheses:
         self.design_effect = np.where(share > MODEL_ERROR, 1.0 + share * np.maximum(cluster - 1.0, 0.0), 1.0)
 
     def tempered(self, odds: float, names: Sequence[str]) -> float:
-        """Log odds of hypotheses with their likelihood as weak as the rows of their joints are dependent."""
+        """Log odds of hypotheses with their likelihood as weak as the rows of their joints are dependent.
+
+        Args:
+            odds: Log odds with every row for itself.
+            names: The hypotheses.
+        """
         prior, joints = self.log_prior(names), {kind_and_joint(name)[1] for name in names}
         effect = max(
             (self.design_effect[k] for k, name in enumerate(self.arm.joint_names) if name in joints), default=1.0
@@ -273,7 +283,13 @@ class Hypotheses:
         return self.gained(name, [one for one in self.found if one != name])
 
     def gained(self, name: str, beside: Sequence[str], blocks: np.ndarray | None = None) -> float:
-        """Log odds of one hypothesis beside others."""
+        """Log odds of one hypothesis beside others.
+
+        Args:
+            name: The hypothesis.
+            beside: The others.
+            blocks: Numbers of the blocks of time to ask; None: all.
+        """
         with_it = [*beside, name]
         if kind_and_joint(name)[0] not in SCALING:
             return self.tempered(self.evidence(with_it, blocks) - self.evidence(beside, blocks), [name])
@@ -311,13 +327,27 @@ class Hypotheses:
             self.kept[joint] = self.unchanged(name, [*dict.fromkeys([*self.found, name])])[1]
 
     def kept_beside(self, names: Sequence[str], but: str = "") -> dict[str, float]:
-        """Relative standard deviation of what is kept beside some hypotheses, but at one joint."""
+        """Relative standard deviation of what is kept beside some hypotheses, but at one joint.
+
+        Args:
+            names: The hypotheses.
+            but: The joint; empty: none.
+
+        Returns:
+            By parameter.
+        """
         places = (kind_and_joint(name) for name in names)
         joints = {joint for kind, joint in places if kind in SCALING} - {but}
         return {name: KEPT_SD for joint in joints for name in self.kept.get(joint, ())}
 
     def gained_by(self, names: Sequence[str], beside: Sequence[str], part: np.ndarray) -> float:
-        """Log odds of hypotheses beside others, by a part of the data."""
+        """Log odds of hypotheses beside others, by a part of the data.
+
+        Args:
+            names: The hypotheses.
+            beside: The others.
+            part: Numbers of its blocks of time.
+        """
         if len(names) == 1:
             return self.gained(names[0], beside, part)
         kept = self.kept_beside(beside)
