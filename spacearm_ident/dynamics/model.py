@@ -52,6 +52,10 @@ FRICTION_LAWS: dict[str, Structure] = {
 def structure_of(arm: Arm, friction: str = "paper") -> Structure:
     """The paper's 18 parameters a joint (§2, Table 1) under a named friction law, and the arm's couplings.
 
+    Args:
+        arm: Its couplings become terms.
+        friction: One of `FRICTION_LAWS`.
+
     Raises:
         UserError: No friction law of that name.
     """
@@ -102,7 +106,12 @@ def over_temperature(structure: Structure, arm: Arm, symbols: Sequence[str]) -> 
 
 
 def temperature_joints(structure: Structure, arm: Arm) -> tuple[str, ...]:
-    """The joints whose temperature a structure's terms ask for, in the arm's order."""
+    """The joints whose temperature a structure's terms ask for, in the arm's order.
+
+    Args:
+        structure: Terms and options.
+        arm: Whose joints they are at.
+    """
     asked = set(chosen_joints(arm, structure.get("stribeck_friction", {}).get("temperature")))
     for term in TorqueModel(arm, structure).terms:
         if isinstance(term, Effect) and term.needs_temperature:
@@ -218,7 +227,12 @@ class TorqueModel:
         )
 
     def high_orders(self, motion: Motion, parameters: FloatArray) -> FloatArray:
-        """(N, n) torque of the friction terms of second and third order, N·m."""
+        """(N, n) torque of the friction terms of second and third order, N·m.
+
+        Args:
+            motion: At full rate.
+            parameters: (p,) of the model.
+        """
         kept = np.where(self.of_high_order, parameters, 0.0)
         return self.torque(motion, kept, np.zeros(len(self.constants)), (ViscousFriction.kind,))
 
@@ -340,6 +354,10 @@ class IdentifiedModel:
 
     def value(self, symbol: str, joint: str) -> float:
         """A parameter or constant by name.
+
+        Args:
+            symbol: As `f_c`.
+            joint: Its name.
 
         Raises:
             KeyError: The model has none of that name.

@@ -231,7 +231,15 @@ class Evidence:
         return [self.candidate(one.effect, one.constants, one.stacked) for one in known]
 
     def candidates(self, effect: Effect, points: Iterable[Values]) -> list[Candidate]:
-        """The same at many values of its constants: the basis, most of the work, is gone through once."""
+        """The same at many values of its constants: the basis, most of the work, is gone through once.
+
+        Args:
+            effect: At its place.
+            points: Values of its constants.
+
+        Returns:
+            One each; none where the effect gives no torque in the field.
+        """
         constants = list(points)
         stacks = stacked_effects(self.field, effect, constants)
         if not stacks:
@@ -239,7 +247,12 @@ class Evidence:
         return self._candidates(effect, constants, stacks)
 
     def reweighted(self, known: Sequence[Candidate], before: Evidence) -> list[Candidate]:
-        """One effect at some values of its constants, known under other weights of the joints' rows."""
+        """One effect at some values of its constants, known under other weights of the joints' rows.
+
+        Args:
+            known: Of one effect, whitened by `before`.
+            before: The evidence that they are of.
+        """
         ratio = [old.sigma_Nm / new.sigma_Nm for old, new in zip(before.field.whiteners, self.field.whiteners)]
         times = np.array(ratio)[self.field.joint, None]
         rows = [candidate.stacked.rows for candidate in known]
@@ -338,14 +351,24 @@ class Evidence:
         return np.asarray(self.residual - self.added(candidates, values) + self._basis @ taken_over)
 
     def added(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
-        """(F,) what effects of these values add to the whitened torque in the field, the base as it was."""
+        """(F,) what effects of these values add to the whitened torque in the field, the base as it was.
+
+        Args:
+            candidates: The effects.
+            values: (k,) of their parameters, one after the other.
+        """
         torque: FloatArray = np.zeros(self.rows)
         for candidate, own in with_own(candidates, values):
             torque[candidate.stacked.rows] += candidate.stacked.columns @ own
         return torque
 
     def base_parameters(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
-        """Parameters of the base (nuisance and common effects last) when these effects stand beside it."""
+        """Parameters of the base (nuisance and common effects last) when these effects stand beside it.
+
+        Args:
+            candidates: The effects.
+            values: (k,) of their parameters, one after the other.
+        """
         whole = np.zeros(self._width)
         whole[self._used] = solve_triangular(self._triangle, self._beside(candidates, values))
         return whole
@@ -419,7 +442,12 @@ def left_by_base(base: IdentifiedModel, scene: Scene, columns: FloatArray) -> Fl
 
 
 def inverse_among(gram: FloatArray, free: np.ndarray) -> FloatArray:
-    """(..., k, k) inverse of Gram matrices among free rows (k,), in units that make them alike; zero elsewhere."""
+    """(..., k, k) inverse of Gram matrices among free rows (k,), in units that make them alike; zero elsewhere.
+
+    Args:
+        gram: (..., k, k).
+        free: (k,) which rows and columns are inverted.
+    """
     rows, columns = np.ix_(free, free)
     unit = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1)[..., free])
     inverse = np.zeros_like(gram)
@@ -485,7 +513,12 @@ def _inner(one: Candidate, other: Candidate) -> FloatArray:
 
 
 def inner_each(one: Candidate, each: Sequence[Candidate]) -> FloatArray:
-    """(m, k, l) the same of one and each of m."""
+    """(m, k, l) the same of one and each of m.
+
+    Args:
+        one: With k parameters.
+        each: m candidates with l parameters each.
+    """
     return np.stack([_inner(one, other) for other in each])
 
 
@@ -500,7 +533,12 @@ class HeldOut:
         self._kept: dict[object, Any] = {}
 
     def residual(self, candidates: Sequence[Candidate], values: FloatArray) -> FloatArray:
-        """(V,) whitened residual with these effects in the model."""
+        """(V,) whitened residual with these effects in the model.
+
+        Args:
+            candidates: The effects.
+            values: (k,) of their parameters, one after the other.
+        """
         residual = self.torque - self.columns @ self.evidence.base_parameters(candidates, values)
         return without_effects(residual, candidates, values, self._effect)
 
@@ -511,14 +549,24 @@ class HeldOut:
         return cast(Stacked, kept[1])
 
     def keep(self, what: object, compute: Callable[[], Any]) -> Any:
-        """The result of a computation on this recording, done once."""
+        """The result of a computation on this recording, done once.
+
+        Args:
+            what: Names the computation; hashable.
+            compute: Called where it was not done before.
+        """
         if what not in self._kept:
             self._kept[what] = compute()
         return self._kept[what]
 
 
 def with_own(candidates: Sequence[Candidate], values: FloatArray) -> Iterator[tuple[Candidate, FloatArray]]:
-    """Each candidate with its own parameters out of those of all, one after the other (k,)."""
+    """Each candidate with its own parameters out of those of all, one after the other (k,).
+
+    Args:
+        candidates: The effects.
+        values: (k,) of their parameters.
+    """
     first = 0
     for candidate in candidates:
         last = first + len(candidate.effect.parameters)

@@ -81,7 +81,12 @@ def travel(motion: Motion) -> FloatArray:
 
 
 def since_reversal(motion: Motion, row: int) -> FloatArray:
-    """(N,) rad that one joint went since it last turned round or stood still."""
+    """(N,) rad that one joint went since it last turned round or stood still.
+
+    Args:
+        motion: N samples at full rate.
+        row: Number of the joint.
+    """
     sign = direction(motion, row)
     path = np.cumsum(np.abs(motion.velocity[:, row])) / motion.rate_hz
     turned = np.concatenate([[True], sign[1:] != sign[:-1]])
@@ -161,7 +166,12 @@ class Whitener:
         return csr_array((predictors[known][used], (place[:, None] - lags)[used], starts), (len(place), len(before)))
 
     def weight(self, speed: FloatArray, gone: FloatArray) -> FloatArray:
-        """(M,) what rows at these speeds, rad/s, so far from a reversal, rad, count for."""
+        """(M,) what rows at these speeds, rad/s, so far from a reversal, rad, count for.
+
+        Args:
+            speed: (M,).
+            gone: (M,).
+        """
         return np.asarray(1.0 / np.sqrt(self.inflation[_cell(speed, gone)]))
 
 
@@ -255,12 +265,22 @@ class Scene:
         return np.asarray(np.bincount(self.joint, weights=values, minlength=len(self.whiteners)), dtype=float)
 
     def slot(self, joint: int, motion: int) -> slice:
-        """Where the rows of one joint in one motion are in the stack."""
+        """Where the rows of one joint in one motion are in the stack.
+
+        Args:
+            joint: Its number.
+            motion: Its number.
+        """
         number = joint * len(self.motions) + motion
         return slice(int(self._starts[number]), int(self._starts[number + 1]))
 
     def rows_of(self, first: int, last: int) -> slice:
-        """Where the rows of the joints `first` to `last` are in the stack."""
+        """Where the rows of the joints `first` to `last` are in the stack.
+
+        Args:
+            first: Number of a joint.
+            last: Number of a joint, which is among them.
+        """
         count = len(self.motions)
         return slice(int(self._starts[first * count]), int(self._starts[(last + 1) * count]))
 
@@ -291,7 +311,12 @@ class Scene:
             background.with_high_orders(self.model.high_orders(motion, parameters))
 
     def stack(self, columns: Sequence[Columns], count: int) -> FloatArray:
-        """(R, count) stacked rows of full-rate columns, given motion by motion."""
+        """(R, count) stacked rows of full-rate columns, given motion by motion.
+
+        Args:
+            columns: Of each motion: joint -> numbers of the columns, and their values (N, k).
+            count: Number of all columns.
+        """
         stacked = np.zeros((len(self), count))
         for m, (motion, rows) in enumerate(zip(self.motions, columns)):
             for j, (indices, values) in rows.items():

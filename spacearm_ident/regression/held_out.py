@@ -60,7 +60,12 @@ def folds_of(recording: np.ndarray) -> list[np.ndarray]:
 
 
 def gain(before: FloatArray, after: FloatArray) -> float:
-    """Sum over the joints of the share of held-out squares (blocks, n) that a change takes away."""
+    """Sum over the joints of the share of held-out squares (blocks, n) that a change takes away.
+
+    Args:
+        before: (blocks, n) N²·m², or in the weights of the rows.
+        after: (blocks, n) with the change.
+    """
     total = np.maximum(before.sum(axis=0), _LEAST)
     return float(((before.sum(axis=0) - after.sum(axis=0)) / total).sum())
 
@@ -70,6 +75,10 @@ def t_of_drop(before: FloatArray, after: FloatArray) -> float:
 
     The difference of the squares is tested and that of their logarithms, and the clearer of the two counts: the first
     sees what acts in few blocks, the second what acts in all, though their squares differ a lot.
+
+    Args:
+        before: (blocks,) squares of the joint.
+        after: (blocks,) in the same unit.
     """
     moving = before > 1e-12 * max(before.max(), _LEAST)
     before, after = before[moving], np.maximum(after[moving], _LEAST)
@@ -77,19 +86,34 @@ def t_of_drop(before: FloatArray, after: FloatArray) -> float:
 
 
 def bound(level: float, blocks: int) -> float:
-    """Value of t that the clearer of the two tests exceeds by chance with a probability of `level`."""
+    """Value of t that the clearer of the two tests exceeds by chance with a probability of `level`.
+
+    Args:
+        level: Shared by the two tests, each of which asks whether squares drop.
+        blocks: Number of blocks; at least two.
+    """
     return float(student.ppf(1.0 - level / 2, blocks - 1))
 
 
 def t_of_all(before: FloatArray, after: FloatArray) -> float:
-    """How clearly the squares (blocks, n) of all joints together drop: t of the blocks' mean logarithmic ratio."""
+    """How clearly the squares (blocks, n) of all joints together drop: t of the blocks' mean logarithmic ratio.
+
+    Args:
+        before: (blocks, n) squares.
+        after: (blocks, n) in the same unit, joint by joint.
+    """
     moving = before > 1e-12 * np.maximum(before.max(axis=0), _LEAST)
     ratio = np.log(np.maximum(before, _LEAST) / np.maximum(after, _LEAST))
     return _t_value(np.where(moving, ratio, 0.0).mean(axis=1))
 
 
 def predicts_better(before: FloatArray, after: FloatArray) -> bool:
-    """Whether a second model predicts some joint better, beyond chance, and all together no worse: (blocks, n) each."""
+    """Whether a second model predicts some joint better, beyond chance, and all together no worse: (blocks, n) each.
+
+    Args:
+        before: (blocks, n) squares that the first leaves of held-out blocks.
+        after: (blocks, n) those that the second leaves.
+    """
     level = bound(LEVEL / before.shape[1], len(before))
     clear = any(t_of_drop(left, right) > level for left, right in zip(before.T, after.T))
     return clear and gain(before, after) > 0.0
