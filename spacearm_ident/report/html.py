@@ -60,7 +60,12 @@ def report_html(result: Result) -> str:
 
 
 def page(title: str, body: Markup) -> str:
-    """A whole document around a body, in the look of every report and unable to load anything."""
+    """A whole document around a body, in the look of every report and unable to load anything.
+
+    Args:
+        title: Shown by the browser.
+        body: Inside `<main>`.
+    """
     head = join(
         element("meta", charset="utf-8"),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
@@ -247,7 +252,12 @@ def _over_time(name: str, signals: figures.JointSignals, joint: JointValidation 
 
 
 def captioned(drawing: Markup, caption: str) -> Markup:
-    """A figure with its caption."""
+    """A figure with its caption.
+
+    Args:
+        drawing: An `<svg>`.
+        caption: Plain text.
+    """
     return element("figure", drawing, element("figcaption", caption))
 
 
