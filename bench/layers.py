@@ -20,7 +20,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -366,18 +366,27 @@ def real(out: Path) -> None:
     print("| arm | simulation | conventions | parameters | physics | ceiling | mended | named | replicated | s |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for arm, (simulation, fitted, held) in RUNS.items():
-        folder = REAL / arm.split("_")[0]
-        command = ["mismatch", *(str(folder / f"{name}.mcap") for name in fitted)]
-        command += ["--simulation", *(str(folder / name) for name in simulation)]
-        command += ["--validate", *(str(folder / f"{name}.mcap") for name in held)] if held else []
         begin = time.monotonic()
-        where = [sys.executable, "-m", "spacearm_ident.cli.main", *command, "--out", str(out / arm)]
-        done = subprocess.run(where, capture_output=True, text=True, check=False)
-        if done.returncode:
-            print(f"| {arm} | failed: {done.stderr.strip().splitlines()[-1:]} |", flush=True)
+        result = _compared(REAL / arm.split("_")[0], simulation, fitted, held, out / arm)
+        if isinstance(result, list):
+            print(f"| {arm} | failed: {result} |", flush=True)
             continue
-        result = json.loads((out / arm / "mismatch.json").read_text())
         print(_real_line(arm, result, time.monotonic() - begin), flush=True)
+
+
+def _compared(
+    folder: Path, simulation: Sequence[str], fitted: Sequence[str], held: Sequence[str], out: Path
+) -> dict[str, Any] | list[str]:
+    """What `mismatch` writes of an arm's recordings and its simulation, files of `folder`; the error where it fails."""
+    command = ["mismatch", *(str(folder / f"{name}.mcap") for name in fitted)]
+    command += ["--simulation", *(str(folder / name) for name in simulation)]
+    command += ["--validate", *(str(folder / f"{name}.mcap") for name in held)] if held else []
+    where = [sys.executable, "-m", "spacearm_ident.cli.main", *command, "--out", str(out)]
+    done = subprocess.run(where, capture_output=True, text=True, check=False)
+    if done.returncode:
+        return done.stderr.strip().splitlines()[-1:]
+    found: dict[str, Any] = json.loads((out / "mismatch.json").read_text())
+    return found
 
 
 def _real_line(arm: str, result: dict[str, Any], seconds: float) -> str:
@@ -415,14 +424,13 @@ def turns(out: Path) -> None:
     print("|---" * 9 + "|")
     folder, shares = REAL / "airbot", []
     for held in AIRBOT_RUNS:
-        paths = [folder / f"{name}.mcap" for name in AIRBOT_RUNS if name != held]
-        command = ["mismatch", *map(str, paths), "--simulation", str(folder / "simulation.xml")]
-        command += ["--validate", str(folder / f"{held}.mcap"), "--out", str(out / held)]
-        subprocess.run([sys.executable, "-m", "spacearm_ident.cli.main", *command], capture_output=True, check=True)
-        result = json.loads((out / held / "mismatch.json").read_text())
+        names = [name for name in AIRBOT_RUNS if name != held]
+        result = _compared(folder, ("simulation.xml",), names, (held,), out / held)
+        if isinstance(result, list):
+            raise SystemExit(f"{held}: {result}")
         cutoff_hz = load_model(out / held / "extended_model.yaml").cutoff_hz or 0.0
         own = np.array(list(result["mended_Nm"].values())) / np.array(list(result["torque_Nm"].values()))
-        *fitted, unseen = [read_recording(path) for path in (*paths, folder / f"{held}.mcap")]
+        *fitted, unseen = [read_recording(folder / f"{name}.mcap") for name in (*names, held)]
         shares.append((own, _from_scratch(fitted, unseen, cutoff_hz)))
         found = ", ".join(f"{one['name']} {one['is']:.3g}" for one in result["layers"][0]["items"])
         _print_turn(held, *shares[-1], found)

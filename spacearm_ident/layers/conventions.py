@@ -159,11 +159,10 @@ def _begin_late(state: Hypotheses) -> None:
     count, so that a torque that is late by more than a few milliseconds shows in rows further away, and not at all in
     the derivative by a delay that is none.
     """
-    odds = dict(zip(DELAYS, state.of_delays(DELAYS)))
-    against = {delay_s: min(one[0], one[0] - odds[-delay_s][0]) for delay_s, one in odds.items()}
     least = state.log_prior([DELAY])
-    best = max((d for d in DELAYS if min(odds[d][1:]) >= least), key=lambda d: against[d], default=0.0)
-    if best and against[best] > SURE:
+    odds = {delay_s: one[0] for delay_s, one in zip(DELAYS, state.of_delays(DELAYS)) if min(one[1:]) >= least}
+    best = max(odds, key=lambda delay_s: odds[delay_s], default=None)
+    if best is not None and odds[best] > SURE:
         state.found, state.wiring = [DELAY], replace(state.wiring, delay_s=best)
         state.relinearise()
 

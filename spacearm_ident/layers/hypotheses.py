@@ -168,38 +168,38 @@ class Hypotheses:
             self.keep(name)
 
     def of_delays(self, delays: Sequence[float]) -> list[list[float]]:
-        """Log odds of each of some delays (s) against none, beside what else was found.
+        """Log odds of each of some delays (s), beside what else was found.
 
         Args:
             delays: Compared outright, each with a linear problem of its own.
 
         Returns:
-            Of each: by all data, then by every part (`Linear.parts`).
+            Of each: by all data against none, or against the same of the other sign where that is more probable; then
+            by every part (`Linear.parts`) against none.
         """
         parts: list[np.ndarray | None] = [None, *self.linear.parts()]
 
-        def evidence(delay_s: float) -> list[float]:
-            linear = self._late_by(delay_s)
-            return [self._of(linear, delay_s, SPREAD[DELAY] if delay_s else None, part) for part in parts]
+        def evidence(delay_s: float) -> FloatArray:
+            linear = self.linear if delay_s == self.wiring.delay_s else self._undone(delay_s)
+            return np.array([self._of(linear, SPREAD[DELAY] if delay_s else None, part) for part in parts])
 
-        none, *others = each(evidence, [0.0, *delays])
-        return [[one - zero + self.log_prior([DELAY]) for one, zero in zip(other, none)] for other in others]
-
-    def _late_by(self, delay_s: float) -> Linear:
-        """The linear problem with a delay undone: the present one, if it is that."""
-        return self.linear if delay_s == self.wiring.delay_s else self._undone(delay_s)
+        compared = [*dict.fromkeys([0.0, *delays, *(-delay_s for delay_s in delays)])]
+        logs = dict(zip(compared, each(evidence, compared)))
+        found = []
+        for delay_s in delays:
+            whole, *by_part = (logs[delay_s] - logs[0.0] + self.log_prior([DELAY])).tolist()
+            found.append([min(whole, float(logs[delay_s][0] - logs[-delay_s][0])), *by_part])
+        return found
 
     def _undone(self, delay_s: float) -> Linear:
+        """The linear problem with another delay undone."""
         return Linear(self.fitted, self.motions, self._whiteners, replace(self.wiring, delay_s=delay_s))
 
-    def _of(
-        self, linear: Linear, delay_s: float, spread_s: float | None = None, blocks: np.ndarray | None = None
-    ) -> float:
-        """Log evidence of rows of a linear problem with another delay undone, under the present noise.
+    def _of(self, linear: Linear, spread_s: float | None = None, blocks: np.ndarray | None = None) -> float:
+        """Log evidence of rows of a linear problem, another delay undone in it, under the present noise.
 
         Args:
             linear: The problem.
-            delay_s: What is undone in it.
             spread_s: Standard deviation of the whole delay; None: it is this one, but for half a sampling period.
             blocks: Of time; None: all.
         """
@@ -209,7 +209,7 @@ class Hypotheses:
             number = linear.names.index(DELAY)
             prior.mean[number] = 0.0
             if spread_s is not None:
-                prior.mean[number], prior.precision[number, number] = -delay_s, spread_s**-2
+                prior.mean[number], prior.precision[number, number] = -linear.wiring.delay_s, spread_s**-2
             logs.append(linear.log_evidence(prior, self.variance, blocks))
         return float(logsumexp(logs))
 
@@ -264,7 +264,7 @@ class Hypotheses:
             # The derivative does not know the change of friction at a reversal, nor a filter's lag, and leads away from
             # delays that explain more. The way back to none needs no proof: whether the delay stays is asked later.
             ends = (before, self.wiring.delay_s)
-            logs = each(lambda delay_s: self._of(self._undone(delay_s), delay_s), ends)
+            logs = each(lambda delay_s: self._of(self._undone(delay_s)), ends)
             better = ends[int(np.argmax(logs))]
             self.fitted = with_events_earlier(self.fitted, better - self.wiring.delay_s)
             self.wiring = replace(self.wiring, delay_s=better)
@@ -276,10 +276,9 @@ class Hypotheses:
         return {name: float(spread[self.linear.names.index(name)]) for name in dict.fromkeys([*self.found, DELAY])}
 
     def log_odds(self, name: str) -> float:
-        """Of a hypothesis among those found; of a delay against none, and against the same of the other sign."""
+        """Of a hypothesis among those found; of a delay as `of_delays`."""
         if name == DELAY:
-            now, opposite = self.of_delays([self.wiring.delay_s, -self.wiring.delay_s])
-            return min(now[0], now[0] - opposite[0])
+            return self.of_delays([self.wiring.delay_s])[0][0]
         return self.gained(name, [one for one in self.found if one != name])
 
     def gained(self, name: str, beside: Sequence[str], blocks: np.ndarray | None = None) -> float:

@@ -103,11 +103,18 @@ def weighted(base: IdentifiedModel, motions: Sequence[Motion], near: Noise | Non
 def of_field(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     """The noise as a variance, from recordings that may contain any physics beside the base's.
 
-    Arguments and errors as for `coloured`. Per joint, what the base leaves is fitted by splines of position, of
+    Per joint, what the base leaves is fitted by splines of position, of
     position times direction, of torque and, recording by recording, of velocity. What that leaves is taken to be white
     before the low-pass: how slow it is, physics that no spline follows says as well. It is no filter either: one that
     makes the rest white would take what is sought, which is slow, for noise, and the base's errors at reversals for
     more than they are.
+
+    Args:
+        base: Model of the arm.
+        motions: Recordings, whatever else their residual is.
+
+    Raises:
+        UnfitDataError: No joint moves for long enough.
     """
     plain, scene, residual = _unwhitened(base, motions)
     noise = residual - _smooth(base, scene, residual)[0]
