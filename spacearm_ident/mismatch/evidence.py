@@ -247,14 +247,14 @@ class Evidence:
         return self._candidates(effect, constants, stacks)
 
     def reweighted(self, known: Sequence[Candidate], before: Evidence) -> list[Candidate]:
-        """One effect at some values of its constants, known under other weights of the joints' rows.
+        """One effect at some values of its constants, known under other weights of the rows.
 
         Args:
             known: Of one effect, whitened by `before`.
             before: The evidence that they are of.
         """
         ratio = [old.sigma_Nm / new.sigma_Nm for old, new in zip(before.field.whiteners, self.field.whiteners)]
-        times = np.array(ratio)[self.field.joint, None]
+        times = (np.array(ratio)[self.field.joint] * self.field.weight / before.field.weight)[:, None]
         rows = [candidate.stacked.rows for candidate in known]
         stacks = [Stacked(own, candidate.stacked.columns * times[own]) for own, candidate in zip(rows, known)]
         return self._candidates(known[0].effect, [candidate.constants for candidate in known], stacks)

@@ -116,23 +116,29 @@ def of_field(base: IdentifiedModel, motions: Sequence[Motion]) -> Noise:
     Raises:
         UnfitDataError: No joint moves for long enough.
     """
-    plain, scene, residual = _unwhitened(base, motions)
-    noise = residual - _smooth(base, scene, residual)[0]
-    plain, floor = inflated(plain, scene, noise), _spread(scene, noise)
+    _, scene, residual = _unwhitened(base, motions)
+    plain, floor = in_field(base, scene, residual)
     white = np.mean([white_correlation_time(motion.white_correlation) for motion in motions])
     whiteners = [replace(weights, sigma_Nm=float(sigma * np.sqrt(white))) for weights, sigma in zip(plain, floor)]
     return Noise(_known(whiteners), plain, floor, np.full(len(plain), np.nan))
 
 
-def floor_in_field(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> FloatArray:
-    """(n,) standard deviation of a row that counts in full, N m, as in `of_field`; infinite where it is not known.
+def in_field(base: IdentifiedModel, scene: Scene, residual: FloatArray) -> tuple[list[Whitener], FloatArray]:
+    """What rows count for by speed and distance from a reversal, joint by joint, and the noise of those in full, N m.
 
     Args:
         base: Model of the arm.
         scene: Rows that are not whitened.
         residual: (R,) what base, and effects if any, leave of them.
+
+    Returns:
+        The scene's whiteners with another inflation, and (n,) a standard deviation as in `of_field`; infinite where it
+        is not known.
     """
-    return _spread(scene, residual - _smooth(base, scene, residual)[0])
+    noise = residual - _smooth(base, scene, residual)[0]
+    whiteners = inflated(scene.whiteners, scene, noise)
+    again = scene.reweighted(whiteners)
+    return whiteners, _spread(again, noise * again.weight / scene.weight)
 
 
 def model_error_share(model: IdentifiedModel, motions: Sequence[Motion], residuals: Sequence[FloatArray]) -> FloatArray:

@@ -36,7 +36,7 @@ from ..signals.prepare import prepare, reversal_cutoff_hz
 from .base_structure import GATE, choose_base
 from .evidence import Candidate, Evidence, HeldOut
 from .left_out import LeftOut
-from .noise import Noise, NoiseModel, coloured, floor_in_field, of_field, weighted
+from .noise import Noise, NoiseModel, coloured, in_field, of_field, weighted
 from .residuals import Residuals
 from .scene import Scene, Whitener, coarse
 
@@ -89,21 +89,24 @@ class Prepared:
     def beside(self, effects: Sequence[Candidate]) -> Prepared | None:
         """The same with the noise that is left beside effects, where the field's own residual is what says it.
 
-        None where that is no smaller at any joint (`QUIETER`).
+        None where that is no smaller at any joint (`QUIETER`). Near a reversal it need not be: rows there count for less
+        beside less noise elsewhere.
         """
         field = self.evidence.field
-        floor = floor_in_field(self.base, field, self.evidence.residual_beside(effects))
+        weights, floor = in_field(self.base, field, self.evidence.residual_beside(effects))
         with np.errstate(invalid="ignore"):
             ratio = np.fmin(floor / self.noise_floor_Nm, 1.0)
         if not np.nanmin(ratio) < QUIETER:
             return None
-        whiteners = [replace(own, sigma_Nm=float(own.sigma_Nm * r)) for own, r in zip(field.whiteners, ratio)]
+        whiteners = [replace(own, sigma_Nm=float(own.sigma_Nm * r)) for own, r in zip(weights, ratio)]
+        plain = [replace(own, inflation=other.inflation) for own, other in zip(self.plain, weights)]
         evidence = Evidence(self.base, Scene(self.base, field.motions, whiteners, field.backgrounds), None)
         held_out = None
         if self.held_out is not None:
             held = self.held_out.scene
             held_out = HeldOut(evidence, Scene(self.base, held.motions, whiteners, held.backgrounds))
-        return replace(self, evidence=evidence, held_out=held_out, noise_floor_Nm=self.noise_floor_Nm * ratio)
+        floor = self.noise_floor_Nm * ratio
+        return replace(self, evidence=evidence, held_out=held_out, plain=plain, noise_floor_Nm=floor)
 
 
 def prepare_evidence(
