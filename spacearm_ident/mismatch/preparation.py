@@ -89,8 +89,8 @@ class Prepared:
     def beside(self, effects: Sequence[Candidate]) -> Prepared | None:
         """The same with the noise that is left beside effects, where the field's own residual is what says it.
 
-        None where that is no smaller at any joint (`QUIETER`). Near a reversal it need not be: rows there count for less
-        beside less noise elsewhere.
+        None where that is no smaller at any joint (`QUIETER`). Near a reversal it may be as large as before: rows there
+        then count for less.
         """
         field = self.evidence.field
         weights, floor = in_field(self.base, field, self.evidence.residual_beside(effects))

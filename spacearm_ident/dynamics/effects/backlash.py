@@ -64,17 +64,19 @@ def gap(
     gradient, fast = np.clip(gradient, -0.5 * most, 0.5 * most), 0.5 * np.sqrt(most * inertia)
     coriolis = np.clip(coriolis, -fast, fast)
     damping = 2 * damping_ratio * np.sqrt(stiff * inertia)
-    signals, h = [load, gradient, coriolis, inertia, stiff, damping], 1 / (STEPS * links[0].rate_hz)
+    h = 1 / (STEPS * links[0].rate_hz)
+    # In steps: of u = h d', so that a step is two sums.
+    signals = [x / inertia for x in (h * h * load, h * h * gradient, h * coriolis, h * h * stiff, h * damping)]
     halves = 0.5 * np.multiply.outer(TEETH, width)
-    if stiff[0].size == 1:
-        columns = [signal.ravel().tolist() for signal in signals]
-        flights = [_rattle_alone(half, columns, h) for half in halves.ravel().tolist()]
-        deflection, acceleration = np.mean(flights, axis=0).T
-        return _held_by_its_stops(deflection[:, None, None], acceleration[:, None, None])
     with np.errstate(over="ignore", invalid="ignore"):
-        flight = _rattle(halves[:, None], signals, h)
-        deflection, acceleration = (np.stack([at.mean(axis=0) for at in signal]) for signal in zip(*flight))
-    return _held_by_its_stops(deflection, acceleration)
+        if stiff[0].size == 1:
+            columns = [signal.ravel() for signal in signals]
+            flights = [_rattle_alone(half, *columns) for half in halves.ravel().tolist()]
+            deflection, gain = np.mean(flights, axis=0)[..., None, None]
+        else:
+            flight = _rattle(halves[:, None], *signals)
+            deflection, gain = (np.stack([at.mean(axis=0) for at in signal]) for signal in zip(*flight))
+        return _held_by_its_stops(deflection, gain / h**2)
 
 
 def _held_by_its_stops(deflection: FloatArray, acceleration: FloatArray) -> FloatArrays:
@@ -86,50 +88,70 @@ def _held_by_its_stops(deflection: FloatArray, acceleration: FloatArray) -> Floa
     return np.where(held, deflection, 0.0), np.where(held, acceleration, 0.0)
 
 
-def _rattle(half: FloatArray, signals: Sequence[FloatArray], h: float) -> list[FloatArrays]:
-    """D and d'' after every `STEPS` steps of h seconds between stops at +-half, from where the load holds it."""
-    d = _held(half, signals)
-    v = 0.0 * d
+def _rattle(
+    half: FloatArray,
+    load: FloatArray,
+    gradient: FloatArray,
+    coriolis: FloatArray,
+    stiffness: FloatArray,
+    damping: FloatArray,
+) -> list[FloatArrays]:
+    """D, and what u grows by, after every `STEPS` steps between stops at +-half, from where the load holds it.
+
+    Args:
+        half: (..., p) rad.
+        load: (N, n, 1) h^2 load / M.
+        gradient: (N, n, 1) h^2 G / M.
+        coriolis: (N, n, 1) h C / M.
+        stiffness: (N, n, p) h^2 K / M.
+        damping: (N, n, p) h c / M.
+    """
+    d = _held(half, load[0], gradient[0], stiffness[0])
+    u = 0.0 * d
     flight = []
-    for force, gradient, coriolis, mass, stiff, damp in zip(*signals):
+    for f, g, c, k, e in zip(load, gradient, coriolis, stiffness, damping):
         for _ in range(STEPS):
             beyond = d - np.minimum(np.maximum(d, -half), half)
-            push = stiff * beyond + damp * v
+            push = k * beyond + e * u
             # Teeth push, they do not pull.
-            push = push * (push * beyond > 0.0)
-            a = (force - gradient * d - coriolis * v - push) / mass
-            v = v + h * a
-            d = d + h * v
-        flight.append((d, a))
+            gain = f - g * d - c * u - push * (push * beyond > 0.0)
+            u = u + gain
+            d = d + u
+        flight.append((d, gain))
     return flight
 
 
-def _rattle_alone(half: float, signals: Sequence[Sequence[float]], h: float) -> list[tuple[float, float]]:
-    """The same of one gap: plain numbers, and branches in place of products with nothing, are far faster."""
-    d, v = float(_held(half, signals)), 0.0
-    flight = []
-    for force, gradient, coriolis, mass, stiff, damp in zip(*signals):
-        for _ in range(STEPS):
-            a = force - gradient * d - coriolis * v
-            if d > half:
-                push = stiff * (d - half) + damp * v
-                if push > 0.0:
-                    a -= push
-            elif d < -half:
-                push = stiff * (d + half) + damp * v
-                if push < 0.0:
-                    a -= push
-            a /= mass
-            v += h * a
-            d += h * v
-        flight.append((d, a))
-    return flight
+def _rattle_alone(
+    half: float,
+    load: FloatArray,
+    gradient: FloatArray,
+    coriolis: FloatArray,
+    stiffness: FloatArray,
+    damping: FloatArray,
+) -> tuple[list[float], list[float]]:
+    """The same of one gap, all (N,): plain numbers, and branches in place of products with nothing, are far faster."""
+    d, u = float(_held(half, load[0], gradient[0], stiffness[0])), 0.0
+    held, pull, drag, reach = stiffness * half, stiffness + gradient, damping + coriolis, damping / stiffness
+    along = zip(*(x.tolist() for x in (load, gradient, coriolis, held, pull, drag, reach)))
+    low, steps, deflections, gains = -half, range(STEPS), [], []
+    for f, g, c, at, g_in, c_in, r in along:
+        for _ in steps:
+            if d > half and d - half + r * u > 0.0:
+                gain = f + at - g_in * d - c_in * u
+            elif d < low and d + half + r * u < 0.0:
+                gain = f - at - g_in * d - c_in * u
+            else:
+                gain = f - g * d - c * u
+            u += gain
+            d += u
+        deflections.append(d)
+        gains.append(gain)
+    return deflections, gains
 
 
-def _held(half: Any, signals: Sequence[Any]) -> Any:
+def _held(half: Any, load: Any, gradient: Any, stiffness: Any) -> Any:
     """Rad, where the first load holds it."""
-    force, gradient, _, _, stiff, _ = (signal[0] for signal in signals)
-    return (force + stiff * half * np.sign(force)) / (stiff + gradient)
+    return (load + stiffness * half * np.sign(load)) / (stiffness + gradient)
 
 
 @dataclass(frozen=True)
