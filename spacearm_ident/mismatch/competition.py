@@ -17,7 +17,6 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
-from ..dynamics.term import Values
 from ..forks import each
 from .constants import Method, grid_points, polish, refine, search
 from .evidence import Candidate, Evidence, HeldOut, Refit, inner_each, with_own
@@ -183,25 +182,33 @@ class Competition:
 
         A ripple found beside an unknown push was 2 % off, and a second one beside it made up for that.
         """
-        for number, one in enumerate(self.accepted[:-1]):
-            if one.effect.constants and not one.effect.event:
-                others = [candidate for k, candidate in enumerate(self.accepted) if k != number]
-                self.accepted[number] = self._searched(one, others)
+        numbers = [k for k, one in enumerate(self.accepted[:-1]) if one.effect.constants and not one.effect.event]
+        for number, moved in zip(numbers, each(self._searched, numbers)):
+            # Beside what the others have become as well.
+            others = self._all_but(number)
+            beside, one = self.evidence.refit(others), self.accepted[number]
+            if moved and self._gain(moved, beside, others) - self._gain(one, beside, others) > MOVES * self.gate:
+                self.accepted[number] = replace(moved, effect=one.effect)
 
-    def _searched(self, one: Candidate, others: Sequence[Candidate]) -> Candidate:
-        """An accepted effect with its constants searched again beside others; itself where it gains little."""
+    def _searched(self, number: int) -> Candidate | None:
+        """An accepted effect with its constants searched again beside the others; None where none are better."""
+        one, others = self.accepted[number], self._all_but(number)
         beside = self.evidence.refit(others)
 
         def gain(trial: Candidate) -> float:
             return self._gain(trial, beside, others)
 
         grid = self._grids.get(id(one.effect))
-        now, best = gain(one), one
+        best = one
         if grid:
-            far, number, _ = self._best_of(grid, beside, others)
-            best = grid[number] if far > now else one
+            far, place, _ = self._best_of(grid, beside, others)
+            best = grid[place] if far > gain(one) else one
         moved = search(refine, best, self.evidence, gain)
-        return moved if gain(moved) - now > MOVES * self.gate else one
+        return None if moved is one else moved
+
+    def _all_but(self, number: int) -> list[Candidate]:
+        """What is accepted but for one."""
+        return [candidate for k, candidate in enumerate(self.accepted) if k != number]
 
     def _relinearise(self) -> None:
         """Accepted effects whose columns depend on their own parameters, around the values that they now have."""
@@ -224,7 +231,7 @@ class Competition:
             if self._is_possible(number):
                 continue
             effect = self.accepted[number].effect
-            others = [candidate for k, candidate in enumerate(self.accepted) if k != number]
+            others = self._all_but(number)
             beside = self.evidence.refit(others)
             held_out_before = self._on_held_out(others, beside.values)
             accepted, self.accepted = self.accepted, others
@@ -499,15 +506,15 @@ class Competition:
     def _all_searched(self, method: Method, candidates: Sequence[Candidate], beside: Refit) -> list[Candidate]:
         """Candidates with better constants, if the method finds any, each beside what is accepted."""
 
-        def constants(candidate: Candidate) -> Values:
+        def better(candidate: Candidate) -> Candidate | None:
             found = search(method, candidate, self.evidence, lambda trial: self._gain(trial, beside, self.accepted))
-            return found.constants
+            return None if found is candidate else found
 
-        found = each(constants, candidates)
-        return [
-            one if values == one.constants else self.evidence.candidate(one.effect, values)
-            for one, values in zip(candidates, found)
-        ]
+        # The longest first: what is begun last the other processes wait for.
+        order = sorted(candidates, key=lambda one: -one.stacked.columns.size * len(one.constants))
+        found = dict(zip(map(id, order), each(better, order)))
+        # What another process computed is of a copy of the effect.
+        return [one if (other := found[id(one)]) is None else replace(other, effect=one.effect) for one in candidates]
 
     def _compute_grids(self) -> None:
         """Everything in the pool at every point of its constants' grids, computed once."""
@@ -519,7 +526,6 @@ class Competition:
         made = each(lambda effects: [self._at_every_point(one) for one in effects], [*alike.values()])
         for effects, grids in zip(alike.values(), made):
             for effect, grid in zip(effects, grids):
-                # What another process computed is of a copy of the effect.
                 self._grids[id(effect)] = [replace(candidate, effect=effect) for candidate in grid]
 
     def _at_every_point(self, effect: Effect) -> list[Candidate]:
@@ -583,7 +589,7 @@ class Competition:
         """Drop what later effects have made idle."""
         whole = self.evidence.refit(self.accepted).gain
         for k in range(len(rounds) - 1):
-            others = [c for number, c in enumerate(self.accepted) if number != k]
+            others = self._all_but(k)
             lost = whole - self.evidence.refit(others).gain
             if lost - penalty(self.accepted[k].effect, self.evidence.rows) < 0.5 * self.gate:
                 self.accepted = others
