@@ -180,7 +180,7 @@ class Hypotheses:
         parts: list[np.ndarray | None] = [None, *self.linear.parts()]
 
         def evidence(delay_s: float) -> FloatArray:
-            linear = self.linear if delay_s == self.wiring.delay_s else self._undone(delay_s)
+            linear = self.linear if delay_s == self.wiring.delay_s else self.linear.delayed(self.motions, delay_s)
             return np.array([self._of(linear, SPREAD[DELAY] if delay_s else None, part) for part in parts])
 
         compared = [*dict.fromkeys([0.0, *delays, *(-delay_s for delay_s in delays)])]
@@ -190,10 +190,6 @@ class Hypotheses:
             whole, *by_part = (logs[delay_s] - logs[0.0] + self.log_prior([DELAY])).tolist()
             found.append([min(whole, float(logs[delay_s][0] - logs[-delay_s][0])), *by_part])
         return found
-
-    def _undone(self, delay_s: float) -> Linear:
-        """The linear problem with another delay undone."""
-        return Linear(self.fitted, self.motions, self._whiteners, replace(self.wiring, delay_s=delay_s))
 
     def _of(self, linear: Linear, spread_s: float | None = None, blocks: np.ndarray | None = None) -> float:
         """Log evidence of rows of a linear problem, another delay undone in it, under the present noise.
@@ -264,8 +260,8 @@ class Hypotheses:
             # The derivative does not know the change of friction at a reversal, nor a filter's lag, and leads away from
             # delays that explain more. The way back to none needs no proof: whether the delay stays is asked later.
             ends = (before, self.wiring.delay_s)
-            logs = each(lambda delay_s: self._of(self._undone(delay_s)), ends)
-            better = ends[int(np.argmax(logs))]
+            there = Linear(self.fitted, self.motions, self._whiteners, self.wiring)
+            better = max(ends, key=lambda delay_s: self._of(there.delayed(self.motions, delay_s)))
             self.fitted = with_events_earlier(self.fitted, better - self.wiring.delay_s)
             self.wiring = replace(self.wiring, delay_s=better)
         self.relinearise()

@@ -15,8 +15,8 @@ Any subset of them, fitted to any blocks of time and judged on others, is then a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -116,27 +116,52 @@ class Linear:
             by_state: Whether what only errors need is wanted: `by_state`, and columns of the constants' logarithms,
                 which are zero else.
         """
-        self.model, self.wiring = model, wiring
-        undone = wiring.undone(motions, model)
-        self.motions = undone
+        self.model, self.wiring, self._whiteners = model, wiring, whiteners
+        self.motions = wiring.undone(motions, model)
         joints = model.model.arm.joint_names
         self.names = (
             *(parameter.name for parameter in model.model.parameters),
             *column_names(joints),
             *(f"ln {constant.name}" for constant in model.model.constants),
         )
-        parts = each(lambda motion: _rows_of(model, motion, whiteners, by_state), undone)
-        block_of, self.recording = time_blocks(undone)
+        self._rows = each(lambda motion: _rows_of(model, motion, whiteners, by_state), self.motions)
+        self._gather(by_state)
+
+    def _gather(self, by_state: bool) -> None:
+        """Gram matrices of the rows."""
+        joints = range(len(self.model.model.arm.joints))
+        block_of, self.recording = time_blocks(self.motions)
         self.blocks = len(self.recording)
         self.gram = np.zeros((len(joints), self.blocks, self.count + 1, self.count + 1))
         self.rows = np.zeros((len(joints), self.blocks))
-        for blocks, part in zip(block_of, parts):
+        for blocks, part in zip(block_of, self._rows):
             for joint, (place, stacked) in enumerate(part):
                 for number in np.unique(blocks[place]):
                     rows = stacked[blocks[place] == number]
                     self.gram[joint, number] = rows.T @ rows
                     self.rows[joint, number] = len(rows)
-        self.by_state = _by_state(undone, parts) if by_state else None
+        self._of_all_blocks: FloatArray = self.gram.sum(axis=1)
+        self.by_state = _by_state(self.motions, self._rows) if by_state else None
+
+    def delayed(self, motions: Sequence[Motion], delay_s: float) -> Linear:
+        """The same with another delay undone: of the columns only the torque is another.
+
+        Args:
+            motions: As recorded, the same as before.
+            delay_s: The delay, s.
+        """
+        other = copy(self)
+        other.wiring = replace(self.wiring, delay_s=delay_s)
+        other.motions = other.wiring.undone(motions, self.model)
+        other._rows = [
+            [
+                (place, np.column_stack([stacked[:, :-1], torque]))
+                for (place, stacked), torque in zip(part, _torque_of(self.model, motion, self._whiteners))
+            ]
+            for part, motion in zip(self._rows, other.motions)
+        ]
+        other._gather(self.by_state is not None)
+        return other
 
     @property
     def count(self) -> int:
@@ -231,11 +256,6 @@ class Linear:
         chosen = self._of_all_blocks if blocks is None else self.gram[:, blocks].sum(axis=1)
         return np.asarray(np.tensordot(1.0 / noise, chosen, axes=1))
 
-    @cached_property
-    def _of_all_blocks(self) -> FloatArray:
-        """(n, P + 1, P + 1) sum of `gram`."""
-        return np.asarray(self.gram.sum(axis=1))
-
 
 def _rows_of(
     model: IdentifiedModel, motion: Motion, whiteners: Sequence[Whitener], with_constants: bool
@@ -252,6 +272,13 @@ def _rows_of(
     )
     slots = [scene.slot(joint, 0) for joint in range(len(motion.joints))]
     return [(scene.place[slot], stacked[slot]) for slot in slots]
+
+
+def _torque_of(model: IdentifiedModel, motion: Motion, whiteners: Sequence[Whitener]) -> list[FloatArray]:
+    """By joint, (M,) weighted torque of the rows of a motion that count."""
+    scene = Scene(model, [motion], whiteners)
+    torque = scene.torque()
+    return [torque[scene.slot(joint, 0)] for joint in range(len(motion.joints))]
 
 
 def _by_state(motions: Sequence[Motion], parts: Sequence[list[tuple[np.ndarray, FloatArray]]]) -> FloatArray:
