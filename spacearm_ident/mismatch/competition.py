@@ -487,7 +487,10 @@ class Competition:
         # Which link was touched, only windows that fit well tell.
         touches = [s.named and s.candidate.effect.event and POLISHED * s.score > largest for s in scored]
         polished = iter(self._all_searched(polish, [s.candidate for s, touch in zip(scored, touches) if touch], beside))
-        scored = [self._scored(next(polished), beside, held_out_before) if t else s for s, t in zip(scored, touches)]
+        scored = [
+            replace(self._scored(next(polished), beside, held_out_before), polished=True) if touch else s
+            for s, touch in zip(scored, touches)
+        ]
         return sorted(scored, key=lambda s: -s.score)
 
     def _rough(self, beside: Refit) -> list[Candidate]:
@@ -556,6 +559,8 @@ class Competition:
 
     def _polished(self, scored: Scored) -> Scored:
         """The winner with its constants searched together."""
+        if scored.polished:
+            return scored
         beside = self.evidence.refit(self.accepted)
         (candidate,) = self._all_searched(polish, [scored.candidate], beside)
         if candidate is scored.candidate:
