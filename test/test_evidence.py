@@ -97,6 +97,34 @@ def test_slow_rows_and_rows_after_a_reversal_count_for_less():
     np.testing.assert_allclose(whitener.weight(speed, gone), [0.25, 0.5, 1.0, 0.1, 0.1])
 
 
+def test_beside_an_effect_rows_near_a_reversal_count_for_what_is_left_there():
+    """That does not become less with what is left elsewhere: such rows would decide over any further effect."""
+
+    def disturbed(planted):
+        since = np.cumsum(np.abs(planted.qd[:, 1])) / 250.0
+        turned = np.concatenate([[True], np.diff(np.sign(planted.qd[:, 1])) != 0.0])
+        near = since - np.maximum.accumulate(np.where(turned, since, 0.0)) < 0.5 * NEAR[-1]
+        jolts = np.where(near, 3.0 * np.random.default_rng(5).standard_normal(len(near)), 0.0)
+        return 3.0 * ripple(planted) + np.outer(jolts, [0.0, 1.0])
+
+    before = prepare_evidence(ARM, [], [run(2, disturbed)], [run(3, disturbed)])
+    effect = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
+    after = before.beside([before.evidence.candidate(effect, (20.0,))])
+    assert after is not None
+    row = ARM.joint_names.index("elbow")
+    assert after.noise_floor_Nm[row] < 0.3 * before.noise_floor_Nm[row]
+    field = after.evidence.field
+    left = after.evidence.residual_beside([after.evidence.candidate(effect, (20.0,))])
+    own = field.joint == row
+    near, far = (
+        np.sqrt(np.mean(left[own & rows] ** 2)) for rows in (field.gone < NEAR[-1], field.gone > 10 * NEAR[-1])
+    )
+    assert near < 4.0 * far
+    held = after.held_out.scene.whiteners[row].inflation
+    np.testing.assert_array_equal(held, after.plain[row].inflation)
+    assert held[-1, 0] > 3.0 * before.plain[row].inflation[-1, 0]
+
+
 def test_creeping_far_from_a_reversal_counts_for_less_where_the_reference_shows_it():
     """However much rows count for that are as slow beside a reversal; and slower still is no better known."""
     base = prepare_evidence(ARM, [HEALTHY], [run(2)], []).base
