@@ -277,6 +277,21 @@ def test_torque_that_is_late_or_early_is_so_by_so_much(shifted, delay, words):
     assert words in answer.findings[0].where
 
 
+@pytest.mark.parametrize("noise", [0.3, 1.0])
+def test_what_is_late_at_one_joint_is_no_clock_that_stamps_all(noise):
+    """That the motion of the elbow alone is late is in no catalogue: the shoulder, if noisy, contradicts a common delay."""
+
+    def recording(seed, changed):
+        planted = two_link_run(LAWS, seconds=16.0, rate_hz=250.0, seed=seed, speed=1.0)
+        if changed:
+            planted = replace(planted, torque=planted.torque + early(planted) * [0.0, 1.0])
+        return planted.recording(noise=(noise, NOISE[1]), seed=seed + 100)
+
+    healthy, field, held_out = recording(1, False), recording(2, True), recording(3, True)
+    answer = explain(ARM, [healthy], [field], [held_out], SLOW_ONES)
+    assert [(finding.effect, finding.joints) for finding in answer.findings] == [(UNKNOWN, ("elbow",))]
+
+
 def carrying(seed, com):
     """A run with 0.7 kg on the last link, at `com` (m) in its axes."""
     elbow = TWO_LINKS[1]

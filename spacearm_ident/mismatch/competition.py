@@ -24,7 +24,19 @@ from .finding import Happened
 from .happened import happened, without
 from .residuals import unwhitened
 from .rivals import UNKNOWN, Rival, rivals
-from .scored import Scored, feels, is_dominated, is_not_excited, penalty, plausible, simplest, throughout
+from .scene import Scene
+from .scored import (
+    TEMPER,
+    TEMPER_SHARE,
+    Scored,
+    feels,
+    is_dominated,
+    is_not_excited,
+    penalty,
+    plausible,
+    simplest,
+    throughout,
+)
 from .stacked import base_columns
 
 GATE = 60.0
@@ -355,7 +367,9 @@ class Competition:
 
     def _stands(self, scored: Scored) -> bool:
         """Whether an effect is in the field by itself, explains enough, acts on held-out rows and is not negligible."""
-        if scored.gain < self.gate or (scored.score > self.gate and not self._lasts(scored)):
+        if scored.gain < self.gate:
+            return False
+        if scored.score > self.gate and not (self._lasts(scored) and self._is_at_each(scored)):
             return False
         values = self._values_of(scored)
         mine = self._energy([scored.candidate], values)
@@ -386,17 +400,27 @@ class Competition:
         effect = scored.candidate.effect
         if effect.event:
             return True
-        both = [*self.accepted, scored.candidate]
-        drop = throughout(
-            self.evidence.field, self.evidence.residual_beside(self.accepted), self.evidence.residual_beside(both)
-        )
-        if self.held_out is not None:
-            before, after = (
-                self.held_out.residual(effects, self.evidence.refit(effects).values)
-                for effects in (self.accepted, both)
-            )
-            drop += throughout(self.held_out.scene, before, after)
+        drop = sum(throughout(scene, before, after) for scene, before, after in self._left(scored))
         return drop - penalty(effect, self.evidence.rows) > LASTS * self.gate
+
+    def _is_at_each(self, scored: Scored) -> bool:
+        """Whether what is alike at several joints makes none worse, as far as scores can tell.
+
+        A loose bolt at one joint is late torque there; one clock stamps them all.
+        """
+        if "joints" not in scored.candidate.effect.place:
+            return True
+        drops = [scene.by_joint(before**2 - after**2) for scene, before, after in self._left(scored)]
+        return float(np.min(np.sum(drops, axis=0))) > -(TEMPER + TEMPER_SHARE * scored.score)
+
+    def _left(self, scored: Scored) -> Iterator[tuple[Scene, FloatArray, FloatArray]]:
+        """Field and held-out rows: whitened residual beside what is accepted, and with one more."""
+        both = [*self.accepted, scored.candidate]
+        field = self.evidence.residual_beside
+        yield self.evidence.field, field(self.accepted), field(both)
+        if self.held_out is not None:
+            before, after = (self._on_held_out(one, self.evidence.refit(one).values) for one in (self.accepted, both))
+            yield self.held_out.scene, before, after
 
     def _excess(self, effect: Effect) -> FloatArray:
         """(n,) chi-square of each joint's field rows above what noise would leave, beside what is accepted.
