@@ -279,7 +279,7 @@ def test_torque_that_is_late_or_early_is_so_by_so_much(shifted, delay, words):
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
 def test_what_is_late_at_one_joint_is_no_clock_that_stamps_all(noise):
-    """That the motion of the elbow alone is late is in no catalogue: the shoulder, if noisy, contradicts a common delay."""
+    """Late motion of the elbow alone is in no catalogue; the shoulder, if noisy, contradicts one delay of all."""
 
     def recording(seed, changed):
         planted = two_link_run(LAWS, seconds=16.0, rate_hz=250.0, seed=seed, speed=1.0)
