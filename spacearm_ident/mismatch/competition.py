@@ -511,10 +511,7 @@ class Competition:
         # Which link was touched, only windows that fit well tell.
         touches = [s.named and s.candidate.effect.event and POLISHED * s.score > largest for s in scored]
         polished = iter(self._all_searched(polish, [s.candidate for s, touch in zip(scored, touches) if touch], beside))
-        scored = [
-            replace(self._scored(next(polished), beside, held_out_before), polished=True) if touch else s
-            for s, touch in zip(scored, touches)
-        ]
+        scored = [self._scored(next(polished), beside, held_out_before) if t else s for s, t in zip(scored, touches)]
         return sorted(scored, key=lambda s: -s.score)
 
     def _rough(self, beside: Refit) -> list[Candidate]:
@@ -582,9 +579,7 @@ class Competition:
         return gain if np.isfinite(gain) and plausible(candidate, values, self._coulomb) else -np.inf
 
     def _polished(self, scored: Scored) -> Scored:
-        """The winner with its constants searched together."""
-        if scored.polished:
-            return scored
+        """The winner with its constants searched together; a touch's once more, for a simplex may end where none is."""
         beside = self.evidence.refit(self.accepted)
         (candidate,) = self._all_searched(polish, [scored.candidate], beside)
         if candidate is scored.candidate:

@@ -40,7 +40,6 @@ class Scored:
         score: Both, less the penalty.
         plausible: Whether its values are such as this physics has.
         not_excited: Whether the held-out recordings do not excite it.
-        polished: Whether its constants were searched together.
     """
 
     candidate: Candidate
@@ -49,7 +48,6 @@ class Scored:
     score: float
     plausible: bool
     not_excited: bool = False
-    polished: bool = False
 
     @property
     def joints(self) -> tuple[str, ...]:
