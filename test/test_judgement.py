@@ -175,7 +175,7 @@ def test_constants_that_pull_at_each_other_are_searched_together():
 
     def gain(constants):
         stiffness, damping = constants[0] / 5000.0, constants[1] / 0.05
-        return -((stiffness - 1.0) ** 2) - 400.0 * (damping - stiffness) ** 2
+        return -1e3 * (stiffness - 1.0) ** 2 - 4e5 * (damping - stiffness) ** 2
 
     begin = (8000.0, 0.08)
     stuck, found = (method(effect, begin, gain, gain(begin)) for method in (refine, polish))
