@@ -20,7 +20,8 @@ from spacearm_ident.layers.comparison import Comparison
 from spacearm_ident.layers.conventions import find_wiring
 from spacearm_ident.layers.discrete import find_mistakes
 from spacearm_ident.layers.item import Item
-from spacearm_ident.layers.joint_fit import JointFit
+from spacearm_ident.layers.joint_fit import JointFit, in_newton_metres
+from spacearm_ident.layers.linear import Linear
 from spacearm_ident.layers.parameters import Change, changes, combinations
 from spacearm_ident.layers.physics import optional_terms, with_friction_terms
 from spacearm_ident.layers.wiring import Wiring
@@ -114,6 +115,24 @@ def test_wiring_that_is_off_is_found_with_its_size(
     np.testing.assert_allclose(wired.wiring.gain, wiring.gain, rtol=0.02)
     np.testing.assert_allclose(wired.wiring.zero_rad, wiring.zero_rad, atol=0.004)
     assert abs(wired.wiring.delay_s - wiring.delay_s) < 0.001
+
+
+@pytest.mark.parametrize("by_state", [False, True])
+def test_another_delay_of_a_linear_problem_is_that_of_the_problem_built_anew(
+    simulation: Simulation, by_state: bool
+) -> None:
+    motions = banded([recorded(mjcf(), seed) for seed in (3, 4)], JOINTS, 20.0, 70.0)
+    weights, other = in_newton_metres(simulation.arm), Wiring(np.array([1.0, 0.8, 1.0]), np.array([0.0, 0.02, 0.0]))
+    known = Linear(simulation.model, motions, weights, other, by_state)
+    late, anew = (
+        known.delayed(motions, 0.013),
+        Linear(simulation.model, motions, weights, replace(other, delay_s=0.013)),
+    )
+    np.testing.assert_allclose(late.gram, anew.gram, rtol=1e-12, atol=1e-12 * np.abs(anew.gram).max())
+    np.testing.assert_allclose(late.rms(late.start()), anew.rms(anew.start()), rtol=1e-12)
+    assert late.wiring.delay_s == 0.013 and known.wiring.delay_s == 0.0
+    assert (late.by_state is not None) == by_state
+    assert not np.allclose(late.rms(late.start()), known.rms(known.start()), rtol=1e-3)
 
 
 def test_a_gain_beside_a_push_is_found_with_its_size(tmp_path: Path) -> None:
