@@ -25,18 +25,7 @@ from .happened import happened, without
 from .residuals import unwhitened
 from .rivals import UNKNOWN, Rival, rivals
 from .scene import Scene
-from .scored import (
-    TEMPER,
-    TEMPER_SHARE,
-    Scored,
-    feels,
-    is_dominated,
-    is_not_excited,
-    penalty,
-    plausible,
-    simplest,
-    throughout,
-)
+from .scored import Scored, feels, is_dominated, is_not_excited, penalty, plausible, simplest, throughout
 from .stacked import base_columns
 
 GATE = 60.0
@@ -404,14 +393,14 @@ class Competition:
         return drop - penalty(effect, self.evidence.rows) > LASTS * self.gate
 
     def _is_at_each(self, scored: Scored) -> bool:
-        """Whether what is alike at several joints makes none worse, as far as scores can tell.
+        """Whether what is alike at several joints makes none so much worse that what undoes it would be a finding.
 
         A loose bolt at one joint is late torque there; one clock stamps them all.
         """
         if "joints" not in scored.candidate.effect.place:
             return True
         drops = [scene.by_joint(before**2 - after**2) for scene, before, after in self._left(scored)]
-        return float(np.min(np.sum(drops, axis=0))) > -(TEMPER + TEMPER_SHARE * scored.score)
+        return float(np.min(np.sum(drops, axis=0))) > -self.gate
 
     def _left(self, scored: Scored) -> Iterator[tuple[Scene, FloatArray, FloatArray]]:
         """Field and held-out rows: whitened residual beside what is accepted, and with one more."""
