@@ -62,6 +62,10 @@ def read_text(path: Path, what: str) -> str:
 def write_whole(path: Path, text: str) -> None:
     """Write a file that is there whole or not at all: what was there before stays until then.
 
+    Args:
+        path: The file.
+        text: All of it.
+
     Raises:
         OSError: It cannot be written.
     """
@@ -82,6 +86,10 @@ def file_sha256(path: Path) -> str:
 def read_yaml(path: Path, what: str) -> Any:
     """The document in a YAML file, as plain data.
 
+    Args:
+        path: The file.
+        what: What it is, for errors.
+
     Raises:
         UserError: As `read_text` and `parse_yaml`.
     """
@@ -90,6 +98,10 @@ def read_yaml(path: Path, what: str) -> Any:
 
 def parse_yaml(text: str | bytes, where: str) -> Any:
     """A YAML document as plain data; `where` names it in errors.
+
+    Args:
+        text: The document.
+        where: Its name in errors.
 
     Raises:
         UserError: Not valid YAML, nested deeper than `MAX_DEPTH`, more than `MAX_VALUES` values, or one that holds
@@ -187,6 +199,10 @@ def check_xml(text: str, what: str, on_element: Callable[[int, str, dict[str, st
 
 def parse_xml(text: str, what: str) -> ET.Element:
     """The root of an XML document that `check_xml` passes; names with a prefix stay as they are written.
+
+    Args:
+        text: The document.
+        what: Its name in errors.
 
     Raises:
         UserError: As `check_xml`.

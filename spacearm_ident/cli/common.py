@@ -97,6 +97,10 @@ def reading_of(options: argparse.Namespace) -> Reading:
 def arm_of(options: argparse.Namespace, recordings: Sequence[Recording]) -> Arm:
     """The arm asked for, or the one the recordings describe.
 
+    Args:
+        options: Of the command: `arm`, `gravity`.
+        recordings: Which may hold a description.
+
     Raises:
         UserError: Neither is there.
     """
@@ -104,14 +108,24 @@ def arm_of(options: argparse.Namespace, recordings: Sequence[Recording]) -> Arm:
 
 
 def note(options: argparse.Namespace, text: str) -> None:
-    """A line for a person, on standard error, so that --json stays clean."""
+    """A line for a person, on standard error, so that --json stays clean.
+
+    Args:
+        options: Of the command: `quiet`.
+        text: One line.
+    """
     if not options.quiet:
         sys.stdout.flush()  # the result comes first in a file that takes both streams, too
         print(one_line(text), file=sys.stderr)
 
 
 def note_findings(options: argparse.Namespace, recordings: Sequence[Recording]) -> None:
-    """What was found in the recordings and what was dropped."""
+    """What was found in the recordings and what was dropped.
+
+    Args:
+        options: Of the command: `quiet`.
+        recordings: As read.
+    """
     for recording in recordings:
         for line in describe(recording):
             note(options, line)

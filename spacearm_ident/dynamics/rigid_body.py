@@ -93,7 +93,12 @@ class PerJoint(Term):
 
     @staticmethod
     def signal(motion: Motion, row: int) -> FloatArray:
-        """(N,) what the parameter multiplies."""
+        """(N,) what the parameter multiplies.
+
+        Args:
+            motion: N samples.
+            row: Number of the joint.
+        """
         raise NotImplementedError
 
 

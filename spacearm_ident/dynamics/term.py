@@ -116,7 +116,12 @@ class Term(ABC):
     @classmethod
     @abstractmethod
     def build(cls, arm: Arm, options: Mapping[str, Any]) -> tuple[Term, ...]:
-        """The terms of this kind for an arm: one, or one a joint where constants are searched joint by joint."""
+        """The terms of this kind for an arm: one, or one a joint where constants are searched joint by joint.
+
+        Args:
+            arm: The arm.
+            options: Of this kind, as in a model file.
+        """
 
     @property
     def depends(self) -> bool:
@@ -124,7 +129,12 @@ class Term(ABC):
         return False
 
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
-        """Whether this term could have these values (in its own order); a search passes over those it could not."""
+        """Whether this term could have these values (in its own order); a search passes over those it could not.
+
+        Args:
+            parameters: (k,) values.
+            constants: (c,) values.
+        """
         return True
 
     @abstractmethod
@@ -156,6 +166,10 @@ class Term(ABC):
 
 def chosen_joints(arm: Arm, choice: Any) -> tuple[str, ...]:
     """The joints that an option names; true stands for all, false or nothing for none.
+
+    Args:
+        arm: Whose joints there are.
+        choice: True, a sequence of names, or nothing.
 
     Raises:
         UserError: The arm does not have one of them.

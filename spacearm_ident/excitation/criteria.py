@@ -179,6 +179,10 @@ class Information:
 
         Over the columns that condition numbers are taken of: a peak of static friction that full speed does not
         show is not asked for in a motion at full speed either.
+
+        Args:
+            tests: Information of motions that are to be predicted.
+            samples: How many of the excitation are independent.
         """
         chosen = np.ix_(self.conditioned, self.conditioned)
         covariance = _inverse(self.weighted[chosen] * samples)[0]
@@ -207,7 +211,12 @@ class Question:
 
     @classmethod
     def of(cls, identified: IdentifiedModel, noise_Nm: FloatArray | None = None) -> Question:
-        """Find the base parameters; noise from the torque limits unless given."""
+        """Find the base parameters; noise from the torque limits unless given.
+
+        Args:
+            identified: What is known of the arm, with values near its own.
+            noise_Nm: (n,) standard deviation of a torque sample; None: a share of each joint's torque limit.
+        """
         model = identified.model
         leads = tuple(k for k in base_parameters(model).independent if not model.parameters[k].held)
         if noise_Nm is None:
@@ -218,12 +227,22 @@ class Question:
         return cls(identified, leads, np.asarray(noise_Nm, dtype=float))
 
     def resolved(self, joint: int, stribeck_velocity: float) -> bool:
-        """Whether motion at full speed can see a Stribeck peak this wide; if not, only slow segments can."""
+        """Whether motion at full speed can see a Stribeck peak this wide; if not, only slow segments can.
+
+        Args:
+            joint: Its number.
+            stribeck_velocity: rad/s or m/s.
+        """
         limit = self.identified.model.arm.joints[joint].velocity_limit
         return stribeck_velocity >= RESOLVED_SHARE * (limit if np.isfinite(limit) else 1.0)
 
     def information(self, motion: Motion, rate_hz: float) -> Information:
-        """The exact information of a motion (T, n) sampled at `rate_hz`; constants that are zero have no column."""
+        """The exact information of a motion (T, n) sampled at `rate_hz`; constants that are zero have no column.
+
+        Args:
+            motion: Positions, velocities and accelerations, (T, n) each.
+            rate_hz: Of its samples.
+        """
         model = self.identified.model
         names = [model.parameters[k].name for k in self.leads]
         present = [k for k, value in enumerate(self.identified.constants) if value > 0]

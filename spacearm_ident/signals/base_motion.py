@@ -88,7 +88,12 @@ class BaseSamples:
     def motion(
         self, smooth: Callable[[FloatArray], FloatArray], differentiate: Callable[[FloatArray], FloatArray]
     ) -> BaseMotion:
-        """The base link's motion, by the low-pass and the derivative that the joints go through as well."""
+        """The base link's motion, by the low-pass and the derivative that the joints go through as well.
+
+        Args:
+            smooth: From (N, k) samples to as many, through the joints' low-pass.
+            differentiate: From (N, k) samples to their low-passed derivative by time.
+        """
         rate = smooth(self.rate)
         rate_dot = differentiate(rate)
         if self.force is not None:

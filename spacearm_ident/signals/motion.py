@@ -160,7 +160,12 @@ class Motion:
         return reduced
 
     def smoothed(self, signal: FloatArray, cutoff_hz: float) -> FloatArray:
-        """A full-rate signal (N, k) through a low-pass of the same kind, at full rate; it stays where it is."""
+        """A full-rate signal (N, k) through a low-pass of the same kind, at full rate; it stays where it is.
+
+        Args:
+            signal: In any unit.
+            cutoff_hz: Of the low-pass.
+        """
         half = max(1, int(np.ceil(HALF_LENGTH / cutoff_hz * self.rate_hz)))
         taps = hann(2 * half + 3)[1:-1]
         return np.asarray(convolve1d(signal, taps / taps.sum(), axis=0, mode="wrap" if self.cyclic else "nearest"))

@@ -176,7 +176,12 @@ def _mismatch(scaled: FloatArray, lag: int) -> tuple[FloatArray, float]:
 
 
 def fold(signal: FloatArray, period: Period) -> FloatArray:
-    """The whole periods of a signal (N, n) as (count, samples a period, n), on a common phase."""
+    """The whole periods of a signal (N, n) as (count, samples a period, n), on a common phase.
+
+    Args:
+        signal: Samples of all joints, in any unit.
+        period: Where the periods are, and how long; values between samples are a cubic spline's.
+    """
     length = round(period.samples)
     if abs(period.samples - length) * period.count < 0.05:
         stop = period.start + period.count * length

@@ -59,6 +59,10 @@ class _Stretch:
 def require_joints(recording: Recording, joints: Sequence[str]) -> None:
     """Refuse a recording that lacks a joint.
 
+    Args:
+        recording: The recording.
+        joints: Names that it has to have.
+
     Raises:
         UserError: The message names the joint, and those that are there.
     """

@@ -236,6 +236,10 @@ def derivative_taps(cutoff_hz: float, rate_hz: float) -> FloatArray:
 
     The first is the zero-phase Butterworth filter of `signals.prepare`, faded out within `REACH` periods, the others
     its central differences.
+
+    Args:
+        cutoff_hz: Of the low-pass.
+        rate_hz: Of the samples.
     """
     reach = int(np.ceil(REACH / cutoff_hz * rate_hz))
     impulse = np.zeros(6 * reach + 1)

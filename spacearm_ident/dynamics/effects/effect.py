@@ -69,6 +69,10 @@ class Effect(Term):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """The effect at one place.
 
+        Args:
+            arm: The arm.
+            place: Names of the joint or joints, and what else says where, as in a model file.
+
         Raises:
             KeyError, ValueError: The place is incomplete, or not one of this arm.
         """
@@ -241,7 +245,12 @@ def each(columns: Mapping[int, FloatArray]) -> Columns:
 
 
 def direction(motion: Motion, row: int) -> FloatArray:
-    """(N,) sign of a joint's velocity; zero where it is not believed."""
+    """(N,) sign of a joint's velocity; zero where that is no more than its noise.
+
+    Args:
+        motion: N samples.
+        row: Number of the joint.
+    """
     velocity = motion.velocity[:, row]
     return np.where(np.abs(velocity) > motion.speed_noise[row], np.sign(velocity), 0.0)
 
@@ -260,6 +269,10 @@ def nothing(motion: Motion, rows: Sequence[int], count: int) -> Columns:
 def known_joint(arm: Arm, place: Options) -> str:
     """The joint of a place.
 
+    Args:
+        arm: The arm.
+        place: With the name of a joint.
+
     Raises:
         ValueError: The arm does not have it.
     """
@@ -271,6 +284,10 @@ def known_joint(arm: Arm, place: Options) -> str:
 
 def known_joints(arm: Arm, place: Options) -> str:
     """The name that parameters of an effect at some joints alike go by: that of its one joint, or `all`.
+
+    Args:
+        arm: The arm.
+        place: With the name of a joint, or names of several.
 
     Raises:
         ValueError: The arm does not have one of them, or none is named.
