@@ -118,9 +118,7 @@ def test_wiring_that_is_off_is_found_with_its_size(
 
 
 @pytest.mark.parametrize("by_state", [False, True])
-def test_another_delay_of_a_linear_problem_is_that_of_the_problem_built_anew(
-    simulation: Simulation, by_state: bool
-) -> None:
+def test_linear_problem_with_another_delay_is_the_one_built_with_it(simulation: Simulation, by_state: bool) -> None:
     motions = banded([recorded(mjcf(), seed) for seed in (3, 4)], JOINTS, 20.0, 70.0)
     weights, other = in_newton_metres(simulation.arm), Wiring(np.array([1.0, 0.8, 1.0]), np.array([0.0, 0.02, 0.0]))
     known = Linear(simulation.model, motions, weights, other, by_state)
@@ -128,8 +126,8 @@ def test_another_delay_of_a_linear_problem_is_that_of_the_problem_built_anew(
         known.delayed(motions, 0.013),
         Linear(simulation.model, motions, weights, replace(other, delay_s=0.013)),
     )
-    np.testing.assert_allclose(late.gram, anew.gram, rtol=1e-12, atol=1e-12 * np.abs(anew.gram).max())
-    np.testing.assert_allclose(late.rms(late.start()), anew.rms(anew.start()), rtol=1e-12)
+    np.testing.assert_allclose(late.gram, rebuilt.gram, rtol=1e-12, atol=1e-12 * np.abs(rebuilt.gram).max())
+    np.testing.assert_allclose(late.rms(late.start()), rebuilt.rms(rebuilt.start()), rtol=1e-12)
     assert late.wiring.delay_s == 0.013 and known.wiring.delay_s == 0.0
     assert (late.by_state is not None) == by_state
     assert not np.allclose(late.rms(late.start()), known.rms(known.start()), rtol=1e-3)

@@ -29,7 +29,12 @@ Method = Callable[[Effect, Values, Gain, float], Values]
 
 
 def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[float, ...]]:
-    """Every point of its constants' grids; an event begins while something was recorded, a position was passed."""
+    """Every point of its constants' grids; an event begins while something was recorded, a position was passed.
+
+    Args:
+        effect: The effect, for its constants.
+        motions: Recordings that it may act in.
+    """
     motions = [motion for motion in motions if not effect.elsewhere(motion)]
     begin = min(motion.start_s for motion in motions)
     end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in motions)
