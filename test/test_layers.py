@@ -122,7 +122,7 @@ def test_linear_problem_with_another_delay_is_the_one_built_with_it(simulation: 
     motions = banded([recorded(mjcf(), seed) for seed in (3, 4)], JOINTS, 20.0, 70.0)
     weights, other = in_newton_metres(simulation.arm), Wiring(np.array([1.0, 0.8, 1.0]), np.array([0.0, 0.02, 0.0]))
     known = Linear(simulation.model, motions, weights, other, by_state)
-    late, anew = (
+    late, rebuilt = (
         known.delayed(motions, 0.013),
         Linear(simulation.model, motions, weights, replace(other, delay_s=0.013)),
     )
