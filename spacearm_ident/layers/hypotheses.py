@@ -259,11 +259,10 @@ class Hypotheses:
         if DELAY in self.found and abs(self.wiring.delay_s) > abs(before):
             # The derivative does not know the change of friction at a reversal, nor a filter's lag, and leads away from
             # delays that explain more. The way back to none needs no proof: whether the delay stays is asked later.
-            ends = (before, self.wiring.delay_s)
-            there = Linear(self.fitted, self.motions, self._whiteners, self.wiring)
-            better = max(ends, key=lambda delay_s: self._of(there.delayed(self.motions, delay_s)))
-            self.fitted = with_events_earlier(self.fitted, better - self.wiring.delay_s)
-            self.wiring = replace(self.wiring, delay_s=better)
+            linear = Linear(self.fitted, self.motions, self._whiteners, self.wiring)
+            if self._of(linear.delayed(self.motions, before)) >= self._of(linear):
+                self.fitted = with_events_earlier(self.fitted, before - self.wiring.delay_s)
+                self.wiring = replace(self.wiring, delay_s=before)
         self.relinearise()
 
     def errors(self) -> dict[str, float]:
