@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 import time
@@ -202,6 +203,26 @@ def test_a_step_that_reports_nothing_for_long_has_lines_of_progress_where_piped(
     capsys.readouterr()
     time.sleep(0.1)
     assert capsys.readouterr().err == "", "none after the end"
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: nothing is shared")
+@pytest.mark.parametrize("terminal", [True, False])
+def test_progress_leaves_a_command_all_cores(terminal):
+    """In a process of its own, as the command is: its only other thread is the one that shows progress."""
+    program = (
+        "import os, time\n"
+        "from argparse import Namespace\n"
+        "from spacearm_ident.cli import common\n"
+        "from spacearm_ident.forks import each\n"
+        "with common.progress(Namespace(quiet=False)) as report:\n"
+        "    report(0.2, 'comparing effects')\n"
+        "    processes = set(each(lambda _: (time.sleep(0.02), os.getpid())[1], range(20)))\n"
+        "print(len(processes))\n"
+    )
+    environment = {**os.environ, "TERM": "xterm", **({"FORCE_COLOR": "1"} if terminal else {})}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, check=True)
+    assert int(done.stdout) > 1
+    assert ("comparing effects" in done.stderr) == terminal, "the bar is drawn, and a line comes later"
 
 
 def test_the_command_says_the_verdict_first_and_describes_its_recordings_last(bags, tmp_path):

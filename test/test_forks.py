@@ -1,4 +1,4 @@
-"""`forks.each`: the results of a loop, whatever happens to the processes that help."""
+"""`forks`: the results of work in several processes, whatever happens to those that help."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from spacearm_ident.forks import MOST, each
+from spacearm_ident.forks import MOST, Ticker, beside, each
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 
@@ -103,3 +103,67 @@ def test_with_other_threads_it_works_alone():
     finally:
         waits.set()
         other.join()
+
+
+@TWO_CORES
+def test_tickers_leave_it_all_cores_and_hold_no_lock_in_another_process(monkeypatch):
+    count_all, of_the_runner = threading.active_count, threading.active_count() - 1
+    monkeypatch.setattr(threading, "active_count", lambda: count_all() - of_the_runner)
+    held, ticks = threading.Lock(), []
+
+    def tick() -> None:
+        with held:
+            time.sleep(0.005)
+            ticks.append(1)
+
+    def where(_: int) -> int:
+        with held:
+            time.sleep(0.002)
+            return os.getpid()
+
+    with Ticker(tick, 0.001):
+        found = [pid for _ in range(20) for pid in each(where, range(4))]
+        assert threading.active_count() == 2
+    assert len(set(found)) > 2 and len(ticks) > 5
+    count = len(ticks)
+    time.sleep(0.05)
+    assert len(ticks) == count, "none after the end"
+
+
+@TWO_CORES
+def test_one_function_is_computed_beside_this_process(alone):
+    with beside(os.getpid) as other:
+        assert other() != os.getpid()
+    with beside(lambda: bytes(3_000_000)) as large:
+        assert len(large()) == 3_000_000
+    assert not multiprocessing.active_children()
+
+
+def test_what_is_computed_beside_raises_here():
+    def fails() -> int:
+        raise ValueError("three")
+
+    with pytest.raises(ValueError, match="three"), beside(fails) as result:
+        result()
+    assert not multiprocessing.active_children()
+
+
+@TWO_CORES
+def test_what_a_killed_process_leaves_is_computed_when_it_is_asked_for(alone):
+    own = os.getpid()
+
+    def risky() -> int:
+        if os.getpid() != own:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return 5
+
+    with beside(risky) as result:
+        assert result() == 5
+
+
+@TWO_CORES
+def test_a_result_nobody_asks_for_ends_its_process(alone):
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), beside(lambda: time.sleep(60)):
+        raise KeyboardInterrupt
+    assert time.monotonic() - begun < 30 and not multiprocessing.active_children()

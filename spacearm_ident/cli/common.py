@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from ..documents import file_sha256
 from ..dynamics.arm import Arm
 from ..errors import one_line
+from ..forks import Ticker
 from ..recording import Recording, describe
 from ..recording.messages import STATES_TOPIC
 from ..results.provenance import versions
@@ -146,33 +146,24 @@ LINE_EVERY_S = 10.0
 """Seconds between two lines of progress where standard error is no terminal; shorter work prints none."""
 
 
-class _ProgressLines:
-    """Progress for a log: share done, time taken so far, and the present step, a line every `LINE_EVERY_S`.
+REFRESH_EVERY_S = 0.1
+"""Seconds between two drawings of the progress bar: the clock in it shows that a long step has not stopped."""
 
-    A thread of its own prints them: a step that takes a minute reports nothing in between.
-    """
+
+class _ProgressLines:
+    """Progress for a log: share done, time taken so far, and the present step, a line each time."""
 
     def __init__(self) -> None:
         self._share, self._what = 0.0, "starting"
-        self._over = threading.Event()
-        self._printer = threading.Thread(target=self._print, name="progress", daemon=True)
+        self._begun = time.monotonic()
 
     def __call__(self, share: float, what: str) -> None:
         self._share, self._what = share, what
 
-    def __enter__(self) -> _ProgressLines:
-        self._printer.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._over.set()
-        self._printer.join()
-
-    def _print(self) -> None:
-        begun = time.monotonic()
-        while not self._over.wait(LINE_EVERY_S):
-            seconds = time.monotonic() - begun
-            print(f"{self._share:4.0%} {seconds:5.0f} s  {self._what}", file=sys.stderr, flush=True)
+    def print(self) -> None:
+        """A line on standard error."""
+        seconds = time.monotonic() - self._begun
+        print(f"{self._share:4.0%} {seconds:5.0f} s  {self._what}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -183,10 +174,13 @@ def progress(options: argparse.Namespace) -> Iterator[Report]:
         yield lambda share, what: None
         return
     if not console.is_terminal:
-        with _ProgressLines() as lines:
+        lines = _ProgressLines()
+        with Ticker(lines.print, LINE_EVERY_S):
             yield lines
         return
     columns = (TextColumn("{task.description:<44}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
+    # Rich's own thread may hold a lock while work is shared among forked processes.
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
         task = bar.add_task("starting", total=1.0)
-        yield lambda share, what: bar.update(task, completed=share, description=what)
+        with Ticker(bar.refresh, REFRESH_EVERY_S):
+            yield lambda share, what: bar.update(task, completed=share, description=what)

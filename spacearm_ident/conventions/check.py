@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..errors import UnfitDataError
+from ..forks import each
 from ..recording.recording import Recording
 from ..signals.bandwidth import BOUNDS_HZ
 from ..signals.prepare import prepare, require_joints, reversal_cutoff_hz
@@ -56,12 +58,9 @@ def check_conventions(
     Raises:
         UserError: A recording lacks a joint of the arm.
     """
-    reports = []
-    for number, recording in enumerate(recordings):
-        if progress is not None:
-            progress(number / len(recordings), "checking conventions")
-        reports.append(_check(recording, arm))
-    found = merged(reports)
+    if progress is not None:
+        progress(0.0, "checking conventions")
+    found = merged(each(partial(_check, arm=arm), recordings))
     return found if gravity_known else replace(found, findings=tuple(_gravity_noted(one) for one in found.findings))
 
 

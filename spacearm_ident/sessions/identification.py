@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,10 @@ from ..dynamics.urdf_chain import JointTree
 from ..environment.gravity import require_gravity_choice
 from ..errors import UserError
 from ..estimate.identified import Identified, Validation
+from ..forks import beside
 from ..identification.identify import Progress, Settings, identify, with_provenance
 from ..identification.validation import split, validate
 from ..recording import Recording
-from ..report.folder import write_result
 from ..results.provenance import OPTIONS, provenance
 from ..results.recorded_runs import recorded_runs
 from ..solvers.choice import SEPARABLE, require_solver
@@ -82,7 +83,7 @@ def identify_session(
     whole, what = corrected(fitted, arm), _what(fitted, validated or ())
     judges = whole if validated is fitted else corrected(validated or (), arm)
     every = [*whole, *([] if judges is whole else judges)]
-    conventions = check_conventions(every, arm, gravity_known=not settings.gravity, progress=within(report, 0.0, 0.1))
+    check = partial(check_conventions, every, arm, gravity_known=not settings.gravity)
     if validated:
         judged = judges
     elif settings.prior is not None:
@@ -92,9 +93,18 @@ def identify_session(
         whole, judged = [*whole[:-1], first], [last]
     else:
         raise UserError("nothing to validate the known model on: name a recording")
-    identified = known or identify(whole, arm, settings, within(report, 0.1, 0.6))
-    report(0.6, "validating")
-    validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
+    with beside(check) as checked:
+        try:
+            identified = known or identify(whole, arm, settings, within(report, 0.0, 0.6))
+            report(0.6, "validating")
+            validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
+            # Matplotlib takes half as long as an identification to import.
+            from ..report.folder import write_result
+        except Exception:
+            # What is wrong with the recordings is said before what could not be made of them.
+            checked()
+            raise
+        conventions = checked()
     identified = with_provenance(identified, _origin(fitted, validated or fitted[-1:], command, settings, asked))
     tried = identified.coupling
     further: dict[str, Any] = {"conventions": conventions.as_dict(), "coupling_tried": tried and tried.as_dict()}
