@@ -63,6 +63,13 @@ class Payload(Effect):
         """Where it is held."""
         return tuple(range(1, len(self.parameters))) if self.place.get("regripped") else ()
 
+    def replaces(self, other: Effect) -> bool:
+        """Any other: an arm carries one load, and two of them imitate what moves mass between links.
+
+        Hysteresis of a wrist was 27 kg more on one link and as much less on the next.
+        """
+        return isinstance(other, Payload)
+
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """A mass within reach of its link; a negative one only where a tool was taken off, at the last link."""
         mass, moment = float(parameters[0]), float(np.linalg.norm(parameters[1:4]))
