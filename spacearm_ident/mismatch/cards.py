@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -46,7 +46,8 @@ class Cards:
         effect = self.accepted[number].effect
         values = self._values(number)
         rivals = _others(winner, others)
-        before, after, beside, explained = self._on_held_out(number)
+        felt = self._felt_in_field(number)
+        before, after, beside, explained = self._on_held_out(number, felt)
         if effect.event:
             beside, explained = self._while_it_lasts(number)
         joints = effect.joints or tuple(before)
@@ -68,7 +69,7 @@ class Cards:
             explained=explained,
             beside_Nm=beside,
             against=effect.against(values),
-            felt_Nm=self._felt_in_field(number),
+            felt_Nm=felt,
         )
 
     def _values(self, number: int) -> FloatArray:
@@ -82,8 +83,13 @@ class Cards:
         whole = float(np.sum((columns @ values) ** 2))
         return float(values @ gram @ values) / whole if whole > 0 else float("nan")
 
-    def _on_held_out(self, number: int) -> tuple[dict[str, float], dict[str, float], dict[str, float], float]:
-        """RMS by joint without, with, and with it less its swings; share of the variance above the noise it removes."""
+    def _on_held_out(
+        self, number: int, felt: Mapping[str, float]
+    ) -> tuple[dict[str, float], dict[str, float], dict[str, float], float]:
+        """RMS by joint without, with, and with it less its swings; share of the variance above the noise it removes.
+
+        Where it is `felt` more, N m, a joint's variance counts for more: something else may be left where it is not.
+        """
         values = self.outcome.refit.values
         others = [c for k, c in enumerate(self.accepted) if k != number]
         kept = np.delete(values, np.arange(self._starts[number], self._starts[number + 1]))
@@ -103,8 +109,9 @@ class Cards:
         for row in rows:
             count = float(np.sum(self.residuals.scene.joint == row))
             if count:
-                removed += (rms_without[row] ** 2 - rms_with[row] ** 2) * count / self.floor[row] ** 2
-                above += max(rms_without[row] ** 2 - self.floor[row] ** 2, 0.0) * count / self.floor[row] ** 2
+                weight = count * felt.get(names[row], 0.0) ** 2 / self.floor[row] ** 4
+                removed += weight * (rms_without[row] ** 2 - rms_with[row] ** 2)
+                above += weight * max(rms_without[row] ** 2 - self.floor[row] ** 2, 0.0)
         explained = float(np.clip(removed / above, 0.0, 1.0)) if above > 0 else float("nan")
         return (
             {names[row]: float(rms_without[row]) for row in rows},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -86,13 +87,29 @@ def beyond_healthy(finding: Finding, before: Mapping[str, float], largest: Mappi
 
 def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
     """A finding whose law is clearly not quite its own, as an unknown one that is like it; else the finding itself."""
-    left = [rms / floor[joint] for joint, rms in (finding.beside_Nm or finding.after_Nm).items() if floor[joint] > 0]
-    worst = max(left, default=0.0)
+    left = times_noise(finding, floor)
     sole = finding.explained > ALONE and all(other.score < RIVALLED for other in finding.alternatives)
-    if finding.effect == UNKNOWN or not finding.explained < NAMES or worst**2 <= LAW_LEFT or sole:
+    if finding.effect == UNKNOWN or not finding.explained < NAMES or left**2 <= LAW_LEFT or sole:
         return finding
-    why_not = f"explains {finding.explained:.0%}, and leaves {worst:.1f} times the noise"
-    return _as_unknown(finding, why_not, f"which leaves {worst:.1f} times the noise")
+    why_not = f"explains {finding.explained:.0%}, and leaves {left:.1f} times the noise"
+    return _as_unknown(finding, why_not, f"which leaves {left:.1f} times the noise")
+
+
+def times_noise(finding: Finding, floor: Mapping[str, float]) -> float:
+    """What is left beside a finding on held-out data, over the noise, RMS; joints count by how much they feel of it.
+
+    Args:
+        finding: The finding; where nothing is known of what it adds, its joints count alike.
+        floor: Joint -> noise floor, RMS, N·m.
+    """
+    left = {joint: rms for joint, rms in (finding.beside_Nm or finding.after_Nm).items() if floor[joint] > 0.0}
+    weights = {joint: (finding.felt_Nm.get(joint, 0.0) / floor[joint]) ** 2 for joint in left}
+    if not any(weights.values()):
+        weights = dict.fromkeys(left, 1.0)
+    if not left:
+        return 0.0
+    square = sum(weights[joint] * (rms / floor[joint]) ** 2 for joint, rms in left.items())
+    return math.sqrt(square / sum(weights.values()))
 
 
 def contradicted(finding: Finding, effect: Effect, beside: Sequence[Effect]) -> Finding:

@@ -63,12 +63,12 @@ class Payload(Effect):
         """Where it is held."""
         return tuple(range(1, len(self.parameters))) if self.place.get("regripped") else ()
 
-    def replaces(self, other: Effect) -> bool:
-        """Any other: an arm carries one load, and two of them imitate what moves mass between links.
+    def excludes(self, other: Effect) -> bool:
+        """A load on another link: an arm carries one, and two imitate whatever moves mass between links.
 
         Hysteresis of a wrist was 27 kg more on one link and as much less on the next.
         """
-        return isinstance(other, Payload)
+        return isinstance(other, Payload) and other.place["joint"] != self.place["joint"]
 
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """A mass within reach of its link; a negative one only where a tool was taken off, at the last link."""

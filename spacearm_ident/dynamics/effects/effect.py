@@ -190,6 +190,10 @@ class Effect(Term):
         """Whether another says the same of the same place in another form, and is no candidate once this is known."""
         return other is self
 
+    def excludes(self, other: Effect) -> bool:
+        """Whether an arm cannot have both: the one that was found first is kept."""
+        return False
+
     def shown(self, values: FloatArray) -> Shown:
         """What a person wants to know of its values: parameters, then constants, in its own order."""
         shown = {}
