@@ -9,6 +9,7 @@ from planted_arm import TWO_LINKS, Friction, two_link_run, urdf_of
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.mismatch.explain import explain
+from spacearm_ident.mismatch.run_set import RunSet
 
 LAWS = (
     Friction(f_c=3.0, k_v1=2.0, k_v2=0.0, k_v3=0.0, J_m=0.4),
@@ -34,4 +35,4 @@ HEALTHY = run(1)
 
 
 def explained(extra, *excluded):
-    return explain(ARM, [HEALTHY], [run(2, extra)], [run(3, extra)], excluded)
+    return explain(ARM, RunSet([run(2, extra)], [HEALTHY], [run(3, extra)]), excluded)

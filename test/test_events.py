@@ -15,6 +15,7 @@ from spacearm_ident.excitation.nominal import nominal_model
 from spacearm_ident.mismatch.explain import explain
 from spacearm_ident.mismatch.preparation import banded
 from spacearm_ident.mismatch.rivals import Rival
+from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.mismatch.stacked import Stacked
 
 FORCE_N = (12.0, -16.0)
@@ -36,7 +37,7 @@ def pushed(begin_s, length_s=3.0):
 
 def test_a_push_at_another_time_in_every_recording_is_one_contact_with_its_force():
     field = [run(2, pushed(4.0)), run(4, pushed(9.0))]
-    answer = explain(ARM, [], field, [run(3, pushed(6.0))])
+    answer = explain(ARM, RunSet(field, validation=[run(3, pushed(6.0))]))
     assert [finding.effect for finding in answer.findings] == ["external_contact"]
     (contact,) = answer.findings
     force = next(quantity for name, quantity in contact.parameters.items() if name.startswith("force"))
@@ -54,7 +55,7 @@ def test_a_push_at_another_time_in_every_recording_is_one_contact_with_its_force
 
 
 def test_a_push_in_the_field_alone_leaves_all_of_the_other_recording_judged():
-    answer = explain(ARM, [HEALTHY], [run(2, pushed(5.0))], [run(3)])
+    answer = explain(ARM, RunSet([run(2, pushed(5.0))], [HEALTHY], [run(3)]))
     assert [finding.effect for finding in answer.findings] == ["external_contact"]
     assert not answer.happened
     assert answer.findings[0].explained > 0.8
@@ -66,7 +67,7 @@ def test_pushes_for_most_of_a_held_out_recording_are_no_events_of_it():
     def all_the_time(planted):
         return sum(pushed(begin_s)(planted) for begin_s in (0.5, 3.5, 6.5, 9.5, 12.5))
 
-    answer = explain(ARM, [], [run(2, pushed(4.0)), run(4, pushed(9.0))], [run(3, all_the_time)])
+    answer = explain(ARM, RunSet([run(2, pushed(4.0)), run(4, pushed(9.0))], validation=[run(3, all_the_time)]))
     assert not answer.happened
     assert "external_contact" in {finding.effect for finding in answer.findings}
 
@@ -97,7 +98,7 @@ def late(recording, seconds=0.006):
 
 def test_a_push_does_not_hide_torque_that_is_late():
     field, judged = [late(run(2, pushed(4.0)))], [late(run(3))]
-    answer = explain(ARM, [HEALTHY], field, judged)
+    answer = explain(ARM, RunSet(field, [HEALTHY], judged))
     named = {finding.effect: finding for finding in answer.findings}
     assert set(named) == {"external_contact", "time_delay"}
     assert named["time_delay"].parameters["delay"].value == pytest.approx(0.006, abs=0.001)
@@ -105,7 +106,7 @@ def test_a_push_does_not_hide_torque_that_is_late():
 
 def test_what_is_no_finding_is_fitted_beside_those_that_are_and_is_in_no_model():
     field, judged = [late(run(2, pushed(4.0)))], [late(run(3))]
-    answer = explain(ARM, [HEALTHY], field, judged, is_finding=lambda effect: effect.kind != "time_delay")
+    answer = explain(ARM, RunSet(field, [HEALTHY], judged), is_finding=lambda effect: effect.kind != "time_delay")
     assert [finding.effect for finding in answer.findings] == ["external_contact"]
     assert "time_delay" not in answer.model.model.structure
     # What it explains is in no residual.

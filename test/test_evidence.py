@@ -16,6 +16,7 @@ from spacearm_ident.mismatch.evidence import NEARER
 from spacearm_ident.mismatch.preparation import banded, prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
 from spacearm_ident.mismatch.rivals import Rival, rivals
+from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.mismatch.scene import (
     FEWEST_ROWS,
     LARGEST_ROOT,
@@ -107,7 +108,7 @@ def test_beside_an_effect_rows_near_a_reversal_count_for_what_is_left_there():
         jolts = np.where(near, 3.0 * np.random.default_rng(5).standard_normal(len(near)), 0.0)
         return 3.0 * ripple(planted) + np.outer(jolts, [0.0, 1.0])
 
-    before = prepare_evidence(ARM, [], [run(2, disturbed)], [run(3, disturbed)])
+    before = prepare_evidence(ARM, RunSet([run(2, disturbed)], validation=[run(3, disturbed)]))
     effect = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
     after = before.beside([before.evidence.candidate(effect, (20.0,))])
     assert after is not None
@@ -127,7 +128,7 @@ def test_beside_an_effect_rows_near_a_reversal_count_for_what_is_left_there():
 
 def test_creeping_far_from_a_reversal_counts_for_less_where_the_reference_shows_it():
     """However much rows count for that are as slow beside a reversal; and slower still is no better known."""
-    base = prepare_evidence(ARM, [HEALTHY], [run(2)], []).base
+    base = prepare_evidence(ARM, RunSet([run(2)], [HEALTHY])).base
     (motion,), _ = prepare([HEALTHY], ARM.joint_names, 40.0, average=False)
     scene = Scene(base, [coarse(motion, 20.0)], [Whitener(np.zeros(0), 1.0)] * 2)
     creeping = (np.abs(scene.speed) < SLOW[-1]) & (scene.gone > NEAR[-1])
@@ -141,7 +142,7 @@ def test_creeping_far_from_a_reversal_counts_for_less_where_the_reference_shows_
 
 def test_the_reference_shows_what_rows_after_a_reversal_are_worth():
     """Noise ten times as large where a joint has gone little: found, told from slow rows, and weighed."""
-    base = prepare_evidence(ARM, [HEALTHY], [run(2)], []).base
+    base = prepare_evidence(ARM, RunSet([run(2)], [HEALTHY])).base
     (motion,), _ = prepare([HEALTHY], ARM.joint_names, 40.0, average=False)
     scene = Scene(base, [coarse(motion, 20.0)], [Whitener(np.zeros(0), 1.0)] * 2)
     rng = np.random.default_rng(3)
@@ -211,7 +212,7 @@ def test_a_coarse_motion_is_the_mean_of_its_samples_at_their_middle():
 
 @pytest.fixture(scope="module")
 def prepared():
-    return prepare_evidence(ARM, [HEALTHY], [run(2, ripple)], [run(3, ripple)])
+    return prepare_evidence(ARM, RunSet([run(2, ripple)], [HEALTHY], [run(3, ripple)]))
 
 
 def candidates_of(evidence):
@@ -365,7 +366,7 @@ def test_stacked_rows_are_reduced_filtered_and_weighted_columns(prepared):
 
 
 def test_a_healthy_arm_leaves_white_noise_of_variance_one(prepared):
-    healthy = prepare_evidence(ARM, [HEALTHY], [run(2)], [run(3)])
+    healthy = prepare_evidence(ARM, RunSet([run(2)], [HEALTHY], [run(3)]))
     residual = healthy.evidence.residual
     assert np.mean(residual**2) == pytest.approx(1.0, abs=0.35)
     assert np.mean(prepared.evidence.residual**2) > 10.0
@@ -377,7 +378,7 @@ def dip(planted):
 
 
 def test_how_friction_runs_through_a_reversal_is_told_to_the_field_by_the_reference():
-    evidence = prepare_evidence(ARM, [run(1, dip)], [run(2)], [run(3)]).evidence
+    evidence = prepare_evidence(ARM, RunSet([run(2)], [run(1, dip)], [run(3)])).evidence
     (motion,), (background,) = evidence.field.motions, evidence.field.backgrounds
     np.testing.assert_array_equal(background.whole, background.torque)
     evidence.fit_reversals([evidence.field])

@@ -16,6 +16,7 @@ from spacearm_ident.mismatch.finding import Alternative
 from spacearm_ident.mismatch.judgement import contradicted, doubted, shows
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
+from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.mismatch.scored import Scored, is_dominated, is_not_excited, simplest
 from spacearm_ident.mismatch.stacked import Stacked
 
@@ -94,7 +95,7 @@ def test_what_another_explains_better_and_does_not_stand_is_no_finding():
 
 def test_a_contact_acts_on_the_joints_that_feel_it():
     """A push on the last link, whose own joint it hardly turns, if at all; what is no event acts where it is."""
-    prepared = prepare_evidence(ARM, [HEALTHY], [run(2)], [run(3)])
+    prepared = prepare_evidence(ARM, RunSet([run(2)], [HEALTHY], [run(3)]))
     competition = Competition(prepared.evidence, prepared.held_out)
 
     def acts_on(kind, constants):
@@ -111,7 +112,7 @@ def test_constants_are_searched_again_beside_what_joins():
     def extra(planted):
         return ripple(planted) + np.array([4.0, 0.0])
 
-    prepared = prepare_evidence(ARM, [HEALTHY], [run(2, extra)], [run(3, extra)])
+    prepared = prepare_evidence(ARM, RunSet([run(2, extra)], [HEALTHY], [run(3, extra)]))
     competition = Competition(prepared.evidence, prepared.held_out)
     elbow = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
     competition.accepted = [prepared.evidence.candidate(elbow, (19.4,))]
@@ -225,7 +226,7 @@ def pushed_away(planted):
 
 
 def test_an_effect_whose_values_are_impossible_in_the_end_gives_way_to_another_of_its_joint():
-    prepared = prepare_evidence(ARM, [HEALTHY], [run(2, pushed_away)], [run(3, pushed_away)])
+    prepared = prepare_evidence(ARM, RunSet([run(2, pushed_away)], [HEALTHY], [run(3, pushed_away)]))
     competition = Competition(prepared.evidence, prepared.held_out)
     spring, offset = (
         Scored(
@@ -243,7 +244,7 @@ def test_an_effect_whose_values_are_impossible_in_the_end_gives_way_to_another_o
 
 @pytest.mark.parametrize(("extra", "lasts"), [(ripple, True), (in_one_moment, False)])
 def test_what_shows_in_one_moment_alone_is_no_lasting_effect(extra, lasts):
-    prepared = prepare_evidence(ARM, [HEALTHY], [run(2, extra)], [run(3, extra)])
+    prepared = prepare_evidence(ARM, RunSet([run(2, extra)], [HEALTHY], [run(3, extra)]))
     competition = Competition(prepared.evidence, prepared.held_out)
     scored = competition._scored(
         prepared.evidence.candidate(EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"}), [20.0]),

@@ -22,6 +22,7 @@ from spacearm_ident.mismatch.noise import coloured, weighted
 from spacearm_ident.mismatch.null import exceeds_null
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
+from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.mismatch.scene import Scene
 from spacearm_ident.mismatch.stacked import base_columns, nuisance_scale
 from spacearm_ident.recording import Recording, read_recording
@@ -34,7 +35,7 @@ REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
 
 @pytest.fixture(scope="module")
 def prepared():
-    return prepare_evidence(ARM, [HEALTHY], [run(2)], [run(3)])
+    return prepare_evidence(ARM, RunSet([run(2)], [HEALTHY], [run(3)]))
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +125,7 @@ def test_a_real_arm_gets_weights_and_leaves_no_more_of_another_run_than_a_health
         load_arm(REAL / arm / "arm.urdf"),
         [read_recording(REAL / arm / f"{n}.mcap") for n in (reference, field)],
     )
-    prepared = prepare_evidence(known, runs[:1], runs[1:], runs[1:])
+    prepared = prepare_evidence(known, RunSet(runs[1:], runs[:1], runs[1:]))
     assert all(own.order == 0 for own in prepared.evidence.field.whiteners)
     residuals = Residuals(prepared.evidence, prepared.held_out.scene, prepared.plain)
     (healthy,) = healthy_levels(prepared.evidence, prepared, [residuals])
@@ -139,7 +140,7 @@ def _detectable_Nm(with_temperatures: bool) -> np.ndarray:
         warm = Series(recording.time, np.full(len(recording.time), 25.0))
         return replace(recording, temperatures=dict.fromkeys(recording.joints, warm) if with_temperatures else {})
 
-    prepared = prepare_evidence(ARM, [recorded(HEALTHY)], [recorded(run(2))], [recorded(run(3))])
+    prepared = prepare_evidence(ARM, RunSet([recorded(run(2))], [recorded(HEALTHY)], [recorded(run(3))]))
     residuals = Residuals(prepared.evidence, prepared.held_out.scene, prepared.plain)
     (healthy,) = healthy_levels(prepared.evidence, prepared, [residuals])
     return healthy.detectable_Nm
@@ -181,8 +182,8 @@ def test_a_finding_must_be_larger_than_what_healthy_parts_differ_by(rippled):
 
 def test_an_effect_must_be_larger_in_the_field_than_it_seems_in_parts_of_the_reference():
     """Ripple in the field stands; as small as it seems to be in the reference, or in the reference too, it does not."""
-    changed = prepare_evidence(ARM, [HEALTHY], [run(2, ripple)], [run(3, ripple)])
-    both = prepare_evidence(ARM, [run(4, ripple)], [run(2, ripple)], [run(3, ripple)])
+    changed = prepare_evidence(ARM, RunSet([run(2, ripple)], [HEALTHY], [run(3, ripple)]))
+    both = prepare_evidence(ARM, RunSet([run(2, ripple)], [run(4, ripple)], [run(3, ripple)]))
 
     def stands(prepared, share):
         evidence = prepared.evidence

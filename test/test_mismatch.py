@@ -20,6 +20,7 @@ from spacearm_ident.mismatch.explain import explain
 from spacearm_ident.mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH
 from spacearm_ident.mismatch.integrity import faults
 from spacearm_ident.mismatch.rivals import UNKNOWN
+from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.mismatch.scene import one_way
 from spacearm_ident.signals.prepare import prepare
 
@@ -85,7 +86,7 @@ def test_unfit_data_get_a_reason_and_no_finding(made, reason):
         ([broken], [HEALTHY], []),
         ([], [HEALTHY], [broken]),
     ):
-        answer = explain(ARM, reference, field, held_out)
+        answer = explain(ARM, RunSet(field, reference, held_out))
         assert answer.verdict == DATA_UNFIT and answer.findings == () and answer.model is None
         assert any(re.search(reason, text) for text in answer.reasons)
     document = to_document(answer)
@@ -105,7 +106,7 @@ def at_rest(recording, joint):
 @pytest.mark.parametrize("moves_in_field", [False, True])
 def test_a_joint_that_rests_in_the_reference_is_not_compared_and_said(joint, moves_in_field):
     field = run(2) if moves_in_field else at_rest(run(2), joint)
-    answer = explain(ARM, [at_rest(HEALTHY, joint)], [field], [], SLOW_ONES)
+    answer = explain(ARM, RunSet([field], [at_rest(HEALTHY, joint)]), SLOW_ONES)
     said = re.search(f"not compared.*{ARM.joint_names[joint]}", " ".join(answer.reasons))
     assert answer.verdict == DATA_UNFIT or said
     document = to_document(answer)
@@ -123,7 +124,7 @@ def test_short_recordings_get_an_answer(seconds):
         ([short[0]], [run(2)]),
         ([], [short[0]]),
     ):
-        answer = explain(ARM, reference, field, [], SLOW_ONES)
+        answer = explain(ARM, RunSet(field, reference), SLOW_ONES)
         assert answer.reasons or answer.verdict != DATA_UNFIT
 
 
@@ -132,7 +133,7 @@ def test_a_base_model_that_cannot_be_solved_for_is_unfit_data(monkeypatch):
         raise np.linalg.LinAlgError("3-th leading minor of the array is not positive definite")
 
     monkeypatch.setattr("spacearm_ident.mismatch.explain.prepare_evidence", fails)
-    answer = explain(ARM, [HEALTHY], [run(2)], [])
+    answer = explain(ARM, RunSet([run(2)], [HEALTHY]))
     assert answer.verdict == DATA_UNFIT and "record a longer run" in answer.reasons[0]
 
 
@@ -142,7 +143,7 @@ def test_sound_data_have_no_faults():
 
 def test_a_recording_of_another_arm_is_refused():
     with pytest.raises(UserError, match="shoulder"):
-        explain(ARM, [replace(HEALTHY, joints=("a", "b"))], [run(2)], [])
+        explain(ARM, RunSet([run(2)], [replace(HEALTHY, joints=("a", "b"))]))
 
 
 # --- end to end -----------------------------------------------------------------------------------------------------
@@ -220,7 +221,7 @@ def test_a_coarse_encoder_hides_no_more_than_its_noise_does():
         return replace(recording, position=np.round(recording.position / 1e-3) * 1e-3)
 
     field, judged = (coarse(run(seed, more_friction)) for seed in (2, 3))
-    answer = explain(ARM, [coarse(HEALTHY)], [field], [judged], SLOW_ONES)
+    answer = explain(ARM, RunSet([field], [coarse(HEALTHY)], [judged]), SLOW_ONES)
     assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
     assert not answer.reasons
 
@@ -249,7 +250,7 @@ def test_what_vanishes_in_vacuum_is_one_finding_and_the_extended_model_lacks_it(
         return [one.recording(noise=NOISE, seed=seed + 100) for one, seed in zip(planted, seeds)]
 
     field, held_out = runs(0.0, 2, 3)
-    answer = explain(ARM, runs(1.0, 1), [field], [held_out], SLOW_ONES)
+    answer = explain(ARM, RunSet([field], runs(1.0, 1), [held_out]), SLOW_ONES)
     (finding,) = answer.findings
     assert finding.effect == "vacuum_friction" and set(finding.joints) == set(ARM.joint_names)
     assert finding.parameters["share"].value == pytest.approx(1.0, abs=0.1)
@@ -288,7 +289,7 @@ def test_what_is_late_at_one_joint_is_no_clock_that_stamps_all(noise):
         return planted.recording(noise=(noise, NOISE[1]), seed=seed + 100)
 
     healthy, field, held_out = recording(1, False), recording(2, True), recording(3, True)
-    answer = explain(ARM, [healthy], [field], [held_out], SLOW_ONES)
+    answer = explain(ARM, RunSet([field], [healthy], [held_out]), SLOW_ONES)
     assert [(finding.effect, finding.joints) for finding in answer.findings] == [(UNKNOWN, ("elbow",))]
 
 
@@ -310,7 +311,7 @@ def carrying(seed, com):
 @pytest.mark.parametrize("there", [(0.05, 0.0, 0.3), (-0.25, 0.0, 0.1)], ids=["held alike", "held elsewhere"])
 def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
     here = (0.05, 0.0, 0.3)
-    answer = explain(ARM, [HEALTHY], [carrying(2, here)], [carrying(3, there)], SLOW_ONES)
+    answer = explain(ARM, RunSet([carrying(2, here)], [HEALTHY], [carrying(3, there)]), SLOW_ONES)
     (finding,) = answer.findings
     assert finding.effect == "payload" and finding.joints == ("elbow",)
     assert finding.parameters["mass"].value == pytest.approx(0.7, rel=0.1)
@@ -341,7 +342,7 @@ def test_what_the_held_out_recording_does_not_show_is_a_mismatch_all_the_same():
     def loud(planted):
         return np.outer(np.random.default_rng(5).normal(size=len(planted.torque)), [0.0, 1.0])
 
-    answer = explain(ARM, [HEALTHY], [run(2, loud)], [run(3)], SLOW_ONES)
+    answer = explain(ARM, RunSet([run(2, loud)], [HEALTHY], [run(3)]), SLOW_ONES)
     (finding,) = answer.findings
     assert (answer.verdict, finding.effect, finding.joints) == (MISMATCH, UNKNOWN, ("elbow",))
     assert "held-out" in finding.where
@@ -395,11 +396,11 @@ def healthy_model():
 
 def test_a_model_as_reference_holds_the_field_to_its_values(healthy_model):
     """What the structure could take over is still a change from the model."""
-    answer = explain(ARM, healthy_model, [run(2, more_friction)], [run(3, more_friction)], SLOW_ONES)
+    answer = explain(ARM, RunSet([run(2, more_friction)], healthy_model, [run(3, more_friction)]), SLOW_ONES)
     assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
     assert answer.findings[0].parameters["df_c"].value == pytest.approx(0.9, abs=0.1)
     assert answer.before_Nm[0] > 5 * answer.noise_floor_Nm[0]
-    assert explain(ARM, healthy_model, [run(2)], [run(3)], SLOW_ONES).verdict == NO_MISMATCH
+    assert explain(ARM, RunSet([run(2)], healthy_model, [run(3)]), SLOW_ONES).verdict == NO_MISMATCH
 
 
 def test_an_extended_model_is_extended_once_more(rippled, healthy_model):
@@ -413,7 +414,7 @@ def test_an_extended_model_is_extended_once_more(rippled, healthy_model):
         return ripple(planted) + np.outer(1.5 * np.sin(31.0 * planted.q[:, 0]), [1.0, 0.0])
 
     excluded = [kind for kind in EFFECTS if kind not in ("torque_ripple", "friction_drift")]
-    answer = explain(ARM, known, [run(2, again)], [run(3, again)], excluded)
+    answer = explain(ARM, RunSet([run(2, again)], known, [run(3, again)]), excluded)
     assert [(f.effect, f.joints) for f in answer.findings] == [("torque_ripple", ("shoulder",))]
     places = answer.model.model.structure["torque_ripple"]["at"]
     assert [place["joint"] for place in places] == ["elbow", "shoulder"]
@@ -425,7 +426,7 @@ def test_an_extended_model_is_extended_once_more(rippled, healthy_model):
 
 
 def test_without_a_reference_what_the_structure_leaves_over_is_explained():
-    answer = explain(ARM, [], [run(2, ripple, 24.0)], [], SLOW_ONES)
+    answer = explain(ARM, RunSet([run(2, ripple, 24.0)]), SLOW_ONES)
     assert [(f.effect, f.joints) for f in answer.findings] == [("torque_ripple", ("elbow",))]
     assert "held out" in answer.judged_on
 
@@ -438,7 +439,7 @@ def sized(document, name, joint):
 
 
 def test_the_size_that_would_have_been_seen_is_found_when_planted_and_a_tenth_of_it_is_not():
-    quiet = to_document(explain(ARM, [HEALTHY], [run(2)], [run(3)], SLOW_ONES))
+    quiet = to_document(explain(ARM, RunSet([run(2)], [HEALTHY], [run(3)]), SLOW_ONES))
     assert quiet["verdict"] == NO_MISMATCH
     size = sized(quiet, "friction_drift", "shoulder")
     assert size["quantity"] == "df_c" and size["unit"] == "N m" and size["size"] > 0.0
@@ -447,7 +448,7 @@ def test_the_size_that_would_have_been_seen_is_found_when_planted_and_a_tenth_of
         def more(planted, level=factor * size["size"]):
             return np.outer(level * np.sign(planted.qd[:, 0]), [1.0, 0.0])
 
-        answer = explain(ARM, [HEALTHY], [run(2, more)], [run(3, more)], SLOW_ONES)
+        answer = explain(ARM, RunSet([run(2, more)], [HEALTHY], [run(3, more)]), SLOW_ONES)
         assert ("friction_drift" in {finding.effect for finding in answer.findings}) == found
         seen = {(one.name, joint) for one in answer.would_have_seen for joint in one.joints}
         assert (("friction_drift", "shoulder") in seen) != found, "what was found has no smallest size"
@@ -459,7 +460,7 @@ def test_more_noise_in_the_arm_needs_a_larger_effect_to_be_seen():
             noise = factor * np.array(NOISE) * np.random.default_rng(seed).standard_normal(recording.effort.shape)
             return replace(recording, effort=recording.effort + noise)
 
-        answer = explain(ARM, [made(HEALTHY, 5)], [made(run(2), 6)], [made(run(3), 7)], SLOW_ONES)
+        answer = explain(ARM, RunSet([made(run(2), 6)], [made(HEALTHY, 5)], [made(run(3), 7)]), SLOW_ONES)
         return sized(to_document(answer), "torque_constant", "shoulder")["size"]
 
     # Less than four times: what friction ordinarily differs by on another day stands beside the noise.

@@ -22,6 +22,7 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.excitation.constraints import limits_for_excitation
 from spacearm_ident.excitation.trajectory_file import load_trajectory
 from spacearm_ident.mismatch.finding import NO_MISMATCH, Explanation, unfit
+from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.recording import read_recording, write_recording
 from spacearm_ident.report.mismatch_folder import write_mismatch
 from spacearm_ident.sessions.identification import find_arm
@@ -159,9 +160,9 @@ def test_the_next_experiment_is_a_motion_that_the_arm_can_make(bags, tmp_path):
     np.testing.assert_allclose(motion.q[[0, -1]], field.position[[0, 0]])
     assert limits.usage(motion).max() <= 1.0
     assert np.ptp(motion.q[:, 1]) > 1.0 and np.ptp(motion.q[:, 0]) < np.ptp(motion.q[:, 1])
-    write_mismatch(doubt, arm, [field], [], [], run, tmp_path / "why")
+    write_mismatch(doubt, arm, RunSet([field]), run, tmp_path / "why")
     assert load_trajectory(tmp_path / "why" / "next_experiment.yaml").duration_s == pytest.approx(run.duration_s)
-    write_mismatch(nothing, arm, [field], [], [], None, tmp_path / "why")
+    write_mismatch(nothing, arm, RunSet([field]), None, tmp_path / "why")
     assert not (tmp_path / "why" / "next_experiment.yaml").exists()
 
 
@@ -236,10 +237,10 @@ def test_a_mistake_counts_where_it_is_certain_or_the_reference_has_it_not(monkey
     field, healthy = ["field"], [] if in_reference is None else ["reference"]
 
     def check(recordings, arm, progress):
-        return ConventionReport(tuple(in_field if recordings is field else in_reference), (), ("bag",))
+        return ConventionReport(tuple(in_field if recordings == field else in_reference), (), ("bag",))
 
     monkeypatch.setattr("spacearm_ident.sessions.mismatch.check_conventions", check)
-    reasons = mistakes(field, healthy, ARM)
+    reasons = mistakes(RunSet(field, healthy), ARM)
     assert len(reasons) == refused and all(text.startswith("bag: ") and "-> mend it" in text for text in reasons)
 
 

@@ -20,6 +20,7 @@ from spacearm_ident.estimate.identified import Determination
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.validation import validate
 from spacearm_ident.mismatch.explain import explain
+from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.recording import write_recording
 from spacearm_ident.signals.prepare import prepare
 
@@ -130,7 +131,7 @@ def test_mismatch_finds_the_floating_base_only_where_its_motion_was_not_recorded
     if not recorded_base:
         field, judged = without_base(field), without_base(judged)
     reference = replace(known_arm(), model=replace(known_arm().model, arm=ORBIT))
-    story = explain(ORBIT, reference, [field], [judged], few)
+    story = explain(ORBIT, RunSet([field], reference, [judged]), few)
     found = [finding.effect for finding in story.findings]
     assert ("floating_base" in found) is not recorded_base, found
 

@@ -25,6 +25,7 @@ from ..identification.fit import Fit
 from ..mismatch.explain import explain
 from ..mismatch.finding import Explanation, Finding
 from ..mismatch.rivals import UNKNOWN
+from ..mismatch.run_set import RunSet
 from ..recording.recording import Recording
 
 Progress = Callable[[float, str], None]
@@ -103,7 +104,12 @@ def missing_physics(
         return structure, ()
 
     return explain(
-        arm, [], fitted, held, (*excluded, *EARLIER), progress=progress, choose=simulated, is_finding=is_physics
+        arm,
+        RunSet(fitted, validation=held),
+        (*excluded, *EARLIER),
+        progress=progress,
+        choose=simulated,
+        is_finding=is_physics,
     )
 
 

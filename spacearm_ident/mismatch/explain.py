@@ -15,7 +15,6 @@ from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
-from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
 from ..recording.recording import Recording
 from ..signals.moving_span import cut_by_motion
@@ -34,6 +33,7 @@ from .preparation import ChooseStructure, Prepared, prepare_evidence
 from .reliability import calibrated
 from .residuals import Residuals
 from .rivals import UNKNOWN
+from .run_set import RunSet
 from .scored import Scored
 
 Progress = Callable[[float, str], None]
@@ -52,9 +52,7 @@ CLOSE = 0.7
 
 def explain(
     arm: Arm,
-    reference: Sequence[Recording] | IdentifiedModel,
-    field: Sequence[Recording],
-    validation: Sequence[Recording],
+    runs: RunSet,
     excluded: Sequence[str] = (),
     gate: float = GATE,
     progress: Progress | None = None,
@@ -65,9 +63,7 @@ def explain(
 
     Args:
         arm: What is known before.
-        reference: Recordings of the healthy arm, or its identified model; empty: the field's own fit is the base.
-        field: Recordings to explain.
-        validation: Recordings to judge on, which no fit sees; empty: the last third of each field recording.
+        runs: What is compared with what.
         excluded: Effects that are not to be considered (for blind trials of what is not in the catalogue).
         gate: Score below which nothing is found.
         progress: Called with a share done in 0..1 and what is being done.
@@ -80,17 +76,17 @@ def explain(
     """
     report = progress or (lambda share, what: None)
     names = arm.joint_names
-    healthy = [] if isinstance(reference, IdentifiedModel) else list(reference)
-    broken = faults([*healthy, *field, *validation], names)
+    broken = faults(runs.every, names)
     if broken:
         return unfit(names, tuple(broken))
-    fitted, judged, judged_on = list(field), list(validation), "held-out recordings"
-    if not judged:
-        fitted, judged = held_out_ends(fitted)
+    judged_on = "held-out recordings"
+    if not runs.validation:
+        fitted, ends = held_out_ends(runs.field)
+        runs = replace(runs, field=fitted, validation=ends)
         judged_on = "the last third of the field recordings, held out of the fit"
     report(0.0, "fitting the base model")
     try:
-        prepared = prepare_evidence(arm, reference, fitted, judged, choose)
+        prepared = prepare_evidence(arm, runs, choose)
     except UnfitDataError as error:
         return unfit(names, (str(error),))
     except np.linalg.LinAlgError:

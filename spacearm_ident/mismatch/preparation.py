@@ -38,6 +38,7 @@ from .evidence import Candidate, Evidence, HeldOut
 from .left_out import LeftOut
 from .noise import Noise, NoiseModel, coloured, in_field, of_field, weighted
 from .residuals import Residuals
+from .run_set import RunSet
 from .scene import Scene, Whitener, coarse
 
 CUTOFF_HZ = 20.0
@@ -111,32 +112,26 @@ class Prepared:
 
 def prepare_evidence(
     arm: Arm,
-    reference: Sequence[Recording] | IdentifiedModel,
-    field: Sequence[Recording],
-    validation: Sequence[Recording],
+    runs: RunSet,
     choose: ChooseStructure = choose_base,
 ) -> Prepared:
     """Base model, noise and whitened rows.
 
     Args:
         arm: What is known before.
-        reference: Recordings of the healthy arm, or its identified model; empty where there is neither.
-        field: Recordings to explain.
-        validation: Recordings that no fit is to see.
+        runs: What is compared with what; without recordings to judge on nothing is held out.
         choose: Chooses the structure of the base from a fit of the paper's.
 
     Raises:
         UnfitDataError: A recording cannot carry the question.
         UserError: A recording lacks a joint.
     """
-    known = reference if isinstance(reference, IdentifiedModel) else None
-    healthy = [] if isinstance(reference, IdentifiedModel) else list(reference)
-    healthy, field, validation = placed(healthy, arm), placed(field, arm), placed(validation, arm)
-    everything = [*healthy, *field, *validation]
-    cutoff = cut_off_hz(everything)
-    wide = position_cut_off_hz(everything, arm.joint_names, cutoff)
+    runs = runs.each(lambda part: placed(part, arm))
+    known, healthy, field = runs.known, runs.healthy, runs.field
+    cutoff = cut_off_hz(runs.every)
+    wide = position_cut_off_hz(runs.every, arm.joint_names, cutoff)
     referred, examined = (banded(part, arm.joint_names, cutoff, wide) for part in (healthy, field))
-    judged = banded(validation, arm.joint_names, cutoff, wide, first=len(field))
+    judged = banded(runs.validation, arm.joint_names, cutoff, wide, first=len(field))
     if known is None:
         # A coupled motor of the healthy arm is base; where the field alone says what the arm is, it is a finding.
         start = _identified(healthy or field, arm, cutoff, choose, couple=bool(healthy))

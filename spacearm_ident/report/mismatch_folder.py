@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import save_trajectory
 from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN, to_document
 from ..mismatch.finding import Explanation
-from ..recording.recording import Recording
+from ..mismatch.run_set import RunSet
 from ..results.provenance import FITTED, provenance
 from .folder import REPORT, replacing
 from .mismatch_html import mismatch_html
@@ -25,9 +24,7 @@ DOCUMENT = "mismatch.json"
 def write_mismatch(
     explanation: Explanation,
     arm: Arm,
-    field: Sequence[Recording],
-    judged: Sequence[Recording],
-    reference: Sequence[Recording],
+    runs: RunSet,
     planned: Trajectory | None,
     directory: Path,
     command: str | None = None,
@@ -37,9 +34,7 @@ def write_mismatch(
     Args:
         explanation: The analysis.
         arm: The arm that was analysed.
-        field: Recordings that were explained, for the provenance.
-        judged: Held-out recordings, for the provenance.
-        reference: Recordings of the healthy arm, for the provenance; empty: there are none.
+        runs: What was compared with what, for the provenance.
         planned: The experiment that would tell; None: none is proposed.
         directory: Folder of the result; made where it does not exist. An earlier result in it is replaced.
         command: Command line that produces the result again; None: not stated.
@@ -47,7 +42,7 @@ def write_mismatch(
     Raises:
         UserError: The folder cannot be written.
     """
-    sources = {**provenance(field, judged, command), "reference": provenance(reference, ())[FITTED]}
+    sources = {**provenance(runs.field, runs.validation, command), "reference": provenance(runs.healthy, ())[FITTED]}
     page = mismatch_html(explanation, arm, sources)
     try:
         with replacing(directory, DOCUMENT) as part:

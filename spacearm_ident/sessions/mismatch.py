@@ -24,6 +24,7 @@ from ..identification.effort import in_newton_metres
 from ..identification.identify import Progress
 from ..mismatch.explain import explain
 from ..mismatch.finding import Explanation, unfit
+from ..mismatch.run_set import RunSet
 from ..recording import Recording
 from ..report.folder import refuse_to_replace
 from ..report.mismatch_folder import write_mismatch
@@ -87,41 +88,35 @@ def explain_session(
     for path in reference:
         refuse_to_replace(path, directory)
     known = _reference(reference, reading, at_first)
-    bags, judges = (reading.read(paths, at_first) for paths in (field, judged))
-    healthy = [] if isinstance(known, IdentifiedModel) else known
-    its_arm = _arm(reading.arm, comparing.gravity, known, (*bags, *healthy, *judges))
-    bags, healthy, judges = (corrected(in_newton_metres(runs, its_arm), its_arm) for runs in (bags, healthy, judges))
-    known = known if isinstance(known, IdentifiedModel) else healthy
-    recordings = (*bags, *healthy, *judges)
-    wrong = mistakes([*bags, *judges], healthy, its_arm, within(report, 0.1, 0.15))
+    runs = RunSet(reading.read(field, at_first), known, reading.read(judged, at_first))
+    arm = _arm(comparing, runs)
+    runs = runs.each(lambda part: corrected(in_newton_metres(part, arm), arm))
+    wrong = mistakes(runs, arm, within(report, 0.1, 0.15))
     if wrong:
-        explanation = unfit(its_arm.joint_names, wrong)
+        explanation = unfit(arm.joint_names, wrong)
     else:
-        explanation = explain(its_arm, known, bags, judges, comparing.excluded, progress=within(report, 0.15, 0.95))
-    planned = next_run(explanation, its_arm, bags[0])
-    page = write_mismatch(explanation, its_arm, bags, judges, healthy, planned, directory, command)
-    return MismatchSession(explanation, page, recordings, its_arm)
+        explanation = explain(arm, runs, comparing.excluded, progress=within(report, 0.15, 0.95))
+    planned = next_run(explanation, arm, runs.field[0])
+    page = write_mismatch(explanation, arm, runs, planned, directory, command)
+    return MismatchSession(explanation, page, tuple(runs.every), arm)
 
 
-def mistakes(
-    field: Sequence[Recording], reference: Sequence[Recording], arm: Arm, progress: Progress | None = None
-) -> tuple[str, ...]:
+def mistakes(runs: RunSet, arm: Arm, progress: Progress | None = None) -> tuple[str, ...]:
     """Mistakes of convention that make recordings unfit to be compared, as reasons with what to do.
 
     A mistake counts if `identify` calls it certain; in the field already if `check` calls the data unfit and the
     reference does not show it: an arm's own CAD errors, for which `identify` leaves room, would show in both.
 
     Args:
-        field: Recordings to explain, and to judge on.
-        reference: Recordings of the healthy arm; empty where there are none.
+        runs: What is to be compared with what; field and validation are examined alike.
         arm: What is known before.
         progress: Called with a share done in 0..1 and what is being done.
 
     Raises:
         UserError: A recording lacks a joint of the arm.
     """
-    everything = [*field, *reference]
-    share = len(field) / max(len(everything), 1)
+    field, reference = [*runs.field, *runs.validation], runs.healthy
+    share = len(field) / (len(field) + len(reference))
     report = progress or (lambda share, what: None)
     examined = check_conventions(field, arm, progress=within(report, 0.0, share))
     healthy = check_conventions(reference, arm, progress=within(report, share, 1.0)) if reference else None
@@ -147,15 +142,11 @@ def _reference(paths: Sequence[Path], reading: Reading, progress: Progress) -> l
     return load_model(models[0])
 
 
-def _arm(
-    file: Path | None,
-    gravity: Sequence[float] | None,
-    reference: list[Recording] | IdentifiedModel,
-    recordings: Sequence[Recording],
-) -> Arm:
-    if isinstance(reference, IdentifiedModel) and file is None and gravity is None:
-        return reference.model.arm
-    return find_arm(file, gravity, recordings)
+def _arm(comparing: Comparing, runs: RunSet) -> Arm:
+    file, gravity = comparing.reading.arm, comparing.gravity
+    if runs.known is not None and file is None and gravity is None:
+        return runs.known.model.arm
+    return find_arm(file, gravity, runs.every)
 
 
 def next_run(explanation: Explanation, arm: Arm, field: Recording) -> Trajectory | None:
