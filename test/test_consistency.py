@@ -17,7 +17,7 @@ from spacearm_ident.estimate.consistency import is_consistent, link_parameters, 
 STRUCTURE = {"rigid_body": {}, "rotor_inertia": {}, **FRICTION_LAWS["coulomb-viscous"]}
 MODEL = TorqueModel(arm_from_urdf(urdf_of(THREE_LINKS)), STRUCTURE)
 TRUTH = np.array([{"J_m": 0.4, "f_c": 3.0, "f_b": 3.0, "k_v1": 2.0}.get(p.symbol, p.prior) for p in MODEL.parameters])
-SCALE = np.array([0.0 if p.scale == 0.0 else p.scale or 1.0 for p in MODEL.parameters])
+SCALE = np.array([0.0 if p.held else p.scale or 1.0 for p in MODEL.parameters])
 FREE = np.flatnonzero(SCALE > 0)
 BASE = base_parameters(MODEL)
 

@@ -259,7 +259,7 @@ class Brute:
             whole = np.zeros((len(target), len(candidate.effect.parameters)))
             whole[: self.rows][candidate.stacked.rows] = candidate.stacked.columns
             for k, parameter in enumerate(candidate.effect.parameters):
-                held.append(parameter.scale == 0.0)
+                held.append(parameter.held)
                 if held[-1]:
                     target = target - whole[:, k] * parameter.prior
                 else:

@@ -194,8 +194,8 @@ class ViscousFriction(Term):
                 symbol,
                 joint,
                 units[order],
-                scale=0.0 if symbol in held.get(joint, ()) else None,
                 dimension=(0, order, 0),
+                held=symbol in held.get(joint, ()),
             )
             for joint in arm.joint_names
             for symbol, order in orders.items()

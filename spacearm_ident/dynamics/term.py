@@ -37,11 +37,12 @@ class Parameter:
         unit: SI.
         prior: What is believed before the data (CAD value, or 0).
         scale: How far from the prior it may well be (one standard deviation); None: whatever would make its
-            torque as large as the joint's whole torque, from `dimension`. Zero: held at its prior.
+            torque as large as the joint's whole torque, from `dimension`.
         dimension: Powers of position, velocity and acceleration that multiply it in the torque.
         anchor: Symbol of the parameter of the same term and joint that the prior is relative to: a static friction
             that no data show is believed equal to the Coulomb friction, not zero.
         lower, upper: Physical bounds.
+        held: Whether it is held at its prior, not estimated.
     """
 
     symbol: str
@@ -53,16 +54,12 @@ class Parameter:
     anchor: str | None = None
     lower: float = -np.inf
     upper: float = np.inf
+    held: bool = False
 
     @property
     def name(self) -> str:
         """Unique name in a model: `f_c[joint_1]`."""
         return f"{self.symbol}[{self.joint}]"
-
-    @property
-    def held(self) -> bool:
-        """Whether it is held at its prior, not estimated."""
-        return self.scale == 0.0
 
 
 @dataclass(frozen=True)

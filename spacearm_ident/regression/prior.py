@@ -81,6 +81,8 @@ class _Sizes:
         self.acceleration = _largest_rms([motion.acceleration for motion in motions])
 
     def scale(self, parameter: Parameter) -> float:
+        if parameter.held:
+            return 0.0
         if parameter.scale is not None:
             return parameter.scale
         known = parameter.joint in self.joints

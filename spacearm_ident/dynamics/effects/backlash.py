@@ -19,9 +19,9 @@ from ...arrays import FloatArray
 from ...signals.motion import Motion
 from ..arm import Arm
 from ..background import Background
-from ..term import Constant, Parameter, Values
+from ..term import Constant, Values
 from .compliance import Compliance, FloatArrays, Swing, own_signals
-from .effect import Effect, Options, known_joint
+from .effect import Effect, Options, known_joint, share_of
 from .linearised import Sensitivity, by_position, least_inertia
 
 CONTACT_HZ = 60.0
@@ -170,7 +170,7 @@ class Backlash(Compliance):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
-        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
+        share = share_of(joint)
         width = Constant("gap", joint, "rad", GAP_GRID)
         stiffness = Constant("stiffness", joint, "N m/rad", CONTACT_GRID)
         reach = (LEAST_CONTACT_DAMPING, MOST_CONTACT_DAMPING)

@@ -15,7 +15,7 @@ from ..background import Background
 from ..frames import frames_of
 from ..regressor import cross, rigid_body_blocks
 from ..term import Columns, Constant, Parameter, Values
-from .effect import Effect, Options, Shown, each, known_joint, nothing
+from .effect import Effect, Options, Shown, each, known_joint, nothing, share_of
 from .linearised import COARSE_HZ, interpolate, rigid_torque
 
 MASS = ("m", "mcx", "mcy", "mcz")
@@ -201,7 +201,7 @@ class FloatingBase(Effect):
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """Of the base."""
-        share = Parameter("share", "base", "1", prior=1.0, scale=0.0)
+        share = share_of("base")
         total = max(sum(joint.inertial[0] for joint in arm.joints), 1.0)
         # Not its radius of gyration: mass and radius are searched one after the other, and the data know their inertia
         # first. A mass that is changed at a fixed radius hardly leaves its grid point.

@@ -25,8 +25,8 @@ from ...arrays import FloatArray
 from ...signals.motion import Motion
 from ..arm import Arm
 from ..background import Background
-from ..term import Columns, Constant, Parameter, Values
-from .effect import Effect, Options, each, known_axis, known_joint, nothing
+from ..term import Columns, Constant, Values
+from .effect import Effect, Options, each, known_axis, known_joint, nothing, share_of
 from .linearised import COARSE_HZ, Sensitivity, by_position, by_virtual_joint, next_joint
 
 DAMPING_RATIO = 0.05
@@ -271,7 +271,7 @@ class JointElasticity(Compliance):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
-        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
+        share = share_of(joint)
         if not place.get("hardens"):
             return cls((share,), springs(joint), place=place)
         doubles_at = Constant("doubles_at", joint, "rad", DOUBLES_GRID)
@@ -330,7 +330,7 @@ class LinkFlexibility(Compliance):
         if not 0.0 <= float(place.get("along", 0.0)) <= 1.0:
             raise ValueError("along is a share of the way to the next joint, 0 to 1")
         joint = known_joint(arm, place)
-        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
+        share = share_of(joint)
         return cls((share,), springs(joint), place=place)
 
     def sensitivity(self, motion: Motion, constants: Values, background: Background) -> Sensitivity:
@@ -362,7 +362,7 @@ class BaseFlexibility(Compliance):
         """About `axis` in the base frame, or about both horizontal ones alike where none is named."""
         if "axis" in place:
             known_axis(place)
-        share = Parameter("share", "base", "1", prior=1.0, scale=0.0)
+        share = share_of("base")
         return cls((share,), springs("base", MOUNT_GRID), place=place)
 
     @property

@@ -15,7 +15,7 @@ from ..arm import Arm
 from ..background import Background
 from ..friction import excess_temperature
 from ..term import Columns, Constant, Parameter, Values
-from .effect import Effect, Options, Shown, each, known_joint, known_joints, nothing, own
+from .effect import Effect, Options, Shown, each, known_joint, known_joints, nothing, own, share_of
 
 MOST_PER_K = 0.004
 """Most that a torque constant changes with the temperature of its winding, 1/K: remanence falls by 0.0009 to 0.0013 of
@@ -171,7 +171,7 @@ class TimeDelay(_Late):
         if not isinstance(place.get("early", False), bool):
             raise ValueError("early is true or false")
         grid = (5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 36e-3, 54e-3)
-        share = Parameter("share", name, "1", prior=1.0, scale=0.0)
+        share = share_of(name)
         return cls((share,), (Constant("delay", name, "s", grid),), place=place)
 
     @property
@@ -225,7 +225,7 @@ class FilterLag(_Late):
         if place.get("order", 1) not in (1, 2):
             raise ValueError("order is 1 or 2")
         grid = (5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 40e-3, 60e-3, 90e-3, 140e-3)
-        share = Parameter("share", name, "1", prior=1.0, scale=0.0)
+        share = share_of(name)
         return cls((share,), (Constant("lag", name, "s", grid),), place=place)
 
     @property

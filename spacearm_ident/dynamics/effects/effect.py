@@ -17,7 +17,7 @@ from ...errors import UserError
 from ...signals.motion import Motion
 from ..arm import Arm
 from ..background import Background
-from ..term import Columns, Term, Values
+from ..term import Columns, Parameter, Term, Values
 
 Options = Mapping[str, Any]
 Shown = dict[str, tuple[float, str]]
@@ -257,6 +257,11 @@ def direction(motion: Motion, row: int) -> FloatArray:
     """
     velocity = motion.velocity[:, row]
     return np.where(np.abs(velocity) > motion.speed_noise[row], np.sign(velocity), 0.0)
+
+
+def share_of(place: str) -> Parameter:
+    """The parameter of an effect that is linear in nothing it has: how much of it there is; all, and not estimated."""
+    return Parameter("share", place, "1", prior=1.0, held=True)
 
 
 def nothing(motion: Motion, rows: Sequence[int], count: int) -> Columns:

@@ -14,7 +14,7 @@ from ..arm import Arm
 from ..background import Background
 from ..friction import bristle_state, excess_temperature
 from ..term import Columns, Constant, Parameter, Values
-from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own
+from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own, share_of
 
 BETWEEN = 1.05
 """A constant nearer to the end of its grid than this ratio is at its end."""
@@ -195,7 +195,7 @@ class GearEfficiency(_Friction):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
-        share = Parameter("share", joint, "1", prior=1.0, scale=0.0)
+        share = share_of(joint)
         # Strain-wave gears at low load or in the cold have less than one half.
         grid = (0.35, 0.43, 0.51, 0.6, 0.7, 0.76, 0.82, 0.86, 0.9, 0.93, 0.955, 0.975, 0.988, 0.995, 0.999)
         return cls((share,), (Constant("eta", joint, "1", grid),), place=place)
