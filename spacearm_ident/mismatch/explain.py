@@ -126,19 +126,9 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
         return unfit(joints, (*_not_compared(joints, known, rms_before), "record a longer run, or give --validate"))
     on_a_day = evidence.with_days(prepared.days) if prepared.days > 0.0 else evidence
     judge = _Judge(evidence, healthy, dict(zip(joints, rms_before.tolist())), on_a_day)
-    while True:
-        cards = Cards(evidence, residuals, outcome, floor, on_a_day)
-        shown = [k for k, candidate in enumerate(outcome.accepted) if is_finding(candidate.effect)]
-        made = {k: cards.finding(k) for k in shown}
-        idle = [k for k in shown if not judge.stands(k, made, outcome)]
-        if not idle:
-            break
-        # What shows beside another may show no more without it.
-        outcome = competition.without(outcome, idle)
+    outcome, made = judge.standing(competition, outcome, residuals, is_finding)
     accepted = outcome.accepted
-    effects = [candidate.effect for candidate in accepted]
-    stated = [contradicted(finding, effects[k], effects) for k, finding in made.items()]
-    findings = tuple(doubted(finding, judge.floor) for finding in _by_cause(stated, joints))
+    findings = _named(made, outcome, judge.floor)
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     rms_after = residuals.rms(after)
     if not findings:
@@ -188,6 +178,19 @@ class _Judge:
         self.floor = dict(zip(joints, healthy.floor_Nm.tolist()))
         self._largest = dict(zip(joints, healthy.largest_Nm.tolist()))
 
+    def standing(
+        self, competition: Competition, outcome: Outcome, residuals: Residuals, is_finding: IsFinding
+    ) -> tuple[Outcome, dict[int, Finding]]:
+        """The outcome without what does not stand, and its findings, each by the number of its effect."""
+        while True:
+            cards = Cards(self._evidence, residuals, outcome, self._healthy.floor_Nm, self._on_a_day)
+            made = {k: cards.finding(k) for k, one in enumerate(outcome.accepted) if is_finding(one.effect)}
+            idle = [k for k in made if not self.stands(k, made, outcome)]
+            if not idle:
+                return outcome, made
+            # What shows beside another may show no more without it.
+            outcome = competition.without(outcome, idle)
+
     def stands(self, number: int, findings: Mapping[int, Finding], outcome: Outcome) -> bool:
         """Whether one of the findings, each by the number of its effect in the outcome, does."""
         finding = findings[number]
@@ -210,6 +213,13 @@ class _Judge:
         if self._healthy.left_out is None or candidate.effect.event:
             return False
         return exceeds_null(candidate, values, self._evidence, self._healthy.left_out)
+
+
+def _named(made: Mapping[int, Finding], outcome: Outcome, floor: Mapping[str, float]) -> tuple[Finding, ...]:
+    """Findings, by the number of their effect, under the names that the data allow; a cause is one finding."""
+    effects = [candidate.effect for candidate in outcome.accepted]
+    stated = [contradicted(finding, effects[k], effects) for k, finding in made.items()]
+    return tuple(doubted(finding, floor) for finding in _by_cause(stated, list(floor)))
 
 
 def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Finding, ...]:
