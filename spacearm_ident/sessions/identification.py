@@ -93,12 +93,13 @@ def identify_session(
         whole, judged = [*whole[:-1], first], [last]
     else:
         raise UserError("nothing to validate the known model on: name a recording")
+    report(0.0, "checking conventions")
     with beside(check) as checked:
         try:
             identified = known or identify(whole, arm, settings, within(report, 0.0, 0.6))
             report(0.6, "validating")
             validation = validate(identified.model, judged, what, held_out=what != ON_THE_FITTED)
-            # Matplotlib takes half as long as an identification to import.
+            # Imported here, while the other process checks: with matplotlib it takes half as long as an identification.
             from ..report.folder import write_result
         except Exception:
             # What is wrong with the recordings is said before what could not be made of them.
