@@ -45,7 +45,8 @@ class JointTerms:
             if there or name in seen:
                 changes: dict[str, Any] = {name: not there}
                 yield replace(self, **changes)
-        for form in {"", "even", "odd"} - {self.quadratic}:
+        # In this order in every process: a set of words has another each time.
+        for form in (one for one in ("", "even", "odd") if one != self.quadratic):
             if not form or form in seen:
                 yield replace(self, quadratic=form)
                 if form and not self.quadratic and not self.cubic and "cubic" in seen:
