@@ -184,6 +184,23 @@ def test_constants_that_pull_at_each_other_are_searched_together():
     assert found == pytest.approx((5000.0, 0.05), rel=0.1)
 
 
+@pytest.mark.parametrize(("felt", "named"), [(0.1, True), (1.0, False)])
+def test_what_is_left_counts_where_the_effect_is_felt(rippled, felt, named):
+    """A joint that hardly feels a payload has a residual of its own."""
+    (finding,) = rippled.findings
+    near = Alternative("payload", ("elbow",), 0.6, "")
+    left = {"shoulder": 0.2, "elbow": 0.1}
+    finding = replace(
+        finding,
+        explained=0.7,
+        after_Nm=left,
+        beside_Nm={},
+        felt_Nm={"shoulder": felt, "elbow": 1.0},
+        alternatives=(near,),
+    )
+    assert (doubted(finding, {"shoulder": 0.1, "elbow": 0.1}) == finding) == named
+
+
 def test_what_rings_at_its_own_resonance_is_not_held_against_a_compliance(rippled):
     (finding,) = rippled.findings
     near = Alternative("payload", ("elbow",), 0.6, "")

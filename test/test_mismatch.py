@@ -293,8 +293,8 @@ def test_what_is_late_at_one_joint_is_no_clock_that_stamps_all(noise):
     assert [(finding.effect, finding.joints) for finding in answer.findings] == [(UNKNOWN, ("elbow",))]
 
 
-def carrying(seed, com):
-    """A run with 0.7 kg on the last link, at `com` (m) in its axes."""
+def carrying(seed, com, extra=lambda planted: 0.0):
+    """A run with 0.7 kg on the last link, at `com` (m) in its axes, and further torque (N, 2)."""
     elbow = TWO_LINKS[1]
     mass = elbow.mass + 0.7
     whole = (np.array(elbow.com) * elbow.mass + 0.7 * np.array(com)) / mass
@@ -305,6 +305,7 @@ def carrying(seed, com):
     time = np.arange(0.0, 16.0, 1 / 250.0)
     motion = incommensurate(time, 2, seed, 1.0)
     planted = plant(TWO_LINKS, LAWS, motion, 250.0, true_links=(TWO_LINKS[0], heavier))
+    planted = replace(planted, torque=planted.torque + extra(planted))
     return planted.recording(noise=NOISE, seed=seed + 100)
 
 
@@ -319,6 +320,24 @@ def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
         assert finding.parameters[f"moment_{axis}"].value == pytest.approx(0.7 * place, abs=0.02)
     assert ("at another position" in finding.where) == (there != here)
     assert finding.explained > 0.9
+
+
+def test_two_effects_that_an_arm_cannot_both_have_are_not_both_found(monkeypatch):
+    here = (0.05, 0.0, 0.3)
+    runs = RunSet([carrying(2, here, ripple)], [HEALTHY], [carrying(3, here, ripple)])
+    both = {finding.effect for finding in explain(ARM, runs, SLOW_ONES).findings}
+    assert both == {"payload", "torque_ripple"}
+    for name in both:
+        monkeypatch.setattr(EFFECTS[name], "excludes", lambda self, other: self.kind != other.kind)
+    assert not both <= {finding.effect for finding in explain(ARM, runs, SLOW_ONES).findings}
+
+
+def test_loads_on_two_links_exclude_each_other():
+    last, again, inner = (
+        EFFECTS["payload"].at(ARM, place)
+        for place in ({"joint": "elbow", "last": True}, {"joint": "elbow", "inertia": True}, {"joint": "shoulder"})
+    )
+    assert inner.excludes(last) and last.excludes(inner) and not again.excludes(last)
 
 
 def test_noise_that_has_grown_is_a_mismatch_without_a_name():

@@ -167,7 +167,11 @@ class Competition:
             if winner.candidate.effect.event:
                 self._leave_out_events()
             rounds.append(Round(winner, tuple(s for s in ranked if s is not winner)))
-            rounds = self._without_the_excluded(self._without_the_idle(rounds))
+            rounds = self._without_the_idle(rounds)
+            if self._is_excluded(winner.candidate.effect):
+                self.accepted.pop()
+                rounds.pop()
+                dropped += 1
         self._rounds = rounds = self._with_possible_values(rounds)
         return Outcome(
             tuple(rounds),
@@ -609,13 +613,9 @@ class Competition:
                 return self._without_the_idle([r for number, r in enumerate(rounds) if number != k])
         return rounds
 
-    def _without_the_excluded(self, rounds: list[Round]) -> list[Round]:
-        """Drop the last effect where it has left in place one that an arm cannot have beside it."""
-        *others, last = [one.effect for one in self.accepted]
-        if not any(last.excludes(other) for other in others):
-            return rounds
-        self.accepted.pop()
-        return rounds[:-1]
+    def _is_excluded(self, last: Effect) -> bool:
+        """Whether the effect that joined last has left in place one that an arm cannot have beside it."""
+        return any(last.excludes(other.effect) for other in self.accepted[:-1])
 
 
 def _left_of_reference(evidence: Evidence) -> FloatArray:
