@@ -9,6 +9,7 @@ from planted_arm import TWO_LINKS, urdf_of
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.friction import STRIBECK_GRID, bristle_state
 from spacearm_ident.dynamics.model import FRICTION_LAWS, TorqueModel, structure_of
+from spacearm_ident.dynamics.term import Parameter
 from spacearm_ident.errors import UserError
 from spacearm_ident.signals.motion import Motion
 
@@ -92,6 +93,21 @@ def test_coulomb_viscous_has_no_constant_to_search():
     assert all(constant.grid == (0.0,) for constant in model.constants)
     v = np.array([-0.3, 0.3])
     np.testing.assert_allclose(friction(FRICTION_LAWS["coulomb-viscous"], v, {"f_c": 2.0, "k_v1": 3.0}), [-2.9, 2.9])
+
+
+def test_what_a_structure_leaves_out_of_a_joint_is_held_there():
+    structure = {
+        "stribeck_friction": {"stribeck": ["elbow"]},
+        "joint_spring": {"free": ["shoulder"]},
+        "viscous_friction": {},
+    }
+    held = {parameter.name for parameter in TorqueModel(ARM, structure).parameters if parameter.held}
+    assert held == {"f_b[shoulder]", "k_1[elbow]"}
+
+
+def test_a_scale_of_nothing_is_no_scale():
+    with pytest.raises(ValueError, match="held"):
+        Parameter("f_b", "elbow", "N m", scale=0.0)
 
 
 def test_an_unknown_law_or_form_is_refused_by_name():

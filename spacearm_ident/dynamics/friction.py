@@ -104,10 +104,9 @@ class StribeckFriction(Term):
         warm = chosen_joints(arm, options.get("temperature")) if stribeck else ()
         terms = []
         for joint in arm.joint_names:
-            scale = None if joint in stribeck else 0.0
             parameters = [
                 Parameter("f_c", joint, "N m", lower=0.0),
-                Parameter("f_b", joint, "N m", scale=scale, anchor="f_c", lower=0.0),
+                Parameter("f_b", joint, "N m", anchor="f_c", lower=0.0, held=joint not in stribeck),
             ]
             if joint in loaded:
                 parameters.append(Parameter("mu", joint, "1", scale=LOAD_SCALE, lower=0.0, upper=LARGEST_LOAD_SHARE))

@@ -137,7 +137,7 @@ class JointSpring(PerJoint):
         """A spring at every joint, held at zero where it is not free."""
         free = chosen_joints(arm, options.get("free"))
         parameters = tuple(
-            Parameter(cls.symbol, name, cls.unit, scale=None if name in free else 0.0, dimension=cls.dimension)
+            Parameter(cls.symbol, name, cls.unit, dimension=cls.dimension, held=name not in free)
             for name in arm.joint_names
         )
         return (cls(parameters, options=dict(options)),)

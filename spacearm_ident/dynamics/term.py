@@ -56,6 +56,10 @@ class Parameter:
     upper: float = np.inf
     held: bool = False
 
+    def __post_init__(self) -> None:
+        if self.scale is not None and not self.scale > 0.0:
+            raise ValueError(f"{self.name}: a scale is positive; what is not estimated is held")
+
     @property
     def name(self) -> str:
         """Unique name in a model: `f_c[joint_1]`."""
