@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any, ClassVar, TypeVar
 
 Item = TypeVar("Item")
@@ -48,23 +49,15 @@ def each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Resu
     helpers = min(_cores(), len(items)) - 1
     if helpers < 1:
         return [function(item) for item in items]
-    context = multiprocessing.get_context("fork")
     numbers, end = os.pipe()
     os.write(end, b"".join(number.to_bytes(NUMBER, "little") for number in range(len(items))))
     os.close(end)
     helping = []
     for _ in range(helpers):
-        results, given = context.Pipe(duplex=False)
-        process = context.Process(target=_help, args=(function, items, numbers, results, given), daemon=True)
-        try:
-            process.start()
-        except OSError:
-            # No memory, or no process, is left for one more.
-            results.close()
+        helper = _started(_help, function, items, numbers)
+        if helper is None:
             break
-        finally:
-            given.close()
-        helping.append((process, results))
+        helping.append(helper)
     done: dict[int, Result] = {}
     # After the last fork: no process but this one has other threads.
     readers = [threading.Thread(target=_collect, args=(results, done), daemon=True) for _, results in helping]
@@ -99,23 +92,12 @@ def beside(function: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
         What waits for the result, or raises what the function raises; called once, or never: the process is then
         ended.
     """
-    if _cores() < 2:
+    helper = _started(_compute, function) if _cores() > 1 else None
+    if helper is None:
         known = function()
         yield lambda: known
         return
-    context = multiprocessing.get_context("fork")
-    results, given = context.Pipe(duplex=False)
-    process = context.Process(target=_compute, args=(function, results, given), daemon=True)
-    try:
-        process.start()
-    except OSError:
-        # No memory, or no process, is left for one more.
-        given.close()
-        with results:
-            known = function()
-        yield lambda: known
-        return
-    given.close()
+    process, results = helper
     try:
         yield partial(_received, results, function)
     finally:
@@ -131,6 +113,24 @@ def _received(results: Connection, function: Callable[[], Result]) -> Result:
     except (EOFError, OSError):
         return function()
     return result
+
+
+def _started(target: Callable[..., None], *arguments: Any) -> tuple[BaseProcess, Connection] | None:
+    """A forked process, given the ends of a pipe after the arguments, and the end that its results come from.
+
+    None where no memory, or no process, is left for one more.
+    """
+    context = multiprocessing.get_context("fork")
+    results, given = context.Pipe(duplex=False)
+    process = context.Process(target=target, args=(*arguments, results, given), daemon=True)
+    try:
+        process.start()
+    except OSError:
+        results.close()
+        return None
+    finally:
+        given.close()
+    return process, results
 
 
 def _cores() -> int:

@@ -144,10 +144,8 @@ def print_json(value: Any) -> None:
 
 LINE_EVERY_S = 10.0
 """Seconds between two lines of progress where standard error is no terminal; shorter work prints none."""
-
-
 REFRESH_EVERY_S = 0.1
-"""Seconds between two drawings of the progress bar: the clock in it shows that a long step has not stopped."""
+"""Seconds between two drawings of the progress bar, as rich itself has it: its clock runs through a long step."""
 
 
 class _ProgressLines:

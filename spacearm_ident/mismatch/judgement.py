@@ -86,7 +86,12 @@ def beyond_healthy(finding: Finding, before: Mapping[str, float], largest: Mappi
 
 
 def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
-    """A finding whose law is clearly not quite its own, as an unknown one that is like it; else the finding itself."""
+    """A finding whose law is clearly not quite its own, as an unknown one that is like it; else the finding itself.
+
+    Args:
+        finding: The finding, with residuals on held-out data.
+        floor: Joint -> noise floor, RMS, N·m.
+    """
     left = times_noise(finding, floor)
     sole = finding.explained > ALONE and all(other.score < RIVALLED for other in finding.alternatives)
     if finding.effect == UNKNOWN or not finding.explained < NAMES or left**2 <= LAW_LEFT or sole:
