@@ -173,6 +173,18 @@ def test_a_wrist_rubs_with_its_neighbour_or_with_both(ratio):
     np.testing.assert_allclose(torque(effect, W, [0.1, 0.5, 2.0]), want, atol=1e-12)
 
 
+@pytest.mark.parametrize("ratio", [1.0, -1.0])
+def test_a_motor_that_turns_with_both_joints_no_longer_turns_with_one(ratio):
+    """Its power is of the common motion: what the reference has of it at its own joint is taken away there."""
+    effect = one("wrist_coupling", ARM, joint="elbow", **{"with": "shoulder"}, ratio=ratio, moved=True)
+    felt = torque(effect, W, [0.1, 0.5, 2.0])
+    power = np.sum(felt * W.velocity, axis=1)
+    speed, bend = (x[:, 1] + ratio * x[:, 2] for x in (W.velocity, W.acceleration))
+    own_speed, own_bend = W.velocity[:, 2], W.acceleration[:, 2]
+    taken = own_speed * (0.1 * own_bend + 0.5 * own_speed + 2.0 * np.sign(own_speed))
+    np.testing.assert_allclose(power, speed * (0.1 * bend + 0.5 * speed + 2.0 * np.sign(speed)) - taken, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("values", "gear"),
     [([0.0, 0.6, 1.7], True), ([0.01, -0.001, 0.06], True), ([0.0, 1.5, -0.15], False), ([0.0, 1.5, 0.1], False)],

@@ -33,6 +33,7 @@ JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
 PAPER = load_model(CONFIG / "paper_arm_model.yaml")
 ORBIT = replace(PAPER, model=TorqueModel(PAPER.model.arm.with_gravity(np.zeros(3)), PAPER.model.structure))
 ALL, SECOND, THIRD = {"joints": list(JOINTS)}, {"joint": "joint_2"}, {"joint": "joint_3"}
+WRIST = {"joint": "joint_6", "with": "joint_5"}
 BOTH = ["f_c", "k_v1"]
 SETTLED_S, WINDOW_S, SLOW = 0.3, 0.03, 0.03
 
@@ -107,7 +108,8 @@ def in_one_direction(truth: Truth) -> np.ndarray:
             ),
             0.25,
         ),
-        ("wrist_coupling", {"joint": "joint_6", "with": "joint_5", "ratio": -1.0}, {"J": 0, "k": 1.0, "f": 1.5}, 0.25),
+        ("wrist_coupling", {**WRIST, "ratio": -1.0}, {"J": 0, "k": 1.0, "f": 1.5}, 0.25),
+        ("wrist_coupling", {**WRIST, "ratio": 1.0, "moved": True}, {"J": 0, "k": 1.0, "f": 1.5}, 0.25),
     ],
 )
 def test_the_simulated_arm_obeys_what_the_term_predicts(kind, place, values, share):
@@ -185,7 +187,7 @@ def test_what_moves_beside_its_encoder_does_so_by_as_much_as_the_term_says(kind,
         ("payload", {"joint": "joint_6"}, {"dm": -0.5, "dmcx": 0, "dmcy": 0, "dmcz": 0}, "payload at joint_6.*mass"),
         ("time_delay", SECOND, {"share": 1.0, "delay": 0.004}, "time_delay at joint_2"),
         ("filter_lag", SECOND, {"share": -0.2, "lag": 0.004}, "filter_lag at joint_2.*share"),
-        ("wrist_coupling", {"joint": "joint_6", "with": "joint_5"}, {"J": 0, "k": 1, "f": 1}, "wrist_coupling"),
+        ("wrist_coupling", WRIST, {"J": 0, "k": 1, "f": 1}, "wrist_coupling"),
         ("rotor_coupling", {"joint": "joint_4", "with": "joint_2"}, {"J": 0.1}, "rotor_coupling"),
         (
             "link_flexibility",

@@ -85,11 +85,18 @@ def _alignment(arm: Arm, motion: Motion, joint: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class WristCoupling(Effect):
-    """A gear train through a neighbour: a motor turns with the sum of two joints' motions, and rubs with it."""
+    """A gear train through a neighbour: a motor turns with the sum of two joints' motions, and rubs with it.
+
+    Where the reference has the motor's inertia and friction turn with the joint alone, they are taken away there
+    (`moved`): what is added is what they are of both motions, less what they are of the joint's own.
+    """
 
     kind: ClassVar[str] = "wrist_coupling"
     words: ClassVar[str] = "a joint feels its neighbour's motion through the gears"
-    equation: ClassVar[str] = "[f sgn + k] (q_d,other) at the joint; or the same of the sum of both, at both"
+    equation: ClassVar[str] = (
+        "[f sgn + k] (q_d,other) at the joint; or the same of the sum of both, at both, "
+        "less that of its own at the joint"
+    )
     source: ClassVar[str] = "Stäubli TX wrist; Gautier and Briot 2014"
     confused_with: ClassVar[tuple[str, ...]] = ("rotor_coupling", "position_friction", "load_friction")
     experiment: ClassVar[str] = "each joint of the wrist alone at constant speed, the others still"
@@ -100,8 +107,9 @@ class WristCoupling(Effect):
         for first, second in pairwise(arm.joint_names):
             yield {"joint": first, "with": second}
             yield {"joint": second, "with": first}
-            yield {"joint": second, "with": first, "ratio": 1.0}
-            yield {"joint": second, "with": first, "ratio": -1.0}
+            for ratio in (1.0, -1.0):
+                yield {"joint": second, "with": first, "ratio": ratio}
+                yield {"joint": second, "with": first, "ratio": ratio, "moved": True}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -131,8 +139,15 @@ class WristCoupling(Effect):
         mine = 0.0 if ratio is None else float(ratio)
         speed = motion.velocity[:, other] + mine * motion.velocity[:, row]
         accelerated = motion.acceleration[:, other] + mine * motion.acceleration[:, row]
-        noise = motion.speed_noise[other]
-        columns = np.stack([accelerated, speed, np.sign(speed) * (np.abs(speed) > noise)], axis=1)
+        columns = _turned(accelerated, speed, motion.speed_noise[other])
         if ratio is None:
             return each({row: columns})
-        return each({other: columns, row: mine * columns})
+        own = mine * columns
+        if self.place.get("moved"):
+            own = own - _turned(motion.acceleration[:, row], motion.velocity[:, row], motion.speed_noise[row])
+        return each({other: columns, row: own})
+
+
+def _turned(acceleration: FloatArray, speed: FloatArray, noise: float) -> FloatArray:
+    """(N, 3) what a motor's inertia, viscous and Coulomb friction give as it turns."""
+    return np.stack([acceleration, speed, np.sign(speed) * (np.abs(speed) > noise)], axis=1)

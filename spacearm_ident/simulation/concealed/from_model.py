@@ -187,7 +187,8 @@ def _wrist_coupling(found: _Found) -> Values:
     if abs(found["J"]) > LEFT_OUT_INERTIA * max(found.inertia(joint) for joint in found.joints):
         raise found.refused(f"the inertia of its gear stage, {found['J']:.3g} kg m^2, is too large to be left out")
     joints = (found.place["with"], found.place["joint"])
-    return {"joints": joints, "coulomb": found["f"], "viscous": found["k"], "ratio": float(found.place["ratio"])}
+    values = {"joints": joints, "coulomb": found["f"], "viscous": found["k"], "ratio": float(found.place["ratio"])}
+    return values | ({"law": "moved"} if found.place.get("moved") else {})
 
 
 def _rotor_coupling(found: _Found) -> Values:

@@ -131,10 +131,12 @@ class TemperatureFriction(Effect):
 class WristCoupling(Effect):
     """A gear stage that two joints share: it turns with the first joint plus `ratio` times the second.
 
-    Its friction opposes that common motion and so reaches both joints. Joints: [the one, the other].
+    Its friction opposes that common motion and so reaches both joints. Joints: [the one, the other]. Law `moved`: that
+    friction had been the other's own.
     """
 
     name = "wrist_coupling"
+    laws = ("usual", "moved")
     parameters: ClassVar = {
         "coulomb": Parameter("N m", 0.2, 5.0),
         "viscous": Parameter("N m s/rad", 0.0, 8.0, 0.0),
@@ -160,4 +162,13 @@ class WristCoupling(Effect):
         force = self.one("coulomb") * self._wound / self._SLIP + self.one("viscous") * speed
         torque = np.zeros_like(state.q)
         torque[self.joints] = force * self._along
+        if self.law == "moved":
+            torque[self.joints[1]] -= self.one("viscous") * state.qd[self.joints[1]]
         return torque
+
+    def level(self, state: State, level: FloatArray) -> FloatArray:
+        """What the other has of its own."""
+        level = level.copy()
+        if self.law == "moved":
+            level[self.joints[1]] -= self.one("coulomb")
+        return level
