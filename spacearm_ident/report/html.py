@@ -6,7 +6,7 @@ how it was obtained.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,19 +16,17 @@ from markupsafe import Markup
 from ..bayes.updated import REDUCED
 from ..dynamics.arm import Arm
 from ..estimate.counts import DEFINITION
-from ..estimate.identified import GAIN_DEVIATION, Determination, Fit, Identified, JointValidation, LackOfFit
+from ..estimate.identified import GAIN_DEVIATION, Determination, Estimate, Fit, Identified, JointValidation, LackOfFit
 from ..forks import each
 from ..identification.verdict import FAIR, GOOD
 from ..results.provenance import FITTED, VALIDATED
 from ..results.store import Result
 from ..results.tables import base, by_joint
-from . import evidence_sections as evidence
-from . import figures, result_figures
+from . import evidence, figures, result_figures
 from .details import Fact, provenance_facts, source_files
 from .exports import exports
 from .opening import opening
 from .pages import render
-from .parameter_tables import matrix
 from .text import NOTHING, listed, number, unit_text
 
 LEAST_P = 0.001
@@ -86,7 +84,7 @@ def report_html(result: Result) -> str:
         drawn_joints=list(by_joint(identified, with_base=False)),
         sliding=_sliding(arm),
         listing=listing,
-        matrix_rows=matrix(listing),
+        matrix_rows=_matrix(listing),
         gain_deviation=GAIN_DEVIATION,
         base=base(identified),
         correlated=correlated,
@@ -165,6 +163,16 @@ def _drawings(
     # Drawing takes longer than identification.
     drawn = each(lambda draw: draw and draw(), [*over_time, *wanted.values()])
     return {"over_time": dict(zip(signals, drawn)), **dict(zip(wanted, drawn[len(over_time) :]))}
+
+
+def _matrix(listing: Mapping[str, Sequence[Estimate]]) -> list[tuple[str, str, list[Estimate | None]]]:
+    """A row for each symbol: the symbol, its unit, and the estimate of each joint; None where a joint has none."""
+    cells = {(item.symbol, joint): item for joint, items in listing.items() for item in items}
+    rows = []
+    for symbol in dict.fromkeys(symbol for symbol, _ in cells):
+        mine = [cells.get((symbol, joint)) for joint in listing]
+        rows.append((symbol, next((item.unit for item in mine if item and item.unit), ""), mine))
+    return rows
 
 
 def _facts(identified: Identified) -> list[Fact]:
