@@ -38,7 +38,12 @@ def test_an_installation_takes_along_what_is_no_module(monkeypatch):
     monkeypatch.setitem(sys.modules, "setuptools", stand_in)
     monkeypatch.chdir(ROOT)
     runpy.run_path(str(ROOT / "setup.py"))
-    named = {str(Path(*package.split("."), name)) for package, names in found["package_data"].items() for name in names}
+    named = {
+        str(path.relative_to(ROOT))
+        for package, patterns in found["package_data"].items()
+        for pattern in patterns
+        for path in ROOT.joinpath(*package.split(".")).glob(pattern)
+    }
     others = {
         str(path.relative_to(ROOT))
         for path in PACKAGE.rglob("*")

@@ -15,8 +15,8 @@ from made_result import arm, identification, identified_model, trace
 
 from spacearm_ident.dynamics.friction_curve import friction_curve
 from spacearm_ident.report.figures import MARKER, joint_signals, over_time, parameters
-from spacearm_ident.report.markup import element, measured, number
 from spacearm_ident.report.plotting import decimated
+from spacearm_ident.report.text import measured, number
 
 
 @pytest.mark.parametrize("distance", [0.0, 1e-3])
@@ -106,8 +106,3 @@ def test_numbers_as_a_person_writes_them() -> None:
     assert measured(14.8791, 0.52) == "14.9 ± 0.5"
     assert measured(-0.0001, 0.5) == "0.0 ± 0.5"
     assert measured(14.8791, math.nan) == "14.88"
-
-
-def test_elements_escape_text_and_attributes() -> None:
-    built = element("td", "<i>&", element("b", 1), None, class_="a", title='"<', aria_hidden="true", rowspan=None)
-    assert built == '<td class="a" title="&quot;&lt;" aria-hidden="true">&lt;i&gt;&amp;<b>1</b></td>'

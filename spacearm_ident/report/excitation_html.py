@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from markupsafe import Markup
 
 from ..arrays import FloatArray
 from ..documents import write_whole
@@ -15,9 +16,9 @@ from ..dynamics.urdf_chain import bounded
 from ..errors import UserError
 from ..excitation.constraints import Margin, Requirements, model_torque
 from ..excitation.trajectory import Trajectory
-from .html import captioned, page
-from .markup import Markup, element, join, number, percent, unit_text
+from .pages import render
 from .plotting import COLOUR, decimated, grid, to_svg
+from .text import unit_text
 
 Run = tuple[str, Trajectory]
 RATE_HZ = 100.0
@@ -35,27 +36,21 @@ def excitation_html(needs: Requirements, runs: Sequence[Run], margins: Sequence[
         margins: Of the full run, one a kind of limit.
     """
     arm = needs.identified.model.arm
-    nearest = max(margins, key=lambda margin: margin.used)
-    title = f"Excitation of {arm.name}"
-    body = join(
-        element("h1", title),
-        element("p", "; ".join(f"{name}: {run.duration_s:.1f} s" for name, run in runs), class_="quiet"),
-        element(
-            "div",
-            element("h2", f"All limits of {len(arm.joints)} joints kept"),
-            element(
-                "p",
-                f"Closest to its limit: {nearest.kind} of {nearest.where}, {percent(nearest.used)} of it. Record the "
-                "gentle run first: a wrong sign, limit or brake shows there at less than half the speed."
-                if len(runs) > 1
-                else f"Closest to its limit: {nearest.kind} of {nearest.where}, {percent(nearest.used)} of it.",
-            ),
-            class_="verdict good",
-        ),
-        _margins(margins),
-        *(_run(needs, *run) for run in runs),
+    return render(
+        "excitation.html",
+        arm=arm,
+        nearest=max(margins, key=lambda margin: margin.used),
+        margins=margins,
+        runs=[
+            {
+                "name": name,
+                "duration_s": run.duration_s,
+                "signals": _signals(needs, run),
+                "postures": _postures(arm, run),
+            }
+            for name, run in runs
+        ],
     )
-    return page(title, body)
 
 
 def write_page(path: Path, text: str) -> None:
@@ -70,51 +65,9 @@ def write_page(path: Path, text: str) -> None:
         raise UserError(f"cannot write {path} ({error.strerror or error}): choose another --out") from error
 
 
-def _margins(margins: Sequence[Margin]) -> Markup:
-    head = element(
-        "tr",
-        *(
-            element("th", text, scope="col", class_=None if k > 1 else "text")
-            for k, text in enumerate(("quantity", "closest to its limit", "value", "limit", "at", "used"))
-        ),
-    )
-    rows = [
-        element(
-            "tr",
-            element("th", margin.kind, scope="row", class_="text"),
-            element("td", margin.where, class_="text wrap"),
-            element("td", f"{number(margin.value, 4)} {unit_text(margin.unit)}"),
-            element("td", f"{number(margin.limit, 4)} {unit_text(margin.unit)}"),
-            element("td", f"{margin.at_s:.1f} s"),
-            element("td", percent(margin.used), class_="share", style=f"--part: {min(margin.used, 1.0):.1%}"),
-        )
-        for margin in margins
-    ]
-    table = element("table", element("thead", head), element("tbody", *rows))
-    return join(
-        element("h2", "Margin of every limit"),
-        element("div", table, class_="wide"),
-        element("p", "Of the full run, checked every 2 ms, approach and return included.", class_="quiet"),
-    )
-
-
-def _run(needs: Requirements, name: str, run: Trajectory) -> Markup:
+def _signals(needs: Requirements, run: Trajectory) -> Markup:
+    """Position, velocity and torque of every joint over time."""
     times = np.arange(0.0, run.duration_s, 1.0 / RATE_HZ)
-    return join(
-        element("h2", name),
-        captioned(
-            _signals(needs, times, run),
-            "Position, velocity and predicted torque of every joint. Dashed: the limit, where it is within "
-            "the panel. The torque is that of the model, or of the CAD inertials without one.",
-        ),
-        captioned(
-            _postures(needs.identified.model.arm, run),
-            "The arm's joints in postures at equal times of the run, m; thick: the start posture.",
-        ),
-    )
-
-
-def _signals(needs: Requirements, times: FloatArray, run: Trajectory) -> Markup:
     arm, motion = needs.identified.model.arm, run.evaluate(times)
     torque = model_torque(needs.identified, motion, RATE_HZ)
     limits = needs.motion

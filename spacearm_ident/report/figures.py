@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.ticker import FuncFormatter, MaxNLocator
@@ -15,8 +16,8 @@ from ..dynamics.friction_curve import friction_curve
 from ..dynamics.model import IdentifiedModel
 from ..estimate.identified import Determination, Estimate, Identified, Trace
 from ..results.tables import by_joint, shown_value
-from .markup import MINUS, Markup, unit_text
 from .plotting import CLOUD_MOVING, CLOUD_STANDING, COLOUR, decimated, grid, stacked, thinned, to_svg
+from .text import MINUS, unit_text
 
 BINS, FEWEST_IN_BIN = 30, 5
 JOIN_SHARE = 0.015

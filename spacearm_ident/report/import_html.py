@@ -12,8 +12,7 @@ from ..errors import one_line
 from ..logs.search import Proposal
 from ..recording.log_mapping import CURRENT_UNITS, LogMapping
 from ..recording.recording import Recording
-from .html import captioned, page
-from .markup import Markup, breakable, element, join
+from .pages import render
 from .plotting import COLOUR, gapped_line, stacked, to_svg
 
 HEIGHT_IN = 0.85
@@ -32,30 +31,22 @@ def import_html(log: Path, proposal: Proposal, mapping: LogMapping, recording: R
         recording: What the mapping makes of the log, SI; effort as `mapping.is_torque` says.
         arm: The arm, whose position limits are drawn.
     """
-    head = element("tr", *(element("th", text, class_="text") for text in ("signal", "columns", "unit", "because")))
-    understood = [(row.signal, row.columns, row.unit, row.because) for row in proposal.rows]
-    rows = [element("tr", *(element("td", text, class_="text wrap") for text in row)) for row in understood]
-    left = [element("li", one_line(line)) for line in proposal.left_out]
     joints = {joint.name: joint for joint in arm.joints}
-    body = join(
-        element("h1", f"What the columns of {log.name} are"),
-        element("p", f"{len(recording.time)} rows, {recording.rate_hz:.5g} Hz, arm {arm.name}", class_="quiet"),
-        element("div", element("table", element("thead", head), element("tbody", *rows)), class_="wide"),
-        element("ul", *left) if left else None,
-        element("h2", "Signals"),
-        element(
-            "p",
-            "As read by the mapping. Dashed: the position limits of the arm's description. Is each joint the one it is "
-            "said to be, in the right unit and direction? spacearm check tests it on the data.",
-            class_="quiet",
-        ),
-        *(_joint(recording, k, joints[name], mapping) for k, name in enumerate(recording.joints) if name in joints),
+    return render(
+        "import.html",
+        log=log.name,
+        recording=recording,
+        arm=arm,
+        understood=proposal.rows,
+        left_out=[one_line(line) for line in proposal.left_out],
+        joints=[
+            _joint(recording, k, joints[name], mapping) for k, name in enumerate(recording.joints) if name in joints
+        ],
     )
-    return page(f"Import of {log.name}", body)
 
 
-def _joint(recording: Recording, k: int, joint: Joint, mapping: LogMapping) -> Markup:
-    """The signals of one joint over time."""
+def _joint(recording: Recording, k: int, joint: Joint, mapping: LogMapping) -> dict[str, str]:
+    """The signals of one joint over time: its name, the drawing and the columns they are from."""
     columns = mapping.columns.get(joint.name, {})
     angle, speed = ("rad", "rad/s") if joint.revolute else ("m", "m/s")
     effort = joint.units.effort if mapping.is_torque else "A" if mapping.units["effort"] in CURRENT_UNITS else "%"
@@ -73,7 +64,7 @@ def _joint(recording: Recording, k: int, joint: Joint, mapping: LogMapping) -> M
         axes[-1].set_xlabel("time, s")
         drawing = to_svg(figure, f"{joint.name}: {', '.join(signal for signal, _, _ in shown)} over time")
     names = ", ".join(f"{signal}: {columns[signal]}" for signal, _, _ in shown if signal in columns)
-    return element("section", element("h3", breakable(joint.name)), captioned(drawing, names), class_="joint")
+    return {"name": joint.name, "drawing": drawing, "columns": names}
 
 
 def _limits(axes: Axes, joint: Joint) -> None:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 from ..errors import UserError
@@ -20,16 +20,14 @@ from ..identification.verdict import judge_result
 from ..results.provenance import EPOCH, moment
 from ..results.store import FIGURES, Result, load_result
 from ..results.trends import arm_of, date_text, runs_by_arm
-from .comparison import FAR, comparison_html, differences, moved
+from .comparison import FAR, Difference, comparison_html, differences, moved, named
 from .folder import REPORT, replacing
-from .html import page
-from .markup import NOTHING, Markup, breakable, element, join, listed, number, percent
 from .mismatch_folder import DOCUMENT
-from .trend_figures import arm_section
+from .pages import render
+from .trend_figures import trends_of
 
 INDEX: Final = "index.html"
 SUMMARY: Final = "summary.json"
-MOST_NAMED: Final = 4
 
 
 @dataclass(frozen=True)
@@ -61,6 +59,11 @@ class Entry:
         return self.result.written[:16].replace("T", " ") if self.result else ""
 
     @property
+    def link(self) -> str | None:
+        """Address of its report, relative to the page; None where there is none."""
+        return _link(self.name) if self.page else None
+
+    @property
     def order(self) -> tuple[bool, str, str]:
         """By recording, where that is known, else by writing; those without a result last."""
         return (self.result is None, self.recorded or self.written, self.name)
@@ -73,6 +76,11 @@ class MismatchEntry:
     name: str
     verdict: str
     findings: tuple[str, ...]
+
+    @property
+    def link(self) -> str:
+        """Address of its report, relative to the page."""
+        return _link(self.name)
 
 
 Progress = Callable[[float, str], None]
@@ -203,68 +211,36 @@ def index_html(title: str, entries: Sequence[Entry], mismatches: Sequence[Mismat
         entries: Results of identifications, in the order of the page.
         mismatches: Results of `spacearm mismatch` in the folder.
     """
-    count = f"{len(entries)} runs" if len(entries) != 1 else "1 run"
     arms = runs_by_arm(entry.result for entry in entries if entry.result is not None)
-    body = join(
-        element("h1", f"Results in {title}"),
-        element("p", f"{count}, oldest first", class_="quiet"),
-        _runs(entries) if entries else None,
-        *(arm_section(arm, runs) for arm, runs in arms.items()),
-        _mismatches(mismatches) if mismatches else None,
+    return render(
+        "index.html",
+        folder=title,
+        entries=entries,
+        runs=_runs(entries),
+        far=FAR,
+        trends=[found for arm, runs in arms.items() if (found := trends_of(arm, runs))],
+        mismatches=mismatches,
     )
-    return page(f"Results in {title}", body)
 
 
-def _runs(entries: Sequence[Entry]) -> Markup:
-    heads = (
-        "run",
-        "recorded, UTC",
-        "written, UTC",
-        "arm",
-        "verdict",
-        "worst residual, moving",
-        "lowest R",
-        "changed since the run before",
-    )
-    kinds = ("text", "text", "text", "text", "text", "wrap", "wrap", "text wrap")
-    header = element("tr", *(element("th", head, class_=kind) for head, kind in zip(heads, kinds)))
-    rows, last = [], dict[tuple[str, ...], Entry]()
+def _runs(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
+    """Name of an entry that has a result -> what the page says of it."""
+    shown, last = {}, dict[tuple[str, ...], Result]()
     for entry in entries:
         if entry.result is None:
-            rows.append(
-                element("tr", _link(entry), element("td", entry.problem, class_="text wrap", colspan=len(heads) - 1))
-            )
             continue
-        key = arm_of(entry.result)
-        rows.append(_run_row(entry, entry.result, last.get(key)))
-        last[key] = entry
-    return join(
-        element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide"),
-        element(
-            "p",
-            f"Changed: by more than {FAR:g} standard errors of the difference to the run before of the arm; counted "
-            "among parameters with a standard error in both. Side by side: ",
-            element("code", "spacearm report DIR --compare RUN RUN"),
-            ".",
-            class_="quiet",
-        ),
-    )
-
-
-def _run_row(entry: Entry, result: Result, before: Entry | None) -> Markup:
-    verdict = judge_result(result.identified, result.validation)
-    worst, lowest = merit(result.validation)
-    return element(
-        "tr",
-        _link(entry),
-        element("td", entry.recorded or NOTHING, class_="text"),
-        element("td", entry.written, class_="text"),
-        element("td", result.identified.model.model.arm.name, class_="text wrap"),
-        element("td", verdict.level, class_=f"text {verdict.level}", title=verdict.headline),
-        element("td", percent(worst)),
-        element("td", f"{lowest:.4f}" if math.isfinite(lowest) else NOTHING),
-        element("td", *_since(result, before), class_="text wrap note"),
-    )
+        result, arm = entry.result, arm_of(entry.result)
+        found: list[Difference] = differences(last[arm].identified, result.identified) if arm in last else []
+        worst, lowest = merit(result.validation)
+        shown[entry.name] = {
+            "verdict": judge_result(result.identified, result.validation),
+            "worst": worst,
+            "lowest": lowest,
+            "compared": sum(math.isfinite(item.errors) for item in found) if arm in last else None,
+            "far": named(moved(found)),
+        }
+        last[arm] = result
+    return shown
 
 
 def merit(validation: Validation) -> tuple[float, float]:
@@ -275,37 +251,6 @@ def merit(validation: Validation) -> tuple[float, float]:
     return max(shares, default=math.nan), min(correlations, default=math.nan)
 
 
-def _since(result: Result, before: Entry | None) -> tuple[object, ...]:
-    if before is None or before.result is None:
-        return (NOTHING,)
-    found = differences(before.result.identified, result.identified)
-    compared = sum(math.isfinite(item.errors) for item in found)
-    far = moved(found)
-    names = [f"{item.name} ({number(item.errors, 2)})" for item in far]
-    detail = element("span", f": {listed(names, MOST_NAMED)}", class_="quiet") if far else None
-    return (f"{len(far)} of {compared}", detail)
-
-
-def _mismatches(mismatches: Sequence[MismatchEntry]) -> Markup:
-    header = element("tr", *(element("th", head, class_="text") for head in ("folder", "verdict", "findings")))
-    rows = [
-        element(
-            "tr",
-            _link(entry),
-            element("td", entry.verdict.replace("_", " "), class_="text wrap"),
-            element("td", "; ".join(entry.findings) or NOTHING, class_="text wrap"),
-        )
-        for entry in mismatches
-    ]
-    return join(
-        element("h2", "Mismatches"),
-        element("div", element("table", element("thead", header), element("tbody", *rows)), class_="wide"),
-    )
-
-
-def _link(entry: Entry | MismatchEntry) -> Markup:
-    """To a run's page. Relative, so that the folder may move; a scheme in a name stays part of the path."""
-    name = breakable(entry.name)
-    if isinstance(entry, Entry) and not entry.page:
-        return element("th", name, class_="text wrap")
-    return element("th", element("a", name, href=f"./{quote(entry.name)}/{REPORT}"), class_="text wrap")
+def _link(name: str) -> str:
+    """Address of a run's page, relative to the folder."""
+    return f"./{quote(name)}/{REPORT}"

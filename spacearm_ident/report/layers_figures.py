@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from markupsafe import Markup
 
 from ..arrays import FloatArray
 from ..layers.comparison import Comparison, Trace
 from .figures import short
-from .markup import Markup
 from .plotting import COLOUR, gapped_line, grid, stacked, to_svg
 
 LINE_POINTS = 1200

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullLocator
 
@@ -18,8 +19,8 @@ from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..mismatch.finding import Explanation, Finding, Trace
 from .figures import cloud, joined, name_axes, short
-from .markup import Markup, number
 from .plotting import CLOUD_MOVING, COLOUR, gapped_line, grid, stacked, thinned, to_svg
+from .text import number
 
 MOST_JOINTS = 3
 """So many joints of a finding are drawn, those where it takes most away."""

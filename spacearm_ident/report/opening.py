@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from ..estimate.counts import counts
 from ..estimate.identified import Identified, JointValidation, Validation
 from ..identification.verdict import FAIR, LACKING_P, Verdict, judge_result, relative_rms
-from .markup import listed, percent
+from .text import listed, percent
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ..bayes.adaptation import Adaptation
 from ..dynamics.friction import WARM_FROM
 from ..estimate.identified import Validation
 from .figures import name_axes
-from .markup import Markup
 from .plotting import COLOUR, grid, to_svg
 
 ROLES = ("muted", "before", "residual", "after")

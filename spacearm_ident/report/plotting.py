@@ -17,13 +17,13 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ..arrays import FloatArray
-from .markup import Markup
 
 ROLES = (
     *("ink", "muted", "line", "band", "measured", "predicted", "residual"),

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
@@ -16,7 +17,6 @@ from ..dynamics.urdf_chain import bounded
 from ..estimate.identified import Determination, Estimate, Identified, Spectrum
 from ..results.recorded_runs import RecordedRun
 from .figures import name_axes, short
-from .markup import Markup
 from .plotting import COLOUR, grid, to_svg
 
 LARGEST_DISC_PT = 26.0

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from ..results.trends import DATE, LEVEL, TEMPERATURE, Arm, Run, Trend, trends
 from .figures import short
-from .html import captioned
-from .markup import MINUS, Markup, element, join, listed, measured, number, unit_text
 from .plotting import COLOUR, grid, to_svg
+from .text import MINUS, listed, measured, number, unit_text
 
 FRICTION = ("f_c", "f_b", "k_v1", "v_b")
 WORDS = {DATE: "the date of recording", TEMPERATURE: "the joint's mean temperature"}
@@ -26,34 +27,45 @@ WIDEST_BAR = 3.0
 """An interval wider than so many times the spread of its panel runs out of the picture."""
 
 
-def arm_section(arm: Arm, runs: Sequence[Run]) -> Markup | None:
-    """What is to be seen of one arm; None where nothing can be compared."""
-    over = {what: trends(runs, what) for what in (DATE, TEMPERATURE)}
-    if not any(over.values()):
-        return None
-    return join(
-        element("h2", f"Trends of {arm[0]}"),
-        element(
-            "p",
-            f"{len(runs)} runs that say when they were recorded. Dots: estimates with their 95 % intervals, where the "
-            "data determined them. Date and temperature may go together: look at both.",
-            class_="quiet",
-        ),
-        *(_over(found, what) for what, found in over.items() if found),
-    )
+@dataclass(frozen=True)
+class Over:
+    """Trends over one quantity.
+
+    Attributes:
+        words: The quantity.
+        clear: A sentence on the parameters that change by more than chance.
+        friction: Drawing of the friction levels; None where there is none.
+        others: Drawing of all other parameters; None where there is none.
+        count: Number of the others.
+    """
+
+    words: str
+    clear: str
+    friction: Markup | None
+    others: Markup | None
+    count: int
 
 
-def _over(found: Sequence[Trend], what: str) -> Markup:
+@dataclass(frozen=True)
+class ArmTrends:
+    """What is to be seen of one arm: its name, how many runs have a date, and the trends."""
+
+    name: str
+    runs: int
+    over: tuple[Over, ...]
+
+
+def trends_of(arm: Arm, runs: Sequence[Run]) -> ArmTrends | None:
+    """Trends of one arm over date and temperature; None where nothing can be compared."""
+    found = {what: trends(runs, what) for what in (DATE, TEMPERATURE)}
+    over = tuple(_over(those, what) for what, those in found.items() if those)
+    return ArmTrends(arm[0], len(runs), over) if over else None
+
+
+def _over(found: Sequence[Trend], what: str) -> Over:
     friction = [one for symbol in FRICTION for one in found if one.estimates[0].symbol == symbol]
     others = [one for one in found if one.estimates[0].symbol not in FRICTION]
-    return join(
-        element("h3", f"Over {WORDS[what]}"),
-        element("p", _clear(found)),
-        captioned(_figure(friction, what), "Friction levels.") if friction else None,
-        element("details", element("summary", f"{len(others)} other parameters"), _figure(others, what))
-        if others
-        else None,
-    )
+    return Over(WORDS[what], _clear(found), _figure(friction, what), _figure(others, what), len(others))
 
 
 def _clear(found: Sequence[Trend]) -> str:
@@ -78,7 +90,10 @@ def slope_text(trend: Trend) -> str:
     return f"{trend.name} {measured(trend.slope.value * size, trend.slope.error * size)} {unit}/{per}"
 
 
-def _figure(found: Sequence[Trend], what: str) -> Markup:
+def _figure(found: Sequence[Trend], what: str) -> Markup | None:
+    """A panel for each trend; None without trends."""
+    if not found:
+        return None
     with grid(len(found), 4, 1.5, left_in=0.56, below_in=0.36) as (figure, panels):
         for axes, trend in zip(panels, found):
             _draw(axes, trend)

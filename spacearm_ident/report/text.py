@@ -1,51 +1,11 @@
-"""HTML that cannot be broken by the text in it, and numbers as a person would write them."""
+"""Numbers, units and lists of names as a person would write them."""
 
 from __future__ import annotations
 
 import math
-from html import escape
 
 MINUS = "\N{MINUS SIGN}"
 NOTHING = "\N{EN DASH}"
-
-
-class Markup(str):
-    """Text that is HTML already; every other string is escaped when it becomes part of an element."""
-
-
-SCOPE = {"thead": "col", "tbody": "row"}
-"""Part of a table -> what its header cells are the headers of, for readers of screens."""
-VOID = frozenset({"col", "meta", "line", "circle", "rect", "path"})
-
-
-def element(tag: str, *children: object, **attributes: object) -> Markup:
-    """`<tag attributes>children</tag>`.
-
-    Args:
-        tag: Element name.
-        children: Markup is taken as it is; anything else is turned into text and escaped; None is left out.
-        attributes: A trailing underscore is dropped (`class_`), others become hyphens; None is left out.
-    """
-    named = "".join(
-        f' {name.rstrip("_").replace("_", "-")}="{escape(str(value))}"'
-        for name, value in attributes.items()
-        if value is not None
-    )
-    if tag in VOID:
-        return Markup(f"<{tag}{named}>" if tag in ("col", "meta") else f"<{tag}{named}/>")
-    inside = join(*children)
-    if tag in SCOPE:
-        inside = Markup(
-            inside.replace("<th>", f'<th scope="{SCOPE[tag]}">').replace("<th ", f'<th scope="{SCOPE[tag]}" ')
-        )
-    return Markup(f"<{tag}{named}>{inside}</{tag}>")
-
-
-def join(*children: object) -> Markup:
-    """Children one after the other, each escaped unless it is markup."""
-    return Markup(
-        "".join(child if isinstance(child, Markup) else escape(str(child)) for child in children if child is not None)
-    )
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -86,6 +46,38 @@ def percent(share: float) -> str:
     return f"{number(100 * share, 3 if share >= 0.1 else 2)} %" if math.isfinite(share) else NOTHING
 
 
+def whole_percent(share: float) -> str:
+    """A share as a percentage without decimals: `98 %`."""
+    return f"{100 * share:.0f} %" if math.isfinite(share) else NOTHING
+
+
+def quantity(value: float, unit: str, digits: int = 3) -> str:
+    """A number with its unit, `1.23 N·m`; without one where the unit is `1` or empty."""
+    return f"{number(value, digits)} {unit_text(unit)}".rstrip()
+
+
+def interval(ends: tuple[float, float], between: str = "to") -> str:
+    """The ends of an interval to four digits, `0.9700 to 1.030`; a dash where an end is not known."""
+    low, high = ends
+    known = math.isfinite(low) and math.isfinite(high)
+    return f"{number(low, 4)} {between} {number(high, 4)}" if known else NOTHING
+
+
+def correlation(value: float) -> str:
+    """A correlation coefficient to four decimals."""
+    return f"{value:.4f}" if math.isfinite(value) else NOTHING
+
+
+def capital(words: str) -> str:
+    """Words that begin with a capital letter; the rest of them as it is."""
+    return f"{words[:1].upper()}{words[1:]}"
+
+
+def minute(written: str) -> str:
+    """`2025-01-31 12:05` of an ISO 8601 time."""
+    return written[:16].replace("T", " ")
+
+
 def _typeset(text: str) -> str:
     mantissa, _, exponent = text.partition("e")
     if exponent:
@@ -99,11 +91,6 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def unit_text(unit: str) -> str:
     """A unit as printed: `kg m^2` becomes `kg·m²`, and `1` nothing."""
     return "" if unit == "1" else unit.replace(" ", "·").replace("^2", "²").replace("^3", "³")
-
-
-def breakable(name: str) -> Markup:
-    """A name that may go on in the next line after each underscore."""
-    return Markup(join(name).replace("_", "_<wbr>"))
 
 
 def listed(names: list[str] | tuple[str, ...], most: int = 8) -> str:
