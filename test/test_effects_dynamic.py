@@ -183,6 +183,8 @@ def test_a_motor_that_turns_with_both_joints_no_longer_turns_with_one(ratio):
     own_speed, own_bend = W.velocity[:, 2], W.acceleration[:, 2]
     taken = own_speed * (0.1 * own_bend + 0.5 * own_speed + 2.0 * np.sign(own_speed))
     np.testing.assert_allclose(power, speed * (0.1 * bend + 0.5 * speed + 2.0 * np.sign(speed)) - taken, atol=1e-12)
+    assert effect.needs_reference
+    assert not one("wrist_coupling", ARM, joint="elbow", **{"with": "shoulder"}, ratio=ratio).needs_reference
 
 
 @pytest.mark.parametrize(

@@ -118,13 +118,13 @@ class Competition:
 
     def _candidates(self, excluded: Sequence[str]) -> Iterator[Effect]:
         arm = self.evidence.base.model.arm
-        warm = self.evidence.field.temperatures_known
+        warm, compared = self.evidence.field.temperatures_known, self.evidence.reference is not None
         for kind, effect in EFFECTS.items():
             if kind in excluded:
                 continue
             for place in effect.variants(arm):
                 term = effect.at(arm, place)
-                if warm or not term.needs_temperature:
+                if (warm or not term.needs_temperature) and (compared or not term.needs_reference):
                     yield from self._in_each_recording(term)
         for place in rivals(self.evidence.field.motions):
             yield from self._in_each_recording(Rival.at(arm, place))

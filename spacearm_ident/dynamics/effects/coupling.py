@@ -128,6 +128,11 @@ class WristCoupling(Effect):
         return bool(abs(dry) >= DRY * abs(viscous) and (viscous * dry >= 0.0 or abs(viscous) < abs(dry)))
 
     @property
+    def needs_reference(self) -> bool:
+        """What is taken away at the joint is free where the field's own fit is the base."""
+        return bool(self.place.get("moved"))
+
+    @property
     def joints(self) -> tuple[str, ...]:
         """The joint that feels it, then the other."""
         return (self.place["joint"], self.place["with"])

@@ -104,6 +104,11 @@ class Effect(Term):
         return self.point or tuple(background.values.get(parameter.name, 0.0) for parameter in self.parameters)
 
     @property
+    def needs_reference(self) -> bool:
+        """Whether it changes what a reference has: beside the field's own fit another place is the same torque."""
+        return False
+
+    @property
     def needs_temperature(self) -> bool:
         """Whether it cannot be told without recorded temperatures."""
         return False
