@@ -22,6 +22,7 @@ PACKAGES: Final = {
     "can": "python-can",
     "canopen": "canopen",
     "clarabel": "clarabel",
+    "jinja2": "jinja2",
     "lz4": "lz4",
     "matplotlib": "matplotlib",
     "mcap": "mcap",
