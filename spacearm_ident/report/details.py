@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from ..results.provenance import EPOCH, OPTIONS, RECORDED
-from .text import number
+from .text import minute, number
 
 
 class Fact(NamedTuple):
@@ -64,7 +64,7 @@ def _when(run: Any) -> str:
     """Start and length of a run, and how warm its joints were."""
     known = run if isinstance(run, Mapping) else {}
     start = str(known.get("start", ""))
-    when = "no date" if start.startswith(EPOCH) else start[:16].replace("T", " ")
+    when = "no date" if start.startswith(EPOCH) else minute(start)
     text = f"{when}, {_plain(known.get('duration_s', ''))} s"
     warm = known.get("temperature_C")
     return text + (f" at {_text(warm)} °C" if isinstance(warm, Mapping) else "")

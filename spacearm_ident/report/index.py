@@ -24,6 +24,7 @@ from .comparison import FAR, Difference, comparison_html, differences, moved, na
 from .folder import REPORT, replacing
 from .mismatch_folder import DOCUMENT
 from .pages import render
+from .text import minute
 from .trend_figures import trends_of
 
 INDEX: Final = "index.html"
@@ -56,7 +57,7 @@ class Entry:
     @property
     def written(self) -> str:
         """When the result was, in the same form."""
-        return self.result.written[:16].replace("T", " ") if self.result else ""
+        return minute(self.result.written) if self.result else ""
 
     @property
     def link(self) -> str | None:
