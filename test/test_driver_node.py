@@ -1,7 +1,9 @@
 """Driver and simulated arm as processes, over the local bus and real DDS: the good day, and every bad one."""
 
+import os
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -121,6 +123,19 @@ def test_description_temperatures_and_loads_are_on_the_graph(arm):
     assert "worst case 81 %" in arm.values["bus_0_load"] and "81 %" in arm.values["bus_1_load"]
     for name in ("missed_cycles", "incomplete_cycles", "late_frames", "samples"):
         assert int(arm.values[name]) >= 0
+
+
+def test_the_sender_of_the_middleware_never_keeps_a_core_from_who_it_waits_for(arm):
+    """Fast DDS's sender asks in a loop for what another thread holds (ros2/rmw_fastrtps issue 666)."""
+    for process in (arm.driver, arm.arm):
+        tasks = list(Path(f"/proc/{process.pid}/task").iterdir())
+        priority = {task: os.sched_getparam(int(task.name)).sched_priority for task in tasks}
+        middleware = {task for task in tasks if (task / "comm").read_text().startswith("dds.")}
+        senders = {task for task in middleware if (task / "comm").read_text().startswith("dds.asyn")}
+        if not senders or not any(priority.values()):
+            pytest.skip("another middleware than Fast DDS, or no real-time priority here")
+        others = middleware - senders
+        assert max(priority[task] for task in senders) < min(priority[task] for task in others)
 
 
 def test_enabling_twice_and_disabling_is_no_fault(arm):

@@ -61,6 +61,9 @@ def unpack(raw: bytes, channel: str) -> tuple[can.Message, int]:
     """
     layout = CLASSIC if len(raw) == CLASSIC.size else FD
     can_id, length, flags, _, _, data, sent_ns, sequence = layout.unpack(raw)
+    if can_id <= 0x7FF and layout is CLASSIC:
+        # Nearly every frame of a cycle.
+        return can.Message(sent_ns * 1e-9, can_id, False, channel=channel, dlc=length, data=data[:length]), sequence
     remote = bool(can_id & REMOTE_FLAG)
     message = can.Message(
         timestamp=sent_ns * 1e-9,

@@ -59,6 +59,22 @@ def prepare_thread(priority: int = 60) -> str | None:
     return None
 
 
+def give_way(name: str, priority: int) -> None:
+    """Lower the real-time threads of this process whose name, as the kernel has it, begins with `name`.
+
+    Args:
+        name: As in /proc/PID/task/TID/comm.
+        priority: Of `SCHED_FIFO`, for those that have more of it.
+    """
+    for task in Path("/proc/self/task").iterdir():
+        # A thread may end meanwhile.
+        with contextlib.suppress(OSError):
+            thread = int(task.name)
+            above = os.sched_getparam(thread).sched_priority > priority
+            if above and (task / "comm").read_text().startswith(name):
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+
+
 def come_first(pid: int) -> None:
     """Have the kernel prefer the session that a process leads to others, where this may be asked for (sched(7))."""
     with contextlib.suppress(OSError):

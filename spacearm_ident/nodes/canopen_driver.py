@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 
 from ..canbus.pdo import Feedback
-from ..canbus.realtime import BESIDE_THE_CYCLE, prepare_thread
+from ..canbus.realtime import BESIDE_THE_CYCLE
 from ..config import config_path
 from ..driver.arm_can import load_arm_can
 from ..driver.arm_driver import ArmDriver
@@ -179,7 +179,4 @@ def _values(status: DriverStatus) -> dict[str, object]:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the node; returns the exit code."""
-    # All threads, the middleware's too, inherit it: one that is not scheduled while it holds Python's lock
-    # would hold up the bus.
-    prepare_thread(BESIDE_THE_CYCLE)
-    return run(CanopenDriver, arguments)
+    return run(CanopenDriver, arguments, priority=BESIDE_THE_CYCLE)

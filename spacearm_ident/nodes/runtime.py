@@ -37,6 +37,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
+from ..canbus.realtime import give_way, prepare_thread
 from ..errors import UserError
 from .ending import heed_signals, ignore_signals
 from .params_file import holding_in_namespace
@@ -65,6 +66,10 @@ LATCHED: Final = QoSProfile(
 READY: Final = "ready"
 """First word of what a node logs once it can do what it is there for; the launch file looks for it."""
 
+_SENDER: Final = "dds.asyn"
+"""Fast DDS's thread that sends what could not be sent at once. Until another thread has let go of a writer it asks
+again and again (ros2/rmw_fastrtps issue 666): of the same real-time priority and on the same core it would do so for
+ever, and the cycle would wait for that writer."""
 _SPIN_S = 0.1
 _DIAGNOSTICS_S = 1.0
 
@@ -278,7 +283,7 @@ class LiveNode(Node):
         return response
 
 
-def run(make: Callable[[], LiveNode], arguments: Sequence[str]) -> int:
+def run(make: Callable[[], LiveNode], arguments: Sequence[str], *, priority: int = 0) -> int:
     """A node's whole life in this process; returns its exit code.
 
     It ends on SIGINT or SIGTERM (0), when the node sets `exit_code`, or with 2 where the node cannot be made
@@ -287,16 +292,20 @@ def run(make: Callable[[], LiveNode], arguments: Sequence[str]) -> int:
     Args:
         make: The node's class, or a function that makes one.
         arguments: Command line without the program, such as `--ros-args --params-file FILE`.
+        priority: Real-time priority, where permitted, of all threads but those that ask for another one: a thread
+            that is not scheduled while it holds Python's lock, or one of the middleware's, would hold up a cycle.
     """
     stop = heed_signals()
+    if priority:
+        prepare_thread(priority)
     try:
-        return _live(make, arguments, stop)
+        return _live(make, arguments, stop, priority)
     finally:
         # The middleware's threads and libraries take a while to go: a signal then must not change the exit code.
         ignore_signals()
 
 
-def _live(make: Callable[[], LiveNode], arguments: Sequence[str], stop: threading.Event) -> int:
+def _live(make: Callable[[], LiveNode], arguments: Sequence[str], stop: threading.Event, priority: int) -> int:
     if stop.is_set():
         return 0
     try:
@@ -307,6 +316,8 @@ def _live(make: Callable[[], LiveNode], arguments: Sequence[str], stop: threadin
         return 2
     try:
         node = make()
+        if priority:
+            give_way(_SENDER, priority - 1)
         try:
             _spin(node, stop)
         finally:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..canbus.realtime import BESIDE_THE_CYCLE, prepare_thread
+from ..canbus.realtime import BESIDE_THE_CYCLE
 from ..config import config_path
 from ..driver.arm_can import load_arm_can
 from ..simulation.arm_process import ArmProcess, live_arm
@@ -93,7 +93,4 @@ class SimulatedArm(LiveNode):
 
 def main(arguments: Sequence[str]) -> int:
     """Run the node; returns the exit code."""
-    # All threads, the middleware's too, inherit it: one that is not scheduled while it holds Python's lock
-    # would hold up the bus.
-    prepare_thread(BESIDE_THE_CYCLE)
-    return run(SimulatedArm, arguments)
+    return run(SimulatedArm, arguments, priority=BESIDE_THE_CYCLE)

@@ -45,7 +45,8 @@ class StribeckLaw:
         self._inverse_speed = 1.0 / p.v_b
         self._k1, self._k2, self._k3, self._spring = p.k_v1, p.k_v2, p.k_v3, p.joint_spring
         self._odd = np.array(p.quadratic) == "odd"
-        self._fastest, self._offset = p.fastest, p.offset
+        self._any_odd = bool(self._odd.any())
+        self._fastest, self._slowest, self._offset = p.fastest, -p.fastest, p.offset
 
     def dry_level(self, q: FloatArray, qd: FloatArray, temperature: FloatArray) -> FloatArray:
         """f_c + (f_b − f_c)·exp(−(qd/v_b)²); f_b at standstill."""
@@ -54,7 +55,7 @@ class StribeckLaw:
 
     def smooth_torque(self, q: FloatArray, qd: FloatArray, temperature: FloatArray) -> FloatArray:
         """k_v1·qd + k_v2·qd² (or qd·|qd|) + k_v3·qd³ + k_1·q + offset; linear in speed beyond `fastest`."""
-        speed = np.minimum(np.abs(qd), self._fastest)
-        quadratic = speed * np.where(self._odd, 1.0, np.sign(qd))
-        viscous = qd * (self._k1 + self._k2 * quadratic + self._k3 * speed * speed)
+        speed = np.minimum(np.maximum(qd, self._slowest), self._fastest)
+        quadratic = np.where(self._odd, np.abs(speed), speed) if self._any_odd else speed
+        viscous = qd * (self._k1 + self._k2 * quadratic + self._k3 * (speed * speed))
         return np.asarray(viscous + self._spring * q + self._offset)

@@ -151,7 +151,7 @@ class Plant:
         mechanism, law, warm, v = self.mechanism, self.law, self.thermal.housing, self.speed
         mechanism.time = self.time
         self.time += h
-        if not v.any():
+        if not np.count_nonzero(v):
             if self._holds(torque):
                 return
             predicted = v
@@ -181,7 +181,7 @@ class Plant:
         no_speed = still[: len(q)]
         load = self.mechanism.bias(self.configuration, still)
         excess = np.abs(self._spread(torque - self.law.smooth_torque(q, no_speed, warm)) - load)
-        if (excess > self._spread(self.law.dry_level(q, no_speed, warm))).any():
+        if np.count_nonzero(excess > self._spread(self.law.dry_level(q, no_speed, warm))):
             return False
         self._acceleration = still
         self._friction_power = no_speed
@@ -197,12 +197,15 @@ class Plant:
         h: float,
     ) -> FloatArray | None:
         """The new velocity if every joint moves and keeps its direction (nearly always), else None."""
-        free = level == 0.0
-        if not (free | (v != 0.0)).all():
+        joints = len(v)
+        if np.count_nonzero(v) < joints and np.count_nonzero((v != 0.0) | (level == 0.0)) < joints:
             return None
         friction = level * np.sign(v)
         after = v + h * self.mechanism.acceleration(configuration, predicted, driving - friction)
-        return after if (free | (after * v > 0.0)).all() else None
+        onward = after * v > 0.0
+        # Without friction a joint may turn round freely.
+        kept = np.count_nonzero(onward) == joints or np.count_nonzero(onward | (level == 0.0)) == joints
+        return after if kept else None
 
     def _stick_or_slip(
         self,

@@ -41,7 +41,7 @@ def solve_stick_slip(inertia: FloatArray, momentum: FloatArray, bound: FloatArra
     free = bound == 0
     for _ in range(_MOST_PASSES):
         target = _for_pattern(inertia, momentum, bound, sign, free)
-        if not (free | (target * sign >= 0)).all():
+        if np.count_nonzero(free | (target * sign >= 0)) < len(free):
             velocity = _best_on_the_way(inertia, momentum, bound, velocity, target)
             sign = np.sign(velocity)
             continue

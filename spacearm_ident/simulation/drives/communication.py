@@ -22,6 +22,7 @@ SDO_REQUEST: Final = 0x600
 HEARTBEAT: Final = 0x700
 EMERGENCY: Final = 0x080
 _ERROR_REGISTER: Final = key(0x1001)
+_HEARTBEAT_PERIOD: Final = key(0x1017)
 _EMCY: Final = struct.Struct("<HB5x")
 #: EMCY for an RPDO that is shorter than its mapping (CiA 301, table 26).
 PDO_TOO_SHORT: Final = 0x8210
@@ -194,7 +195,7 @@ class Communication(ABC):
         """Send the heartbeat when it is due, notice when the master's is overdue; `now` in seconds."""
         self._now = now
         self.faults.keep_time(now)
-        period = 1e-3 * self.values[key(0x1017)]
+        period = 1e-3 * self.values[_HEARTBEAT_PERIOD]
         if period and now >= self._next_heartbeat:
             behind = now > self._next_heartbeat + period
             self._next_heartbeat = (now if behind else self._next_heartbeat) + period

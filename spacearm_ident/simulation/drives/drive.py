@@ -39,6 +39,13 @@ MODE: Final = key(0x6060)
 TARGET: Final = key(0x607A)
 INTERPOLATED_TARGET: Final = key(0x60C1, 1)
 POSITION: Final = key(0x6064)
+VELOCITY: Final = key(0x606C)
+TORQUE: Final = key(0x6077)
+CURRENT: Final = key(0x6078)
+TEMPERATURE: Final = key(0x2000)
+DEMAND: Final = key(0x6062)
+POSITION_ERROR: Final = key(0x60F4)
+POSITION_WINDOW: Final = key(0x6065)
 INTERPOLATED_MODE: Final = 7
 CYCLIC_MODE: Final = 8
 NO_WINDOW: Final = 0xFFFFFFFF
@@ -79,7 +86,11 @@ class SimulatedDrive(Communication):
         self._controlword = 0
         self._stop_latched = False
         self._excess_s = 0.0
-        self._actual = float(config.scale.zero_counts)
+        scale = config.scale
+        self._zero = float(scale.zero_counts)
+        self._counts_per_rad, self._units_per_Nm = 1.0 / scale.rad_per_count, 1.0 / scale.torque_per_unit
+        self._actual = self._zero
+        self._settled: tuple[State, int] | None = None
         after = self.dictionary.after_write
         after[CONTROLWORD] = lambda _: self._command()
         after[MODE] = lambda _: self._change_mode()
@@ -96,8 +107,7 @@ class SimulatedDrive(Communication):
     @property
     def target(self) -> float:
         """What the joint shall follow now, rad on the output side."""
-        scale = self.config.scale
-        return (self.motion.demand - scale.zero_counts) * scale.rad_per_count
+        return (self.motion.demand - self._zero) / self._counts_per_rad
 
     def advance(self, dt: float, now: float) -> None:
         """Let `dt` seconds pass for set-points and ramps, up to the time `now` for the timers."""
@@ -119,15 +129,14 @@ class SimulatedDrive(Communication):
             torque: N·m.
             temperature: Temperature of the winding, °C.
         """
-        scale, values = self.config.scale, self.values
-        self._actual = position / scale.rad_per_count + scale.zero_counts
+        values, per_rad = self.values, self._counts_per_rad
+        self._actual = position * per_rad + self._zero
         counts = values[POSITION] = _limited(round(self._actual), _I32)
-        values[key(0x606C)] = _limited(round(velocity / scale.rad_per_count), _I32)
-        units = _limited(round(torque / scale.torque_per_unit), _I16)
-        values[key(0x6077)] = values[key(0x6078)] = units
-        values[key(0x2000)] = _limited(round(10.0 * temperature), _I16)
-        demand = values[key(0x6062)] = _limited(round(self.motion.demand), _I32)
-        values[key(0x60F4)] = _limited(demand - counts, _I32)
+        values[VELOCITY] = _limited(round(velocity * per_rad), _I32)
+        values[TORQUE] = values[CURRENT] = _limited(round(torque * self._units_per_Nm), _I16)
+        values[TEMPERATURE] = _limited(round(10.0 * temperature), _I16)
+        demand = values[DEMAND] = _limited(round(self.motion.demand), _I32)
+        values[POSITION_ERROR] = _limited(demand - counts, _I32)
         if not self.enabled:
             self.motion.hold(self._actual)
 
@@ -170,22 +179,30 @@ class SimulatedDrive(Communication):
         elif option == 3:
             self._apply(Command.QUICK_STOP.value)
         self._stop_latched = option in (2, 3)
+        self._settled = None
 
     def reset(self, communication_only: bool = False) -> None:
         """NMT reset: power off, objects at their defaults, boot-up, pre-operational."""
         self._enter(State.NOT_READY_TO_SWITCH_ON)
         self._controlword = 0
         self._stop_latched = False
+        self._settled = None
         super().reset(communication_only)
         self._state_rated_values()
         self._enter(after_event(self.state, Event.INITIALISED))
 
     def _command(self) -> None:
         word = self.values[CONTROLWORD]
+        if (self.state, word) == self._settled:
+            return
         if self._stop_latched and command_of(word) is not Command.ENABLE_OPERATION:
             self._stop_latched = False
+        before = self.state
         if not self._stop_latched:
             self._apply(word)
+        # A word repeated in a state that it leaves as it is, which is nearly every one of a run, changes nothing.
+        repeated = word == self._controlword and self.state is before and not self._stop_latched
+        self._settled = (before, word) if repeated else None
         self._controlword = word
         self._show_status()
 
@@ -249,7 +266,7 @@ class SimulatedDrive(Communication):
         return float(self.values[key(0x6085)])
 
     def _watch_following(self, dt: float) -> None:
-        window = self.values[key(0x6065)]
+        window = self.values[POSITION_WINDOW]
         was = self._excess_s
         if self.enabled and window != NO_WINDOW and abs(self.motion.demand - self._actual) > window:
             self._excess_s += dt
@@ -272,4 +289,5 @@ class SimulatedDrive(Communication):
 
 
 def _limited(value: int, limits: tuple[int, int]) -> int:
-    return min(max(value, limits[0]), limits[1])
+    low, high = limits
+    return low if value < low else high if value > high else value

@@ -25,7 +25,7 @@ import numpy as np
 from spacearm_ident.canbus.pdo import SYNC
 from spacearm_ident.simulation.drives.communication import Route
 from spacearm_ident.simulation.drives.dictionary import key
-from spacearm_ident.simulation.drives.drive import DriveConfig, SimulatedDrive
+from spacearm_ident.simulation.drives.drive import VELOCITY, DriveConfig, SimulatedDrive
 from spacearm_ident.simulation.drives.mechanics import Mechanics
 
 CATCH_UP: Final = 300
@@ -44,7 +44,6 @@ SYNC_MEMORY: Final = 0.05
 ANSWERABLE: Final = 0.8
 #: Frames taken from one bus before the others and the physics get their turn.
 BURST: Final = 64
-_VELOCITY: Final = key(0x606C)
 _CYCLE_PERIOD: Final = key(0x1006)
 
 
@@ -177,7 +176,7 @@ class DriveNetwork:
         cycle = max(self._dt, stamp - line.last_sync)
         if time.time() - stamp < ANSWERABLE * cycle:
             for drive in line.drives:
-                drive.drift(drive.values[_VELOCITY] * drift)
+                drive.drift(drive.values[VELOCITY] * drift)
                 drive.on_sync()
         else:
             self.unanswered += 1
