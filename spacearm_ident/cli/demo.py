@@ -34,7 +34,8 @@ DESCRIPTION = """
 The whole chain on this machine: a simulated six-joint CANopen arm, the driver, the trajectory node, the recorder and
 the identifier, each a process, over real CAN frames and real DDS. One run to identify the arm, one with other
 coefficients to validate, then the report. Everything is written to DIR: result, recordings and each node's log.
-It says in which ROS domain the nodes are, for spacearm watch and ros2 beside it.
+It says in which ROS domain the nodes are, for spacearm watch and ros2 beside it. On a machine that does not keep the
+cycle of 1 ms for all of them it begins again with 2, then with 4 ms, and says so.
 With --orbit, offline and without ROS: the same arm simulated on the ground, then in zero gravity and vacuum from -40 to
 +60 degC; the ground's model adapts, and says what moved, by how much, and why it thinks so.
 """
