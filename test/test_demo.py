@@ -127,7 +127,8 @@ def test_the_demo_identifies_validates_and_leaves_nothing_running(demo, tmp_path
     assert list(joints) == [f"joint_{k}" for k in range(1, 7)]
     assert all(figures["r"] > 0.97 and figures["relative_rms"] < 0.2 for figures in joints.values())
     assert load_model(result / "model.yaml").parameters.size > 0
-    (bag,) = (result / "recordings").iterdir()
+    # A machine too slow for the cycle has a recording of what was broken off, too.
+    bag = max((result / "recordings").iterdir(), key=lambda place: place.stat().st_mtime)
     # Both runs, of 15 s and 10 s, and the way there and back.
     assert read_recording(bag).time[-1] > 25.0
     assert "joint_6" in output and "report.html" in output
