@@ -97,25 +97,25 @@ class MachineWatch:
     def excuse(self, item, call) -> str:
         """Why a live test that failed (pytest's item and phase) is not to be judged; empty where it is, or run again.
 
-        It is run again first, as often as it is marked to be; on a machine that excused `PATIENT` tests, no more.
+        On a machine that stood still it is run again first, as often as it is marked to be, until `PATIENT` tests have
+        been excused; a slow machine is not faster a moment later.
         """
         if not item.get_closest_marker("live"):
             return ""
+        since = time.monotonic() - time.time()
+        begin, end = call.start + since, call.stop + since
+        if (taken_ns := self.addition_ns(begin, end)) > SLOW_NS:
+            what = f"took {taken_ns:.0f} ns for an addition (at most {SLOW_NS:.0f} leave time for five nodes)"
+            return f"it failed, and the machine {what}: run it on another"
         again = item.get_closest_marker("flaky")
         last = again is None or getattr(item, "execution_count", 1) > again.kwargs["reruns"]
         if not last and self._excused < PATIENT:
             return ""
-        since = time.monotonic() - time.time()
-        begin, end = call.start + since, call.stop + since
-        lost_s, addition_ns = self.lost_s(begin, end), self.addition_ns(begin, end)
-        if lost_s > LOST_S:
-            what = f"stood still for {lost_s:.2f} s of one second"
-        elif addition_ns > SLOW_NS:
-            what = f"took {addition_ns:.0f} ns for an addition (at most {SLOW_NS:.0f} leave time for five nodes)"
-        else:
+        lost_s = self.lost_s(begin, end)
+        if lost_s < LOST_S:
             return ""
         self._excused += 1
-        return f"it failed, and the machine {what} meanwhile: run it on another"
+        return f"it failed, and the machine stood still for {lost_s:.2f} s of one second meanwhile: run it on another"
 
     def lost_s(self, begin: float, end: float) -> float:
         """How long the machine stood still at most, s of one `WINDOW_S`, between two times of `time.monotonic`."""
