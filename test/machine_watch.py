@@ -102,11 +102,12 @@ class MachineWatch:
         """
         if not item.get_closest_marker("live"):
             return ""
+        failed = f"it failed ({call.excinfo.exconly().splitlines()[0]:.200})" if call.excinfo else "it failed"
         since = time.monotonic() - time.time()
         begin, end = call.start + since, call.stop + since
         if (taken_ns := self.addition_ns(begin, end)) > SLOW_NS:
             what = f"took {taken_ns:.0f} ns for an addition (at most {SLOW_NS:.0f} leave time for five nodes)"
-            return f"it failed, and the machine {what}: run it on another"
+            return f"{failed}, and the machine {what}: run it on another"
         again = item.get_closest_marker("flaky")
         last = again is None or getattr(item, "execution_count", 1) > again.kwargs["reruns"]
         if not last and self._excused < PATIENT:
@@ -115,7 +116,7 @@ class MachineWatch:
         if lost_s < LOST_S:
             return ""
         self._excused += 1
-        return f"it failed, and the machine stood still for {lost_s:.2f} s of one second meanwhile: run it on another"
+        return f"{failed}, and the machine stood still for {lost_s:.2f} s of one second meanwhile: run it on another"
 
     def lost_s(self, begin: float, end: float) -> float:
         """How long the machine stood still at most, s of one `WINDOW_S`, between two times of `time.monotonic`."""
