@@ -27,6 +27,8 @@ set-points (0.2 s), whose other half are its nodes' own."""
 LOOP = 5_000
 """Additions whose time is taken: a third of a millisecond."""
 LOOP_EVERY_S = 0.5
+PACE = ".pace"
+"""Suffix of the file that says how long additions took."""
 SLOW_NS = 52.0
 """An addition that takes longer, ns, median of all. Where it took 65 the demo's nodes, and the kernel's work for them,
 wanted 2.1 cores (driver 0.9, arm 0.8, the other three 0.4), and were held up again and again. Two cores give real-time
@@ -60,16 +62,13 @@ def watch(core: int, path: Path) -> None:
             if now - timed > LOOP_EVERY_S:
                 timed = now
                 paces.write(f"{now} {loop_ns()}\n")
-            before = time.monotonic()
+            before = now
 
 
 def most_lost(gaps: list[tuple[float, float]], begin: float, end: float) -> float:
     """Longest time, s, that these gaps (begin, end) take of any `WINDOW_S` that begins with one, from begin to end."""
     inside = [gap for gap in gaps if begin < gap[1] and gap[0] < end]
     return max((sum(b - a for a, b in inside if first <= a < first + WINDOW_S) for first, _ in inside), default=0.0)
-
-
-PACE = ".pace"
 
 
 def _pairs(path: Path) -> list[tuple[float, float]]:

@@ -255,5 +255,5 @@ def test_a_machine_too_busy_for_the_cycle_gets_a_slower_one_and_is_told(monkeypa
     monkeypatch.setattr(demo_command, "_live_at", live_at)
     demo_command._live(tmp_path, demo_command.FAST_PLANS, [], lambda done, doing: None)
     assert tried == [1, 2, 4]
-    told = capsys.readouterr().err
-    assert "does not keep a cycle of 1 ms" in told and "again with 4 ms" in told
+    printed = capsys.readouterr().err
+    assert "does not keep a cycle of 1 ms" in printed and "again with 4 ms" in printed

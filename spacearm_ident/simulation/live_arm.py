@@ -31,7 +31,7 @@ FEEDFORWARD = 4.0
 busy machine delivers a millisecond late must not hit the gears."""
 LOOP_HZ = 1000.0
 """Of the inner loops and the physics: twenty-five times the bandwidth of the velocity loop. At 2 and at 4 kHz, which
-cost twice and four times as much, the torque differs from inverse dynamics by as much as here (0.1 to 0.5 % RMS);
+cost twice and four times as much, the torque differs from inverse dynamics by as much as here (0.02 to 0.5 % RMS);
 with joints at rest, which are the dearest, the whole arm may not need more of a core than a busy machine has."""
 _TEMPERATURE_STEPS = 100
 _NOISE_STEPS = 100

@@ -203,7 +203,7 @@ class Plant:
         friction = level * np.sign(v)
         after = v + h * self.mechanism.acceleration(configuration, predicted, driving - friction)
         onward = after * v > 0.0
-        # Without friction a joint may turn round freely.
+        # A joint without dry friction may reverse within the step.
         kept = np.count_nonzero(onward) == joints or np.count_nonzero(onward | (level == 0.0)) == joints
         return after if kept else None
 
