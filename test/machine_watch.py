@@ -43,6 +43,11 @@ def loop_ns() -> float:
     return (time.perf_counter_ns() - begin) / LOOP
 
 
+def addition_ns(count: int = 301) -> float:
+    """The median of so many such times, ns; they take a tenth of a second."""
+    return statistics.median(loop_ns() for _ in range(count))
+
+
 def watch(core: int, path: Path) -> None:
     """Write begin and end (s, `time.monotonic`) of every gap on one core, until the parent has gone.
 
