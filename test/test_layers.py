@@ -133,6 +133,7 @@ def test_linear_problem_with_another_delay_is_the_one_built_with_it(simulation: 
     assert not np.allclose(late.rms(late.start()), known.rms(known.start()), rtol=1e-3)
 
 
+@pytest.mark.long
 def test_a_gain_beside_a_push_is_found_with_its_size(tmp_path: Path) -> None:
     """Where the push acts was found beside torque that is off, and would explain the gain."""
     mujoco_or_skip()
@@ -152,6 +153,7 @@ def test_a_gain_beside_a_push_is_found_with_its_size(tmp_path: Path) -> None:
     assert np.all(comparison.after_Nm < 1.2 * comparison.noise_Nm)
 
 
+@pytest.mark.long
 def test_late_torque_beside_a_push_is_a_delay_of_the_recordings_and_no_physics(simulation: Simulation) -> None:
     """Before the push is known the delay does not show; it is searched for again once it is."""
     late, runs = Wiring(np.ones(3), np.zeros(3), 0.005), []
@@ -359,6 +361,7 @@ def test_corrected_simulation_keeps_bodies_as_they_are_as_far_as_that_predicts(
     assert (moved < 0.3) is (mass == 3.0)
 
 
+@pytest.mark.long
 def test_torque_that_follows_nothing_is_said_though_no_recording_tells_it_from_noise(simulation: Simulation) -> None:
     runs = [recorded(mjcf(), seed) for seed in (1, 2)]
     dragged = []
@@ -408,6 +411,7 @@ def test_constant_torque_is_named_with_what_no_motion_tells_from_it(simulation: 
     assert item.title == "current offset or asymmetric friction"
 
 
+@pytest.mark.long
 def test_effects_that_a_simulation_lacks_are_named_where_nothing_but_the_field_says_what_noise_is(
     simulation: Simulation,
 ) -> None:
@@ -505,6 +509,7 @@ def _warm(seed: int, celsius: float, creep: float = 0.0) -> Recording:
     return replace(run, effort=run.effort + np.outer(friction, [0.0, 0.0, 1.0]), temperatures=temperatures)
 
 
+@pytest.mark.long
 def test_physics_that_held_out_data_need_stands_though_they_do_not_tell_its_size(simulation: Simulation) -> None:
     """Over two kelvin friction that creeps hides what temperature does, and not over the twenty between recordings."""
     fitted = [_warm(seed, celsius) for seed, celsius in ((1, 22.0), (2, 30.0), (3, 38.0))]

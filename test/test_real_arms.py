@@ -118,6 +118,7 @@ def wiring_found(simulation_file: str, *recordings: str) -> Wired:
     return find_wiring(simulation.model, motions, simulation.own)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fitted", [(1, 2), (2, 3), (1, 3)])
 def test_late_torque_and_gains_of_the_airbot_are_found_whichever_two_runs_are_taken(fitted: tuple[int, int]) -> None:
     """Late as `bench/relative_delay.py` finds without a model: 24 ms between two of its runs.

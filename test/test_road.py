@@ -75,6 +75,7 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "text, choice",
     [
@@ -97,6 +98,7 @@ def shared_urdf(name: str) -> Path:
     return Path(str(package.locate_file("cmeel.prefix/share/example-robot-data/robots"))) / name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name, motion",
     [

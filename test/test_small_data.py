@@ -47,6 +47,7 @@ def outcome(directory, fitted: Recording, judged: Recording | None) -> str:
     return "ok"
 
 
+@pytest.mark.long
 @settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     seconds=st.floats(2.0, 10.0),

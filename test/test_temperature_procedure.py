@@ -70,6 +70,7 @@ def simulated(workshop: Path, celsius: float) -> str:
     return str(bag)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("given", [[], ["--model"]], ids=["bags alone", "with the model"])
 def test_the_planted_alpha_comes_back_within_its_errors(workshop, tmp_path, capsys, given):
     bags = [simulated(workshop, celsius) for celsius in SWEEP]

@@ -43,8 +43,10 @@ OUT = Path("demo_result")
 ARM = "paper_arm.yaml"
 CAN = "paper_arm_can.yaml"
 IDENTIFIED_S = 120.0
-ATTEMPTS = 3
-"""How often a run is begun, by drives that fell out or after a stop left to a person, before the demo gives up."""
+ATTEMPTS = 2
+"""How often a run is begun, by drives that fell out or after a stop left to a person, before the demo takes the next
+cycle or gives up. Each time the trajectory node begins it again by itself, `RESTARTS` times: on a machine without the
+time for the cycle a third attempt was one more minute of waiting."""
 CYCLES_MS = (1, 2, 4)
 """Cycles of the drives, one after the other where a machine does not keep the one before."""
 REASON_S = 5.0
