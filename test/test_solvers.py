@@ -27,7 +27,7 @@ from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.solvers.choice import SOLVERS
 from spacearm_ident.solvers.pso import SwarmSettings
 from spacearm_ident.solvers.pso_separable import search
-from spacearm_ident.solvers.separable import CONVERGED, levenberg_marquardt, solve
+from spacearm_ident.solvers.separable import levenberg_marquardt, solve
 
 ARM = arm_from_urdf(small_arm.URDF)
 PLANTED = two_link_run((Friction(f_c=5.0, f_b=8.0, v_b=0.1), Friction(f_c=3.0, J_m=0.2)))
@@ -51,33 +51,6 @@ def test_a_swarm_over_the_constants_ends_where_the_grid_does():
     assert by_swarm.cost < by_grid.cost + 20.0  # a gate or two; the wrong minimum is thousands above
     names = [constant.name for constant in regression.model.constants]
     assert by_swarm.constants[names.index("v_b[shoulder]")] == pytest.approx(0.1, rel=0.03)
-
-
-@pytest.mark.parametrize(
-    "grid, start, end",
-    [
-        ((0.07, 0.1, 0.14), 0.07, None),
-        ((0.07, 0.1, 0.14), 0.14, None),
-        ((0.12, 0.13, 0.14), 0.14, 0.12),
-        ((0.06, 0.07, 0.08), 0.06, 0.08),
-    ],
-    ids=["lowest", "highest", "optimum below", "optimum above"],
-)
-def test_a_bound_holds_a_constant_only_while_the_cost_falls_beyond_it(grid, start, end):
-    regression = planted_problem()
-    prior = make_prior(regression.model, regression.motions)
-    best = solve(regression, prior)
-    number = [constant.name for constant in regression.model.constants].index("v_b[shoulder]")
-    regression.grids[number] = np.array(grid)
-    constants = best.constants.copy()
-    constants[number] = start
-    found = levenberg_marquardt(regression, prior, constants)
-    assert found.status == CONVERGED
-    if end is None:
-        assert found.constants[number] == pytest.approx(best.constants[number], rel=0.01)
-        assert found.cost == pytest.approx(best.cost, rel=1e-4)
-    else:
-        assert found.constants[number] == end
 
 
 def test_the_swarm_s_best_place_is_kept_however_few_it_sees():

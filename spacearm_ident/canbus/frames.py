@@ -56,6 +56,10 @@ def pack(message: can.Message, sent_ns: int, sequence: int) -> bytes:
 def unpack(raw: bytes, channel: str) -> tuple[can.Message, int]:
     """The frame in `raw` and its sequence number.
 
+    Args:
+        raw: As `pack` makes it.
+        channel: Name of the bus that the message is to bear.
+
     Raises:
         struct.error: `raw` is neither a classical nor an FD frame.
     """

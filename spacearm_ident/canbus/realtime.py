@@ -82,7 +82,12 @@ def come_first(pid: int) -> None:
 
 
 def keep_apart(pid: int, number: int) -> None:
-    """Keep a process, just started, to one core: the `number`-th of those there are, from 0, around again."""
+    """Keep a process that was just started to one core; no error where the system does not permit it.
+
+    Args:
+        pid: Of the process.
+        number: Of the core among those this process may use, from 0; beyond the last it begins again.
+    """
     cores = sorted(os.sched_getaffinity(0))
     with contextlib.suppress(OSError):
         os.sched_setaffinity(pid, {cores[number % len(cores)]})

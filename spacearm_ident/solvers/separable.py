@@ -33,10 +33,6 @@ STEP_TOLERANCE = 1e-3
 COST_TOLERANCE = 1e-6
 LARGEST_STEP = 1.0
 """No constant changes by more than this, in logarithm, at once."""
-SHORT = 1.0
-"""Damping that halves the step of a constant by itself: a small step is no sign of an optimum from here on."""
-CONVERGED, LIMIT = "converged", "iteration limit"
-STUCK, LINEAR = "steps became too short to tell", "nothing nonlinear to search"
 
 
 @dataclass(frozen=True)
@@ -48,8 +44,7 @@ class Solution:
         constants: (c,) nonlinear constants.
         cost: Weighted squares plus the prior's.
         iterations: Steps of the second stage.
-        status: Why it stopped: `CONVERGED` where a step changed too little of constants or cost, or the cost would fall
-            beyond the bounds alone.
+        status: Why it stopped.
     """
 
     parameters: FloatArray
@@ -248,45 +243,32 @@ def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray)
     if regression.model.depends:
         regression.update_background(regression_parameters, constants)
         regression_parameters, cost = solve_linear(regression, prior, constants)
-    present = np.flatnonzero((constants > 0.0) & (lower < upper))
-    damping, status, steps = 1e-3, LIMIT if len(present) else LINEAR, 0
-    while len(present) and steps < ITERATIONS:
-        matrix, vector = system(regression, prior, constants, regression_parameters, present)
-        inward = _inward(matrix, vector, regression_parameters, constants[present], lower[present], upper[present])
-        if not inward.any():
-            status = CONVERGED
+    damping, status, steps = 1e-3, "iteration limit", 0
+    while steps < ITERATIONS:
+        searched = _inside(regression, constants)
+        if not len(searched):
+            status = "nothing nonlinear to search"
             break
-        steps, searched = steps + 1, present[inward]
-        kept = np.concatenate([np.ones(len(regression_parameters), dtype=bool), inward])
-        step = _step(matrix[:, kept], vector, prior, len(searched), damping)
+        steps += 1
+        matrix, vector = system(regression, prior, constants, regression_parameters, searched)
+        step = _step(matrix, vector, prior, len(searched), damping)
         trial = constants.copy()
         moved = np.log(constants[searched]) + np.clip(step, -LARGEST_STEP, LARGEST_STEP)
         trial[searched] = np.clip(np.exp(moved), lower[searched], upper[searched])
         parameters, trial_cost = solve_linear(regression, prior, trial)
-        small = float(np.abs(np.log(trial[searched] / constants[searched])).max()) < STEP_TOLERANCE
+        change = float(np.abs(np.log(trial[searched] / constants[searched])).max())
         if trial_cost < cost:
-            small = small or cost - trial_cost < COST_TOLERANCE * trial_cost
-            constants, regression_parameters, cost, damping = trial, parameters, trial_cost, damping / 2
+            gain, cost = cost - trial_cost, trial_cost
+            constants, regression_parameters, damping = trial, parameters, damping / 2
+            if change < STEP_TOLERANCE or gain < COST_TOLERANCE * cost:
+                status = "converged"
+                break
         else:
             damping = max(8 * damping, 1e-3)
-        if small:
-            status = CONVERGED if damping < SHORT else STUCK
-            break
+            if change < STEP_TOLERANCE or damping > 1e6:
+                status = "converged"
+                break
     return Solution(regression_parameters, constants, cost, steps, status)
-
-
-def _inward(
-    matrix: FloatArray,
-    vector: FloatArray,
-    parameters: FloatArray,
-    constants: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-) -> np.ndarray:
-    """Which of the differentiated constants (c,) a step may change: at a bound, those whose cost falls inward."""
-    width = len(parameters)
-    slope = matrix[:, width:].T @ (matrix[:, :width] @ parameters - vector)
-    return np.asarray(((constants > lower) | (slope < 0.0)) & ((constants < upper) | (slope > 0.0)))
 
 
 def _step(matrix: FloatArray, vector: FloatArray, prior: Prior, searched: int, damping: float) -> FloatArray:
@@ -308,3 +290,9 @@ def _bounds(regression: Regression) -> tuple[FloatArray, FloatArray]:
     """Smallest and largest positive grid value of every constant."""
     positive = [grid[grid > 0] if (grid > 0).any() else np.zeros(1) for grid in regression.grids]
     return np.array([grid[0] for grid in positive]), np.array([grid[-1] for grid in positive])
+
+
+def _inside(regression: Regression, constants: FloatArray) -> np.ndarray:
+    """Numbers of the constants that are there, and not stuck at a bound."""
+    lower, upper = _bounds(regression)
+    return np.flatnonzero((constants > 0) & (constants > lower * 1.0001) & (constants < upper / 1.0001))
