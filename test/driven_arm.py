@@ -11,7 +11,6 @@ import can
 import numpy as np
 import yaml
 from live_nodes import Probe, Processes
-from machine_watch import SLOW_NS, addition_ns
 
 from spacearm_ident.canbus.local_bus import LocalBus
 from spacearm_ident.nodes.joint_stream import JointStateWriter
@@ -23,8 +22,9 @@ CHANNELS = ("arm0", "arm1")
 FREEZE, EMERGENCY, CORRUPT = 1, 2, 3
 LEAD_S = 0.6
 """Set-points are sent so long before they are due: this process may be held up, the tests are not about that."""
-PERIOD_S = 0.001 if addition_ns() <= SLOW_NS else 0.002
-"""The arm's cycle: 1 ms where this machine finds the time for it, else what the demo falls back to as well."""
+PERIOD_S = 0.002
+"""The arm's cycle. With 1 ms five nodes, and the kernel's work for them, wanted 2.1 of two cores where an addition in
+Python took 65 ns, and were held up again and again; these tests are not about that. The demo begins with 1 ms."""
 
 
 def generous_config(folder: Path, **cycle: float) -> Path:

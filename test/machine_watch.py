@@ -5,12 +5,11 @@ code. One process a core, before all others (`SCHED_FIFO`), sleeps and writes do
 that fails again and again while that was so is skipped with this as the reason (`conftest.py`). Where the real-time
 class is not permitted it sleeps as one of all: what has slept is woken before what computes, within milliseconds.
 
-A machine that is slow throughout excuses nothing: the tests' arm has a slower cycle there (`addition_ns`).
+A machine that is slow throughout excuses nothing: the tests' arm has a cycle that it keeps all the same (`driven_arm`).
 """
 
 import contextlib
 import os
-import statistics
 import subprocess
 import sys
 import time
@@ -24,25 +23,6 @@ WINDOW_S = 1.0
 LOST_S = 0.1
 """A core that stood still for so long of one `WINDOW_S` did not keep time: half the delay after which the driver plays
 set-points (0.2 s), whose other half are its nodes' own."""
-
-LOOP = 5_000
-"""Additions whose time is taken: a third of a millisecond."""
-SLOW_NS = 52.0
-"""An addition that takes longer, ns, is that of a machine too slow for five nodes with a cycle of 1 ms. Where it
-took 65 the demo's nodes, and the kernel's work for them, wanted 2.1 cores (driver 0.9, arm 0.8, the other three 0.4),
-and were held up again and again. Two cores give real-time threads 95 % each, and what is not in real time waits its
-turn: 1.7 cores are what can be had in time."""
-
-
-def addition_ns(count: int = 301) -> float:
-    """Time that this core takes for an addition now, ns: the median of so many loops, a tenth of a second in all."""
-    taken = []
-    for _ in range(count):
-        total, begin = 0, time.perf_counter_ns()
-        for k in range(LOOP):
-            total += k
-        taken.append((time.perf_counter_ns() - begin) / LOOP)
-    return statistics.median(taken)
 
 
 def watch(core: int, path: Path) -> None:
