@@ -117,7 +117,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def write_trajectory(plan: Plan, directory: Path) -> Path:
-    """A random excitation within the arm's limits, as a file in `directory`."""
+    """Write a random excitation within the demo's arm's limits; returns the file, `directory`/`plan.name`.yaml.
+
+    Args:
+        plan: Its seed, its fundamental (Hz) and how often it is repeated.
+        directory: Where to; it exists.
+    """
     arm = load_arm(config_path(ARM))
     lower, upper, velocity, acceleration = np.array(
         [(j.lower, j.upper, j.velocity_limit, j.acceleration_limit) for j in arm.joints]
