@@ -23,7 +23,7 @@ test: venv lint
 	$(BIN)/python -m pytest -m live
 
 # The tests that keep no time, with Python 3.12 and the versions of Ubuntu 24.04: what a ROS 2 Jazzy machine has.
-# Not those marked `long`, which would take as long as a third of the others.
+# Not those marked `long`, which take nearly half as long as all the others.
 test-noble: .venv-noble/.ready
 	.venv-noble/bin/python -m pytest -m "not live and not long" -n auto --dist worksteal
 

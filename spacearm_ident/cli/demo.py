@@ -45,8 +45,8 @@ CAN = "paper_arm_can.yaml"
 IDENTIFIED_S = 120.0
 ATTEMPTS = 2
 """How often a run is begun, by drives that fell out or after a stop left to a person, before the demo takes the next
-cycle or gives up. Each time the trajectory node begins it again by itself, `RESTARTS` times: on a machine without the
-time for the cycle a third attempt was one more minute of waiting."""
+cycle or gives up. Each time the trajectory node begins it again by itself, `RESTARTS` times; once more is for what
+happens once. By judgement, not by a measurement."""
 CYCLES_MS = (1, 2, 4)
 """Cycles of the drives, one after the other where a machine does not keep the one before."""
 REASON_S = 5.0
