@@ -1,7 +1,6 @@
 """Driver and simulated arm as processes, over the local bus and real DDS: the good day, and every bad one."""
 
 import os
-import re
 import signal
 import time
 from pathlib import Path
@@ -11,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2 (pip install '.[ros]')")
 
-from driven_arm import CORRUPT, EMERGENCY, FREEZE, JOINTS, PERIOD_S, BusWatch, DrivenArm, generous_config, smooth
+from driven_arm import CORRUPT, EMERGENCY, FREEZE, JOINTS, BusWatch, DrivenArm, generous_config, smooth
 from live_nodes import LIVE, PATIENCE_S, output
 
 from spacearm_ident.config import config_path
@@ -121,9 +120,7 @@ def test_description_temperatures_and_loads_are_on_the_graph(arm):
     )
     arm.wait_for(lambda: urdf and set(warm) == set(JOINTS), "description and temperatures")
     assert "<robot" in urdf[0] and all(19.0 < value < 60.0 for value in warm.values())
-    for bus in range(2):
-        load = float(re.search(r"worst case (\d+) %", arm.values[f"bus_{bus}_load"])[1])
-        assert load == pytest.approx(81.0 * 1e-3 / PERIOD_S, abs=1.0)
+    assert "worst case 41 %" in arm.values["bus_0_load"] and "41 %" in arm.values["bus_1_load"]
     for name in ("missed_cycles", "incomplete_cycles", "late_frames", "samples"):
         assert int(arm.values[name]) >= 0
 
