@@ -15,6 +15,7 @@ from live_nodes import LIVE, PATIENCE_S, output
 
 from spacearm_ident.config import config_path
 from spacearm_ident.driver.arm_can import load_arm_can
+from spacearm_ident.driver.arm_driver import ArmDriver
 
 pytestmark = LIVE
 
@@ -371,6 +372,23 @@ def test_no_arm_no_driver(tmp_path, live):
     driver = live.processes.node("canopen_driver", f"can_config:={lonely}", "connect_timeout_s:=1.0")
     assert driver.wait(PATIENCE_S) == 2
     assert "no one else is on it" in output(driver) and "Traceback" not in output(driver)
+
+
+def test_during_every_attempt_but_the_first_the_driver_says_why_the_one_before_failed(tmp_path):
+    lonely = generous_config(tmp_path)
+    lonely.write_text(lonely.read_text().replace("arm0", "nobody2").replace("arm1", "there2"))
+    driver = ArmDriver(load_arm_can(lonely), on_sample=lambda *_: None, priority=0)
+    driver.start()
+    try:
+        said = set()
+        end = time.monotonic() + PATIENCE_S
+        while not any("the last attempt" in text for text in said) and time.monotonic() < end:
+            said.add(driver.connection)
+            time.sleep(0.0005)
+    finally:
+        driver.close()
+    said -= {"not started", "connecting to the drives"}
+    assert len(said) == 2 and all("no one else is on it" in text for text in said), said
 
 
 def test_an_overloaded_bus_is_refused_with_what_would_fit(tmp_path, live):

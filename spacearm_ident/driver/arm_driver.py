@@ -107,7 +107,7 @@ class ArmDriver:
         self._playback = Playback(config.bus.period, config.bus.extrapolation)
         self._target = np.zeros(len(config.limits.joints))
         self._wanted = self._resetting = self._reconnecting = self._astray = self._ever_enabled = False
-        self._again = ""
+        self._again = self._tried = ""
         self._latency: str | None = None
         self.samples = self.set_points = self.reconnections = 0
 
@@ -285,6 +285,8 @@ class ArmDriver:
                 return
             except UserError as error:
                 self.connection = str(error)
+                # Said during the next attempt too: whoever stops waiting then is to learn the reason.
+                self._tried = f", the last attempt ended with: {error}"
                 self._reconnecting = False
             except Exception as error:
                 # The drives stop by themselves: their master's heartbeat ends here.
@@ -298,7 +300,7 @@ class ArmDriver:
 
     def _connect(self) -> None:
         with self._sdo:
-            self.connection = f"connecting to the drives{self._again}"
+            self.connection = f"connecting to the drives{self._again}{self._tried}"
             master = DriveMaster(self.config.bus, self.config.open(), self.config.eds)
             self._master = master
             master.boot(timeout=BOOT_S)
@@ -326,6 +328,7 @@ class ArmDriver:
         cycle.run()
         begin_ns = cycle.sync_ns
         self._cycle, self.connection, self._reconnecting, self._again = cycle, "connected", False, ""
+        self._tried = ""
         pacer, sample = self._pacer, self._on_sample
         while not self._ending.is_set() and not self._reconnecting:
             late = pacer.wait()
