@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 
@@ -24,10 +25,11 @@ from spacearm_ident.results.covariance_file import covariance_dict
 from spacearm_ident.sessions.bags import Options
 from spacearm_ident.sessions.identification import settings_for
 from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.solvers import separable
 from spacearm_ident.solvers.choice import SOLVERS
 from spacearm_ident.solvers.pso import SwarmSettings
 from spacearm_ident.solvers.pso_separable import search
-from spacearm_ident.solvers.separable import levenberg_marquardt, solve
+from spacearm_ident.solvers.separable import AT_ENDS, CONVERGED, STUCK, levenberg_marquardt, solve, solve_linear
 
 ARM = arm_from_urdf(small_arm.URDF)
 PLANTED = two_link_run((Friction(f_c=5.0, f_b=8.0, v_b=0.1), Friction(f_c=3.0, J_m=0.2)))
@@ -51,6 +53,32 @@ def test_a_swarm_over_the_constants_ends_where_the_grid_does():
     assert by_swarm.cost < by_grid.cost + 20.0  # a gate or two; the wrong minimum is thousands above
     names = [constant.name for constant in regression.model.constants]
     assert by_swarm.constants[names.index("v_b[shoulder]")] == pytest.approx(0.1, rel=0.03)
+
+
+def test_converged_is_said_only_where_an_undamped_step_is_small(monkeypatch):
+    regression = planted_problem()
+    prior = make_prior(regression.model, regression.motions)
+    best = solve(regression, prior)
+    assert best.status == CONVERGED == levenberg_marquardt(regression, prior, best.constants).status
+    away = np.where(best.constants > 0, 1.3 * best.constants, 0.0)
+    costs = itertools.count()
+
+    def ever_worse(*problem):
+        return solve_linear(*problem)[0], float(next(costs))
+
+    monkeypatch.setattr(separable, "solve_linear", ever_worse)
+    found = levenberg_marquardt(regression, prior, away)
+    assert found.status == STUCK
+    np.testing.assert_array_equal(found.constants, away)
+
+
+def test_constants_at_the_ends_of_their_ranges_stay_and_are_not_called_converged():
+    regression = planted_problem()
+    prior = make_prior(regression.model, regression.motions)
+    ends = np.array([grid[-1] for grid in regression.grids])
+    found = levenberg_marquardt(regression, prior, ends)
+    assert found.status == AT_ENDS and found.iterations == 0
+    np.testing.assert_array_equal(found.constants, ends)
 
 
 def test_the_swarm_s_best_place_is_kept_however_few_it_sees():

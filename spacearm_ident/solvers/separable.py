@@ -33,6 +33,12 @@ STEP_TOLERANCE = 1e-3
 COST_TOLERANCE = 1e-6
 LARGEST_STEP = 1.0
 """No constant changes by more than this, in logarithm, at once."""
+LARGEST_DAMPING = 1e6
+SHORT = 1.0
+"""Damping that halves the step of a constant by itself: a small step is no sign of an optimum from here on."""
+CONVERGED, LIMIT = "converged", "iteration limit"
+STUCK = "stopped, as no shorter step lowered the cost,"
+LINEAR, AT_ENDS = "nothing nonlinear to search", "every constant at an end of its range"
 
 
 @dataclass(frozen=True)
@@ -44,7 +50,8 @@ class Solution:
         constants: (c,) nonlinear constants.
         cost: Weighted squares plus the prior's.
         iterations: Steps of the second stage.
-        status: Why it stopped.
+        status: Why it stopped: `CONVERGED` only where a step that damping did not shorten changed too little of
+            constants or cost.
     """
 
     parameters: FloatArray
@@ -243,11 +250,11 @@ def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray)
     if regression.model.depends:
         regression.update_background(regression_parameters, constants)
         regression_parameters, cost = solve_linear(regression, prior, constants)
-    damping, status, steps = 1e-3, "iteration limit", 0
+    damping, status, steps = 1e-3, LIMIT, 0
     while steps < ITERATIONS:
         searched = _inside(regression, constants)
         if not len(searched):
-            status = "nothing nonlinear to search"
+            status = AT_ENDS if constants[lower < upper].any() else LINEAR
             break
         steps += 1
         matrix, vector = system(regression, prior, constants, regression_parameters, searched)
@@ -256,18 +263,15 @@ def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray)
         moved = np.log(constants[searched]) + np.clip(step, -LARGEST_STEP, LARGEST_STEP)
         trial[searched] = np.clip(np.exp(moved), lower[searched], upper[searched])
         parameters, trial_cost = solve_linear(regression, prior, trial)
-        change = float(np.abs(np.log(trial[searched] / constants[searched])).max())
+        small = float(np.abs(np.log(trial[searched] / constants[searched])).max()) < STEP_TOLERANCE
         if trial_cost < cost:
-            gain, cost = cost - trial_cost, trial_cost
-            constants, regression_parameters, damping = trial, parameters, damping / 2
-            if change < STEP_TOLERANCE or gain < COST_TOLERANCE * cost:
-                status = "converged"
-                break
+            small = small or cost - trial_cost < COST_TOLERANCE * trial_cost
+            constants, regression_parameters, cost, damping = trial, parameters, trial_cost, damping / 2
         else:
             damping = max(8 * damping, 1e-3)
-            if change < STEP_TOLERANCE or damping > 1e6:
-                status = "converged"
-                break
+        if small or damping > LARGEST_DAMPING:
+            status = CONVERGED if damping < SHORT else STUCK
+            break
     return Solution(regression_parameters, constants, cost, steps, status)
 
 
@@ -293,6 +297,10 @@ def _bounds(regression: Regression) -> tuple[FloatArray, FloatArray]:
 
 
 def _inside(regression: Regression, constants: FloatArray) -> np.ndarray:
-    """Numbers of the constants that are there, and not stuck at a bound."""
+    """Numbers of the constants that are there, and not at an end of their range.
+
+    One that gets there stays there. Let in again wherever the cost falls inward, first fits of five real arms cost 0 to
+    0.8 % less, take 0.4 to 3 s longer, and predict the same (`bench/real_arms.py`, 137 joints).
+    """
     lower, upper = _bounds(regression)
     return np.flatnonzero((constants > 0) & (constants > lower * 1.0001) & (constants < upper / 1.0001))
