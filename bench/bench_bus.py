@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -17,17 +18,17 @@ from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
+from simulated_bus import SCALE, FirstOrderArm
+
 from spacearm_ident.canbus.arm_bus import ArmBus, Axis
 from spacearm_ident.canbus.cia402 import Goal
 from spacearm_ident.canbus.local_bus import LocalBus
 from spacearm_ident.canbus.master import DriveMaster
 from spacearm_ident.canbus.realtime import Pacer, prepare_process, prepare_thread
-from spacearm_ident.canbus.scaling import JointScale
 from spacearm_ident.simulation.drives.drive import DriveConfig
-from spacearm_ident.simulation.drives.mechanics import FirstOrderArm
 from spacearm_ident.simulation.drives.network import DriveNetwork
 
-SCALE = JointScale(counts_per_turn=65536, gear_ratio=100.0, torque_constant=0.1, rated=5.0)
 CHANNELS = ("bench0", "bench1")
 FORK = multiprocessing.get_context("fork")
 

@@ -4,15 +4,39 @@ import multiprocessing
 import threading
 from contextlib import contextmanager
 
+import numpy as np
+
 from spacearm_ident.canbus.local_bus import LocalBus
 from spacearm_ident.canbus.realtime import prepare_process, prepare_thread
 from spacearm_ident.canbus.scaling import JointScale
 from spacearm_ident.simulation.drives.drive import DriveConfig
-from spacearm_ident.simulation.drives.mechanics import FirstOrderArm
 from spacearm_ident.simulation.drives.network import DriveNetwork
 
 SCALE = JointScale(counts_per_turn=65536, gear_ratio=100.0, torque_constant=0.1, rated=5.0)
 FORK = multiprocessing.get_context("fork")
+
+
+class FirstOrderArm:
+    """Joints that follow their target with a time constant and report a torque that tells tests apart.
+
+    The torque is `stiffness × (target − position)`; temperatures rise by 1 °C a joint from 20 °C.
+    """
+
+    def __init__(self, joints, time_constant=0.005, stiffness=1000.0):
+        self.position = np.zeros(joints)
+        self.velocity = np.zeros(joints)
+        self.torque = np.zeros(joints)
+        self.temperature = 20.0 + np.arange(joints)
+        self._time_constant = time_constant
+        self._stiffness = stiffness
+
+    def step(self, target, enabled, brake, dt):
+        """Let `dt` seconds pass; joints that are not enabled stand still."""
+        error = np.where(enabled & ~brake, target - self.position, 0.0)
+        move = error * -np.expm1(-dt / self._time_constant)
+        self.position = self.position + move
+        self.velocity = move / dt
+        self.torque = self._stiffness * (error - move)
 
 
 def _serve(channels, configs, ready, stop):

@@ -8,14 +8,13 @@ from types import SimpleNamespace
 import can
 import numpy as np
 import pytest
-from simulated_bus import SCALE
+from simulated_bus import SCALE, FirstOrderArm
 
 from spacearm_ident.canbus import local_bus
 from spacearm_ident.canbus.local_bus import LocalBus
 from spacearm_ident.canbus.pdo import FEEDBACK, pdo_writes
 from spacearm_ident.simulation.drives import network as drives_network
 from spacearm_ident.simulation.drives.drive import DriveConfig
-from spacearm_ident.simulation.drives.mechanics import FirstOrderArm
 from spacearm_ident.simulation.drives.motion import Motion
 from spacearm_ident.simulation.drives.network import DriveNetwork
 

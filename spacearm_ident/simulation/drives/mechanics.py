@@ -1,10 +1,8 @@
-"""What the simulated drives need of the physics behind them, and a stand-in without any."""
+"""What the simulated drives need of the physics behind them."""
 
 from __future__ import annotations
 
 from typing import Protocol
-
-import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 
@@ -34,26 +32,3 @@ class Mechanics(Protocol):
             brake: (n,) whether the holding brake is closed.
             dt: Seconds.
         """
-
-
-class FirstOrderArm:
-    """Joints that follow their target with a time constant and report a torque that tells tests apart.
-
-    The torque is `stiffness × (target − position)`; temperatures rise by 1 °C a joint from 20 °C.
-    """
-
-    def __init__(self, joints: int, time_constant: float = 0.005, stiffness: float = 1000.0) -> None:
-        self.position = np.zeros(joints)
-        self.velocity = np.zeros(joints)
-        self.torque = np.zeros(joints)
-        self.temperature = 20.0 + np.arange(joints)
-        self._time_constant = time_constant
-        self._stiffness = stiffness
-
-    def step(self, target: FloatArray, enabled: BoolArray, brake: BoolArray, dt: float) -> None:
-        """Let `dt` seconds pass; joints that are not enabled stand still."""
-        error = np.where(enabled & ~brake, target - self.position, 0.0)
-        move = error * -np.expm1(-dt / self._time_constant)
-        self.position = self.position + move
-        self.velocity = move / dt
-        self.torque = self._stiffness * (error - move)
