@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from changed_arm import ARM, HEALTHY, ripple, run
+from changed_arm import ARM, HEALTHY, LAWS, NOISE, ripple, run
+from planted_arm import two_link_run
 
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.mismatch.competition import GATE, Competition, Round
 from spacearm_ident.mismatch.constants import polish, refine
 from spacearm_ident.mismatch.evidence import Candidate
+from spacearm_ident.mismatch.explain import explain
 from spacearm_ident.mismatch.finding import Alternative
-from spacearm_ident.mismatch.judgement import contradicted, doubted, shows
+from spacearm_ident.mismatch.judgement import clears_up, contradicted, doubted, shows
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
 from spacearm_ident.mismatch.run_set import RunSet
@@ -78,6 +80,32 @@ def test_what_was_below_the_noise_needs_no_explanation(rippled):
     (finding,) = rippled.findings
     assert shows(0, [finding], {"shoulder": 0.1, "elbow": 0.1})
     assert not shows(0, [finding], {joint: 1.01 * rms for joint, rms in finding.before_Nm.items()})
+
+
+@pytest.mark.parametrize("added, clear", [(0.8, True), (0.6, False)])
+def test_a_finding_clears_up_a_joint_of_the_field_if_it_is_more_than_half_of_what_is_above_the_floor(
+    rippled, added, clear
+):
+    finding = replace(rippled.findings[0], felt_Nm={"elbow": added, "shoulder": 9.0})
+    assert clears_up(finding, {"elbow": 1.0}, {"elbow": 0.1, "shoulder": 0.1}) == clear
+
+
+@pytest.mark.parametrize("changed, found", [(0.4, ["friction_drift"]), (0.1, [])])
+def test_what_a_gentle_motion_shows_too_little_of_is_named_where_the_field_is_beyond_a_healthy_arm(
+    monkeypatch, changed, found
+):
+    """The field says how large it is, and held-out data that it is there again."""
+    for size in ("beyond_healthy", "exceeds_null"):
+        monkeypatch.setattr(f"spacearm_ident.mismatch.explain.{size}", lambda *of: False)
+
+    def at(seed, speed):
+        planted = two_link_run(LAWS, seconds=16.0, rate_hz=250.0, seed=seed, speed=speed)
+        torque = planted.torque + np.outer(changed * planted.qd[:, 1], [0.0, 1.0])
+        return replace(planted, torque=torque).recording(noise=NOISE, seed=seed + 100)
+
+    explanation = explain(ARM, RunSet([at(2, 1.0)], [HEALTHY], [at(3, 0.3)]))
+    assert explanation.before_Nm[1] < explanation.detectable_Nm[1]
+    assert [one.effect for one in explanation.findings] == found
 
 
 def contender(kind, score, joint="elbow", **place):

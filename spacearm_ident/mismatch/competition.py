@@ -45,7 +45,8 @@ SEEN_AGAIN = 0.1
 """Share of its drop on the fitted rows that an effect must show, row for row, on held-out ones. A large named one need
 not be excited there (`scored.is_not_excited`)."""
 CLEARS_UP = 0.5
-"""Share of its joints' residual in the field that an effect must explain if the held-out data do not excite it."""
+"""Share of its joints' residual in the field that an effect must explain if the held-out data do not excite it, or
+excite it so little that a healthy arm may leave as much."""
 NAMES_ENOUGH = 0.2
 """A named effect that explains less than this share of its joints' residual is a coincidence, not an explanation."""
 POLISHED = 2.0

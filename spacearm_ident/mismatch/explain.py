@@ -26,7 +26,7 @@ from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Happened, Unexplained, joined, unfit
 from .healthy import Healthy, healthy_levels
 from .integrity import faults
-from .judgement import BEYOND_A_DAY, beyond_healthy, contradicted, doubted, harms, shows
+from .judgement import BEYOND_A_DAY, beyond_healthy, clears_up, contradicted, doubted, harms, shows
 from .null import exceeds_null
 from .power import would_have_seen
 from .preparation import ChooseStructure, Prepared, prepare_evidence
@@ -125,7 +125,8 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
     if not np.isfinite(rms_before[known]).any():
         return unfit(joints, (*_not_compared(joints, known, rms_before), "record a longer run, or give --validate"))
     on_a_day = evidence.with_days(prepared.days) if prepared.days > 0.0 else evidence
-    judge = _Judge(evidence, healthy, dict(zip(joints, rms_before.tolist())), on_a_day)
+    field_alone = _FieldAlone(in_field, healthy_field, joints)
+    judge = _Judge(evidence, healthy, dict(zip(joints, rms_before.tolist())), on_a_day, field_alone)
     outcome, made = judge.standing(competition, outcome, residuals, is_finding)
     accepted = outcome.accepted
     findings = _named(made, outcome, judge.floor)
@@ -136,7 +137,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
         where = np.flatnonzero(healthy.beyond(lasting, np.minimum(rms_before, rms_after)))
         findings = _unnamed(joints, where, rms_before, rms_after, floor)
     if not findings and evidence.reference is not None:
-        findings = _in_the_field_alone(in_field, healthy_field, joints)
+        findings = field_alone.unnamed()
     if evidence.reference is not None:
         findings = calibrated(findings)
     words, next_effect, next_joints = _next(findings)
@@ -168,11 +169,40 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
     )
 
 
+class _FieldAlone:
+    """What the reference's model, which saw neither, leaves of the fitted recordings, whatever it does of the judged.
+
+    A motion need not excite what has changed.
+    """
+
+    def __init__(self, field: Residuals, healthy: Healthy, joints: Sequence[str]) -> None:
+        residual = field.of(healthy.parameters, [], np.zeros(0))
+        self._rms, self._floor, self._joints = field.rms(residual), healthy.floor_Nm, joints
+        self._where = np.flatnonzero(healthy.beyond(field.rms_throughout(residual), self._rms))
+
+    def is_cleared_up_by(self, finding: Finding) -> bool:
+        """Whether a finding is most of what is too much for a healthy arm."""
+        left = {self._joints[k]: float(self._rms[k]) for k in self._where.tolist()}
+        return clears_up(finding, left, dict(zip(self._joints, self._floor.tolist())))
+
+    def unnamed(self) -> tuple[Finding, ...]:
+        """The same as a finding, where there is none."""
+        found = _unnamed(self._joints, self._where, self._rms, self._rms, self._floor)
+        return tuple(replace(finding, where=f"{finding.where}; the held-out data do not show it") for finding in found)
+
+
 class _Judge:
     """Whether findings stand: on the judged data, and against what the healthy arm shows."""
 
-    def __init__(self, evidence: Evidence, healthy: Healthy, before: dict[str, float], on_a_day: Evidence) -> None:
-        self._on_a_day = on_a_day
+    def __init__(
+        self,
+        evidence: Evidence,
+        healthy: Healthy,
+        before: dict[str, float],
+        on_a_day: Evidence,
+        field_alone: _FieldAlone,
+    ) -> None:
+        self._on_a_day, self._field_alone = on_a_day, field_alone
         joints = evidence.base.model.arm.joint_names
         self._evidence, self._healthy, self._before = evidence, healthy, before
         self.floor = dict(zip(joints, healthy.floor_Nm.tolist()))
@@ -198,7 +228,11 @@ class _Judge:
             return False
         if self._is_of_the_day(number, outcome):
             return False
-        return beyond_healthy(finding, self._before, self._largest) or self._exceeds_null(number, outcome)
+        return (
+            beyond_healthy(finding, self._before, self._largest)
+            or self._exceeds_null(number, outcome)
+            or (self._evidence.reference is not None and self._field_alone.is_cleared_up_by(finding))
+        )
 
     def _is_of_the_day(self, number: int, outcome: Outcome) -> bool:
         """Whether friction that ordinarily differs between days explains about as much as one of the effects."""
@@ -296,18 +330,6 @@ def _unnamed(
             explained=0.0,
         ),
     )
-
-
-def _in_the_field_alone(field: Residuals, healthy: Healthy, joints: Sequence[str]) -> tuple[Finding, ...]:
-    """What the reference's model, which saw neither, leaves of the fitted recordings though not of the judged ones.
-
-    A motion need not excite what has changed.
-    """
-    left = field.of(healthy.parameters, [], np.zeros(0))
-    rms = field.rms(left)
-    where = np.flatnonzero(healthy.beyond(field.rms_throughout(left), rms))
-    found = _unnamed(joints, where, rms, rms, healthy.floor_Nm)
-    return tuple(replace(finding, where=f"{finding.where}; the held-out data do not show it") for finding in found)
 
 
 def _unexplained(

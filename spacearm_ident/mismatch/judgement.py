@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from ..dynamics.effects.body import ExternalContact
 from ..dynamics.effects.effect import Effect
-from .competition import GATE
+from .competition import CLEARS_UP, GATE
 from .finding import Alternative, Finding
 from .left_out import LEVEL
 from .rivals import UNKNOWN
@@ -83,6 +83,23 @@ def beyond_healthy(finding: Finding, before: Mapping[str, float], largest: Mappi
     if finding.effect == ExternalContact.kind or finding.not_excited:
         return any(rms > largest[joint] for joint, rms in finding.felt_Nm.items())
     return any(min(rms, before[joint]) > largest[joint] for joint, rms in finding.before_Nm.items())
+
+
+def clears_up(finding: Finding, left: Mapping[str, float], floor: Mapping[str, float]) -> bool:
+    """Whether a finding is most of what the field shows at one of its joints and a healthy arm would not.
+
+    The field itself says then of what size it is; the held-out data, whether it is there again (`shows`).
+
+    Args:
+        finding: An effect; one without a name or that does not last is none.
+        left: Joint -> RMS of what the healthy model leaves of the field, N·m, where that is a mismatch by itself.
+        floor: Joint -> what it leaves of the field of a healthy arm, RMS, N·m.
+    """
+    return finding.effect not in (UNKNOWN, ExternalContact.kind) and any(
+        rms**2 > CLEARS_UP * (left[joint] ** 2 - floor[joint] ** 2)
+        for joint, rms in finding.felt_Nm.items()
+        if joint in left
+    )
 
 
 def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
