@@ -7,12 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from changed_arm import ARM, HEALTHY, LAWS, ripple, run
+from changed_arm import ARM, HEALTHY, LAWS, NOISE, ripple, run
 from planted_arm import two_link_run
 from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.mismatch.evidence import NEARER
+from spacearm_ident.mismatch.judgement import BEYOND_A_DAY
 from spacearm_ident.mismatch.preparation import banded, prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
 from spacearm_ident.mismatch.rivals import Rival, rivals
@@ -316,6 +317,28 @@ def test_friction_of_another_day_is_least_squares_with_shifts_of_the_field_alone
     same = evidence.refit(candidates)
     assert found.gain < same.gain
     assert (np.diag(found.covariance) >= np.diag(same.covariance) * (1.0 - 1e-9)).all()
+
+
+@pytest.mark.parametrize("cubic, drift, changed", [(0.4, 0.0, False), (0.0, 0.3, True), (0.1, 0.3, True)])
+def test_a_course_of_friction_that_only_the_field_s_speeds_show_is_no_change_of_it(cubic, drift, changed):
+    """The reference is slow, its structure has no cubic term, and the arm always had one."""
+
+    def at(seed, speed, change=0.0):
+        laws = LAWS[0], replace(LAWS[1], k_v3=cubic)
+        planted = two_link_run(laws, seconds=16.0, rate_hz=250.0, seed=seed, speed=speed)
+        torque = planted.torque + np.outer(change * planted.qd[:, 1], [0.0, 1.0])
+        return replace(planted, torque=torque).recording(noise=NOISE, seed=seed + 100)
+
+    def straight(fit):
+        held = {"held": {"elbow": ["k_v2", "k_v3"]}}
+        return {**fit.regression.model.structure, "viscous_friction": held}, ()
+
+    runs = RunSet([at(2, 1.5, drift)], [at(1, 0.6), at(4, 0.6)], [at(3, 1.5, drift)])
+    evidence = prepare_evidence(ARM, runs, straight).evidence
+    candidate = evidence.candidate(EFFECTS["friction_drift"].at(ARM, {"joint": "elbow", "of": ["k_v1"]}), ())
+    day = evidence.with_days(1.0)
+    assert evidence.refit([candidate]).gain > 100.0
+    assert (day.refit(day.again([candidate])).gain > BEYOND_A_DAY) == changed
 
 
 def test_in_thin_air_the_field_has_no_friction_of_high_order(prepared):

@@ -322,6 +322,26 @@ def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
     assert finding.explained > 0.9
 
 
+@pytest.mark.parametrize("healthy, field, speed, change", [(0.6, 0.6, 0.7, None), (0.3, 0.8, 0.5, 0.5)])
+def test_what_the_reference_shows_over_a_smaller_range_was_there_and_what_was_added_is_found(
+    healthy, field, speed, change
+):
+    """Friction that depends on the position: over a small range the base takes most of it for a constant."""
+
+    def at(seed, speed, amplitude):
+        planted = two_link_run(LAWS, seconds=16.0, rate_hz=250.0, seed=seed, speed=speed)
+        friction = amplitude * np.cos(2.0 * planted.q[:, 1] + 0.3) * np.sign(planted.qd[:, 1])
+        torque = planted.torque + np.outer(friction, [0.0, 1.0])
+        return replace(planted, torque=torque).recording(noise=NOISE, seed=seed + 100)
+
+    reference = [at(seed, speed, healthy) for seed in (1, 4)]
+    found = explain(ARM, RunSet([at(2, 1.2, field)], reference, [at(3, 1.2, field)]))
+    assert any("position_friction" in words and "elbow" in words for words in found.already_there)
+    amplitudes = [one.parameters["amplitude"].value for one in found.findings if one.effect == "position_friction"]
+    assert len(found.findings) == len(amplitudes)
+    assert amplitudes == ([] if change is None else [pytest.approx(change, rel=0.1)])
+
+
 def test_two_effects_that_an_arm_cannot_both_have_are_not_both_found(monkeypatch):
     here = (0.05, 0.0, 0.3)
     runs = RunSet([carrying(2, here, ripple)], [HEALTHY], [carrying(3, here, ripple)])

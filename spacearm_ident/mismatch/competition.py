@@ -35,7 +35,8 @@ REFINED, RIVALS = 12, 6
 NAMED_SHARE, NAMED_PAIR = 0.8, 0.9
 """A named effect stands if it explains this share of what the best generic rival does, or two of them this share."""
 SHARED = 0.3
-"""An effect that explains this share as much in the reference, row for row, was there before."""
+"""An effect that explains this share as much in the reference, row for row, was there before; so was one that explains
+this share of what it does in the field if both have it alike, where the reference excites it less."""
 MINOR_SHARE = 0.01
 """Beside a large effect at the same joints, less than this share of it is more likely the large one's own law being
 a little different than a second physics: it is left unexplained, not named."""
@@ -464,7 +465,22 @@ class Competition:
         effect, healthy = winner.candidate.effect, self.evidence.healthy
         alone = healthy.candidate(effect, winner.candidate.constants)
         gain = healthy.refit([alone]).gain - penalty(effect, len(reference))
-        return gain / len(reference) > SHARED * winner.gain / self.evidence.rows and gain > 0.5 * self.gate
+        if gain <= 0.5 * self.gate:
+            return False
+        alike = gain / len(reference) > SHARED * winner.gain / self.evidence.rows
+        return alike or self._gain_if_shared(winner) > SHARED * winner.gain
+
+    def _gain_if_shared(self, winner: Scored) -> float:
+        """Drop in chi-square of an effect that reference and field have alike, beside what is accepted."""
+        shared = self._with_shared(winner)
+        accepted = [shared.candidate(one.effect, one.constants, one.stacked) for one in self.accepted]
+        before = self.evidence.squares_left - self.evidence.refit(self.accepted).gain
+        return before - (shared.squares_left - shared.refit(accepted).gain)
+
+    def _with_shared(self, winner: Scored) -> Evidence:
+        old = self.evidence
+        shared = [*old.common, (winner.candidate.effect, winner.candidate.constants)]
+        return Evidence(old.base, old.field, old.reference, shared)
 
     def _take_into_base(self, winner: Scored) -> bool:
         """Refit everything with an effect that reference and field share.
@@ -473,9 +489,7 @@ class Competition:
             False, and nothing changed, where the reference's torque at its joints is then fitted worse, every row
             counted alike: the effect has followed what is not its own.
         """
-        old = self.evidence
-        shared = [*old.common, (winner.candidate.effect, winner.candidate.constants)]
-        new = Evidence(old.base, old.field, old.reference, shared)
+        old, new = self.evidence, self._with_shared(winner)
         acts = [name in self._acts_on(winner) for name in old.base.model.arm.joint_names]
         if _left_of_reference(new)[acts].sum() > _left_of_reference(old)[acts].sum():
             return False

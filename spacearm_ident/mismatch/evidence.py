@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -19,7 +19,8 @@ from scipy.linalg import cholesky, solve_triangular
 
 from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
-from ..dynamics.model import IdentifiedModel
+from ..dynamics.friction import ViscousFriction
+from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.term import Values
 from ..noise.between import ordinary_shifts
 from ..regression.prior import make_prior
@@ -139,6 +140,11 @@ class Evidence:
         self._squares = float(torque @ torque)
         self.residual: FloatArray = torque[: self.rows] - self._basis @ self._inside
 
+    @property
+    def squares_left(self) -> float:
+        """Weighted squares that the base leaves of reference and field, and of what is known before."""
+        return self._squares - float(self._inside @ self._inside)
+
     @cached_property
     def healthy(self) -> Evidence:
         """The reference alone, with what it shares with the field; where there is none, the field itself."""
@@ -193,10 +199,15 @@ class Evidence:
         """The same rows where friction of the field is another day's than the reference's.
 
         Columns that the field alone has, with a prior of their own, join the base: one step of the factorisation more.
+        Friction's course over speed is free in both: a term that the reference's motions do not need, those of the
+        field may, at other speeds.
 
         Args:
             days: Standard deviation of the difference, of the ordinary one between recordings (`ordinary_shifts`).
         """
+        viscous = self.base.model.structure.get(ViscousFriction.kind, {})
+        if viscous.get("held"):
+            return self._of_structure(ViscousFriction.kind, {**viscous, "held": {}}).with_days(days)
         unknowns = np.pad(self.base.parameters, (0, self._width - len(self.base.parameters)))
         shifts = days * ordinary_shifts(self.base.model, unknowns)[self._used]
         columns = self._basis @ (self._triangle @ shifts)
@@ -213,6 +224,11 @@ class Evidence:
         other._width = self._width + len(corner)
         other.residual = self.residual - beyond @ inside
         return other
+
+    def _of_structure(self, kind: str, options: dict[str, Any]) -> Evidence:
+        """The same rows with other options of one kind of the base's terms, of the same parameters."""
+        model = TorqueModel(self.base.model.arm, {**self.base.model.structure, kind: options})
+        return Evidence(replace(self.base, model=model), self.field, self.reference, self.common)
 
     def candidate(self, effect: Effect, constants: Values, stacked: Stacked | None = None) -> Candidate:
         """An effect with given constants as a candidate in the field.
