@@ -19,9 +19,9 @@ ARM = arm_from_urdf(urdf_of(TWO_LINKS))
 NOISE = (0.3, 0.15)
 
 
-def run(seed, extra=None, seconds=16.0):
+def run(seed, extra=None, seconds=16.0, speed=1.0, laws=LAWS):
     """A recording of the planar arm with white torque noise; `extra` adds torque (N, 2) to what it needs."""
-    planted = two_link_run(LAWS, seconds=seconds, rate_hz=250.0, seed=seed, speed=1.0)
+    planted = two_link_run(laws, seconds=seconds, rate_hz=250.0, seed=seed, speed=speed)
     if extra is not None:
         planted = replace(planted, torque=planted.torque + extra(planted))
     return planted.recording(noise=NOISE, seed=seed + 100)

@@ -17,7 +17,7 @@ FORK = multiprocessing.get_context("fork")
 
 
 class FirstOrderArm:
-    """Joints that follow their target with a time constant and report a torque that tells tests apart.
+    """Joints that follow their target with a time constant and report a torque that a test can foretell.
 
     The torque is `stiffness × (target − position)`; temperatures rise by 1 °C a joint from 20 °C.
     """

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from changed_arm import ARM, HEALTHY, LAWS, NOISE, ripple, run
+from changed_arm import ARM, HEALTHY, LAWS, ripple, run
 from planted_arm import two_link_run
 from scipy.signal import lfilter
 
@@ -325,9 +325,7 @@ def test_a_course_of_friction_that_only_the_field_s_speeds_show_is_no_change_of_
 
     def at(seed, speed, change=0.0):
         laws = LAWS[0], replace(LAWS[1], k_v3=cubic)
-        planted = two_link_run(laws, seconds=16.0, rate_hz=250.0, seed=seed, speed=speed)
-        torque = planted.torque + np.outer(change * planted.qd[:, 1], [0.0, 1.0])
-        return replace(planted, torque=torque).recording(noise=NOISE, seed=seed + 100)
+        return run(seed, lambda planted: np.outer(change * planted.qd[:, 1], [0.0, 1.0]), speed=speed, laws=laws)
 
     def straight(fit):
         held = {"held": {"elbow": ["k_v2", "k_v3"]}}

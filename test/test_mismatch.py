@@ -329,10 +329,11 @@ def test_what_the_reference_shows_over_a_smaller_range_was_there_and_what_was_ad
     """Friction that depends on the position: over a small range the base takes most of it for a constant."""
 
     def at(seed, speed, amplitude):
-        planted = two_link_run(LAWS, seconds=16.0, rate_hz=250.0, seed=seed, speed=speed)
-        friction = amplitude * np.cos(2.0 * planted.q[:, 1] + 0.3) * np.sign(planted.qd[:, 1])
-        torque = planted.torque + np.outer(friction, [0.0, 1.0])
-        return replace(planted, torque=torque).recording(noise=NOISE, seed=seed + 100)
+        def friction(planted):
+            size = amplitude * np.cos(2.0 * planted.q[:, 1] + 0.3)
+            return np.outer(size * np.sign(planted.qd[:, 1]), [0.0, 1.0])
+
+        return run(seed, friction, speed=speed)
 
     reference = [at(seed, speed, healthy) for seed in (1, 4)]
     found = explain(ARM, RunSet([at(2, 1.2, field)], reference, [at(3, 1.2, field)]))

@@ -34,6 +34,7 @@ COST_TOLERANCE = 1e-6
 LARGEST_STEP = 1.0
 """No constant changes by more than this, in logarithm, at once."""
 LARGEST_DAMPING = 1e6
+"""Of a step's own normal equations: a step this much shorter changes nothing that a number shows."""
 SHORT = 1.0
 """Damping that halves the step of a constant by itself: a small step is no sign of an optimum from here on."""
 CONVERGED, LIMIT = "converged", "iteration limit"
