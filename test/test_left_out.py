@@ -15,7 +15,7 @@ from spacearm_ident.dynamics.arm import load_arm
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.mismatch.constants import grid_points
 from spacearm_ident.mismatch.evidence import NEARER, Evidence
-from spacearm_ident.mismatch.healthy import UNNAMED, Healthy, healthy_levels
+from spacearm_ident.mismatch.healthy import GROWS, UNNAMED, Healthy, healthy_levels
 from spacearm_ident.mismatch.judgement import beyond_healthy
 from spacearm_ident.mismatch.left_out import LEVEL, LeftOut, largest_rms
 from spacearm_ident.mismatch.noise import coloured, weighted
@@ -43,7 +43,7 @@ def healthy(prepared):
     return prepared.evidence.healthy
 
 
-def test_base_parameters_without_rows_equal_a_fit_to_the_others(healthy):
+def test_base_parameters_without_rows_equal_a_fit_to_the_others_and_errors_those_of_least_squares(healthy):
     scene = healthy.field
     prior = make_prior(healthy.base.model, scene.motions)
     beside = nuisance_scale(healthy.base)
@@ -51,6 +51,10 @@ def test_base_parameters_without_rows_equal_a_fit_to_the_others(healthy):
     belief = np.zeros((len(prior.rows) + len(beside), columns.shape[1]))
     belief[: len(prior.rows), : prior.rows.shape[1]] = NEARER * prior.rows
     belief[len(prior.rows) :, prior.rows.shape[1] :] = np.diag(1.0 / beside)
+    whole = np.concatenate([columns, belief])
+    used = np.any(whole != 0.0, axis=0)
+    scatter = columns[:, used] @ np.linalg.pinv(whole[:, used])
+    np.testing.assert_allclose(healthy.error_of(columns)[::50], np.linalg.norm(scatter[::50], axis=1), rtol=1e-4)
     left = np.arange(len(scene)) % 7 < 2
     whole = np.concatenate([columns[~left], belief])
     torque = np.concatenate(
@@ -74,9 +78,30 @@ def test_left_out_squares_exceed_those_of_the_whole_fit_and_the_error_grows_wher
     assert (left_out.error_Nm(judged) > 0.0).all() and (left_out.error_Nm(judged) < own).all()
     middle = np.mean(left_out.fits, axis=0)
     left_out.fits = [middle + 3.0 * (fit - middle) for fit in left_out.fits]
-    wider = left_out.error_Nm(judged)
+    wider, fitted = left_out.error_Nm(judged), judged.error_Nm(healthy)
+    assert (wider > fitted).all()
     left_out.fits = [middle + (fit - middle) / 3.0 for fit in left_out.fits]
-    np.testing.assert_allclose(left_out.error_Nm(judged), wider / 3.0)
+    np.testing.assert_allclose(left_out.error_Nm(judged), np.maximum(wider / 3.0, fitted))
+    left_out.fits = [middle, middle]
+    np.testing.assert_allclose(left_out.error_Nm(judged), fitted)
+
+
+def test_a_healthy_arm_may_leave_more_of_a_motion_that_is_faster_than_the_references(prepared):
+    def acceleration(recording):
+        velocity = np.gradient(recording.position, recording.time, axis=0)
+        return np.std(np.gradient(velocity, recording.time, axis=0), axis=0)
+
+    levels = []
+    for speed in (0.5, 2.0):
+        judged = run(3, speed=speed)
+        faster = prepare_evidence(ARM, RunSet([run(2)], [HEALTHY], [judged])).held_out.scene
+        residuals = Residuals(prepared.evidence, faster, prepared.plain)
+        error = LeftOut(prepared.evidence.healthy, residuals).error_Nm(residuals)
+        (healthy,) = healthy_levels(prepared.evidence, replace(prepared, weighted=True), [residuals])
+        levels.append(np.sqrt(healthy.floor_Nm**2 - error**2))
+    ratio = acceleration(judged) / acceleration(HEALTHY)
+    assert (ratio > 1.3).all()
+    np.testing.assert_allclose(levels[1] / levels[0], ratio**GROWS, rtol=0.05)
 
 
 def test_the_largest_healthy_residual_is_exceeded_by_a_further_part_as_often_as_stated():

@@ -389,6 +389,14 @@ class Evidence:
         whole[self._used] = solve_triangular(self._triangle, self._beside(candidates, values))
         return whole
 
+    def error_of(self, columns: FloatArray) -> FloatArray:
+        """(V,) standard error of a torque that the base predicts, as the weights of its rows and its prior say.
+
+        Args:
+            columns: (V, p) of what is predicted, nuisance and common effects last (`stacked.base_columns`), N·m.
+        """
+        return np.asarray(np.linalg.norm(solve_triangular(self._triangle, columns[:, self._used].T, trans="T"), axis=0))
+
     def base_parameters_without(self, rows: np.ndarray) -> FloatArray:
         """Parameters of the base as fitted to all rows but some of the field's: (F,) true where left out.
 

@@ -73,6 +73,24 @@ class Residuals:
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(squares / information))
 
+    def error_Nm(self, evidence: Evidence) -> FloatArray:
+        """(n,) RMS of the standard error of the predicted torque (`Evidence.error_of`).
+
+        Args:
+            evidence: Whose fit predicts it; its base is the scene's.
+        """
+        return self.rms(evidence.error_of(self._columns))
+
+    def acceleration(self) -> FloatArray:
+        """(n,) RMS of each joint's acceleration, rad/s^2."""
+        rows = np.zeros(len(self.scene))
+        for m, motion in enumerate(self.scene.motions):
+            reduced = motion.reduce(motion.acceleration)
+            for j in range(reduced.shape[1]):
+                slot = self.scene.slot(j, m)
+                rows[slot] = reduced[self.scene.place[slot], j]
+        return self.rms(rows)
+
     def ordinary_Nm(self, model: TorqueModel, base: FloatArray) -> FloatArray:
         """(n,) RMS of what friction ordinarily differs by between two recordings of an arm (`ordinary_shifts`).
 
