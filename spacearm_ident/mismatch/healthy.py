@@ -72,8 +72,10 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
     """What a healthy arm leaves of each of some recordings that its fit does not see.
 
     The floor is what the base leaves of the reference. Where that is what the model lacks (`noise.weighted`), it is
-    what is left of parts that a fit left out. Beside it stand the error of what is predicted of the judged motion, and
-    what friction ordinarily differs by on another day with a probability of `LEVEL` (`Prepared.days`).
+    what is left of parts that a fit left out, and beside it the error of what they predict of the judged motion.
+    The largest has more: a faster motion leaves more (`GROWS`); parts that are alike agree on what none of them shows,
+    so that error is the fit's own where it is larger; and friction ordinarily differs by something on another day with
+    a probability of `LEVEL` (`Prepared.days`). The floor has not: a higher one lets findings explain a larger share.
     Without a recorded reference: the noise as it was estimated in the field, and without any its parameters too.
 
     Args:
@@ -95,13 +97,16 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
         floor = np.fmax(floor, left_out.rms_Nm)
     made = []
     for rows in judged:
-        error, grown = np.zeros(len(floor)), np.ones(len(floor))
+        error = most_error = np.zeros(len(floor))
+        grown = np.ones(len(floor))
         if prepared.weighted:
-            error, grown = left_out.error_Nm(rows), _growth(rows.acceleration(), residuals.acceleration())
+            error = left_out.error_Nm(rows)
+            most_error = np.fmax(error, np.nan_to_num(rows.error_Nm(alone)))
+            grown = _growth(rows.acceleration(), residuals.acceleration())
         ordinary = np.nan_to_num(rows.ordinary_Nm(evidence.base.model, parameters))
         day = norm.isf(LEVEL) * prepared.days * ordinary
-        most = np.sqrt((grown * largest) ** 2 + (left_out.times * error) ** 2 + day**2)
-        made.append(Healthy(parameters, np.hypot(grown * floor, error), most, left_out))
+        most = np.sqrt((grown * largest) ** 2 + (left_out.times * most_error) ** 2 + day**2)
+        made.append(Healthy(parameters, np.hypot(floor, error), most, left_out))
     return made
 
 

@@ -3,7 +3,6 @@
 What a healthy arm's runs differ by is not in the residual of a fit to all of them. Leaving out whole recordings in
 turn, or parts of the only one (`regression.held_out`), measures it: the squares of the part that was left out, and
 the jackknife's standard error of what is predicted on another motion (Efron and Stein 1981, Ann. Statist. 9, 586).
-Parts that are alike agree on what none of them shows: the fit's own covariance says the error of that.
 """
 
 from __future__ import annotations
@@ -51,7 +50,6 @@ class LeftOut:
         np.add.at(self.information, (judged, residuals.scene.joint), residuals.information)
         fitted = residuals.of(healthy.base_parameters([], np.zeros(0)), [], np.zeros(0))
         np.add.at(self.fitted_squares, (judged, residuals.scene.joint), residuals.information * fitted**2)
-        self._healthy = healthy
         self.folds = folds_of(recording)
         self.fits: list[FloatArray] = []
         self.fold_of_row = np.full(len(in_fit), -1)
@@ -103,13 +101,12 @@ class LeftOut:
         return float(student.ppf(1.0 - LEVEL, freedom))
 
     def error_Nm(self, residuals: Residuals) -> FloatArray:
-        """(n,) standard error of the predicted torque, RMS over other rows: the jackknife's or the fit's, if larger."""
-        fitted = residuals.error_Nm(self._healthy)
+        """(n,) jackknife standard error of the predicted torque, RMS over other rows; zero if nothing was left out."""
         count = len(self.fits)
         if not count:
-            return np.nan_to_num(fitted)
+            return np.zeros(self.squares.shape[1])
         left = np.stack([residuals.of(fit, [], np.zeros(0)) for fit in self.fits])
-        return np.nan_to_num(np.fmax(residuals.rms(np.sqrt(count - 1) * left.std(axis=0)), fitted))
+        return np.nan_to_num(residuals.rms(np.sqrt(count - 1) * left.std(axis=0)))
 
 
 def largest_rms(squares: FloatArray, rows: FloatArray) -> FloatArray:
