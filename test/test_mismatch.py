@@ -19,6 +19,7 @@ from spacearm_ident.mismatch.document import EXTENDED_MODEL, to_document
 from spacearm_ident.mismatch.explain import explain
 from spacearm_ident.mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH
 from spacearm_ident.mismatch.integrity import faults
+from spacearm_ident.mismatch.intervals import Intervals
 from spacearm_ident.mismatch.rivals import UNKNOWN
 from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.mismatch.scene import one_way
@@ -320,6 +321,13 @@ def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
         assert finding.parameters[f"moment_{axis}"].value == pytest.approx(0.7 * place, abs=0.02)
     assert ("at another position" in finding.where) == (there != here)
     assert finding.explained > 0.9
+
+
+def test_a_body_whose_mass_may_be_zero_is_no_payload(monkeypatch):
+    here = (0.05, 0.0, 0.3)
+    monkeypatch.setattr(Intervals, "half_width", lambda self, number, slope: 1.0)
+    (finding,) = explain(ARM, RunSet([carrying(2, here)], [HEALTHY], [carrying(3, here)]), SLOW_ONES).findings
+    assert finding.effect == UNKNOWN and "payload" in finding.where and "whose mass may be zero" in finding.where
 
 
 @pytest.mark.parametrize("healthy, field, speed, change", [(0.6, 0.6, 0.7, None), (0.3, 0.8, 0.5, 0.5)])

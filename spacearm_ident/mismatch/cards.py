@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..arrays import FloatArray
+from ..dynamics.effects.effect import Effect
 from .competition import Outcome
 from .evidence import Evidence
 from .finding import Alternative, Finding, Quantity
@@ -45,6 +46,7 @@ class Cards:
         winner, others = self.outcome.rounds[number].winner, self.outcome.rounds[number].others
         effect = self.accepted[number].effect
         values = self._values(number)
+        quantities = self._quantities(number, values)
         rivals = _others(winner, others)
         felt = self._felt_in_field(number)
         before, after, beside, explained = self._on_held_out(number, felt)
@@ -57,7 +59,7 @@ class Cards:
             where=effect.where(values),
             equation=effect.equation,
             source=effect.source,
-            parameters=self._quantities(number, values),
+            parameters=quantities,
             confidence=_confidence(winner, rivals),
             alternatives=(*_same_torque(winner), *(_alternative(winner, other) for other in rivals[:MOST])),
             gain=winner.gain,
@@ -68,7 +70,7 @@ class Cards:
             after_Nm=after,
             explained=explained,
             beside_Nm=beside,
-            against=effect.against(values),
+            against=effect.against(values) or _weightless(effect, quantities),
             felt_Nm=felt,
         )
 
@@ -177,6 +179,15 @@ class Cards:
             half = self._intervals.half_width(number, slope)
             quantities[name] = Quantity(value, unit, value - half, value + half)
         return quantities
+
+
+def _weightless(effect: Effect, quantities: Mapping[str, Quantity]) -> str:
+    """What speaks against a body whose mass may be zero, as `Effect.against`; empty for any other effect.
+
+    Its moments follow any torque of the position at its joint; of its mass the joints before that feel more.
+    """
+    mass = quantities.get("mass") if effect.weighs else None
+    return "mass may be zero" if mass is not None and mass.low <= 0.0 <= mass.high else ""
 
 
 def _others(winner: Scored, others: Sequence[Scored]) -> list[Scored]:
