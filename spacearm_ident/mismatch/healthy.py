@@ -25,8 +25,8 @@ UNNAMED = 2.5
 most."""
 GROWS = 0.4
 """Power of the RMS acceleration of a joint with which a healthy arm's residual grows, where the judged motion is faster
-than the reference's. `bench/healthy_growth.py`: 0.33 +- 0.06 on 37 pairs of real recordings, 0.76 +- 0.18 on 20
-simulated arms of the blind series."""
+than the reference's. `bench/healthy_growth.py`: 0.39 +- 0.06 on pairs of real recordings, 0.47 +- 0.30 and 0.70 +- 0.18
+on healthy arms of two blind series."""
 
 
 @dataclass(frozen=True)
