@@ -88,17 +88,17 @@ def test_a_healthy_arm_may_leave_more_of_a_motion_that_is_faster_than_the_refere
         velocity = np.gradient(recording.position, recording.time, axis=0)
         return np.std(np.gradient(velocity, recording.time, axis=0), axis=0)
 
-    known, left_out = replace(prepared, weighted=True, days=0.0), []
+    known, left = replace(prepared, weighted=True, days=0.0), []
     for speed in (0.5, 2.0):
         judged = run(3, speed=speed)
         faster = prepare_evidence(ARM, RunSet([run(2)], [HEALTHY], [judged])).held_out.scene
         residuals = Residuals(prepared.evidence, faster, prepared.plain)
         (healthy,) = healthy_levels(prepared.evidence, known, [residuals])
         error = np.maximum(healthy.left_out.error_Nm(residuals), residuals.error_Nm(prepared.evidence.healthy))
-        left_out.append(np.sqrt(healthy.largest_Nm**2 - (healthy.left_out.times * error) ** 2))
+        left.append(np.sqrt(healthy.largest_Nm**2 - (healthy.left_out.times * error) ** 2))
     ratio = acceleration(judged) / acceleration(HEALTHY)
     assert (ratio > 1.3).all()
-    np.testing.assert_allclose(left_out[1] / left_out[0], ratio**GROWS, rtol=0.05)
+    np.testing.assert_allclose(left[1] / left[0], ratio**GROWS, rtol=0.05)
 
 
 def test_the_largest_healthy_residual_is_exceeded_by_a_further_part_as_often_as_stated():

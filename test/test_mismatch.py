@@ -263,14 +263,19 @@ def test_what_vanishes_in_vacuum_is_one_finding_and_the_extended_model_lacks_it(
         assert np.sqrt(np.mean(left[sound, joint] ** 2)) < NOISE[joint]
 
 
-def very_late(planted):
-    """All recorded torque is 40 ms old."""
-    return np.stack([np.roll(column, 10) - column for column in planted.torque.T], axis=1)
+def samples_late(count):
+    """All recorded torque is so many times 4 ms old."""
+    return lambda planted: np.roll(planted.torque, count, axis=0) - planted.torque
 
 
 @pytest.mark.parametrize(
     ("shifted", "delay", "words"),
-    [(late, 0.012, "torque is late"), (early, -0.012, "motion is"), (very_late, 0.040, "torque is late")],
+    [
+        (late, 0.012, "torque is late"),
+        (early, -0.012, "motion is"),
+        (samples_late(10), 0.04, "torque is late"),
+        (samples_late(50), 0.2, "torque is late"),
+    ],
 )
 def test_torque_that_is_late_or_early_is_so_by_so_much(shifted, delay, words):
     answer = explained(shifted, *SLOW_ONES)
