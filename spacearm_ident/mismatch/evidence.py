@@ -38,6 +38,9 @@ UNDERFLOW = 1e-200
 SINGULAR = 1e-13
 """Ratio of singular values below which normal equations are rounding."""
 
+AT_ONCE = 4096
+"""Rows that are factorised at a time."""
+
 NEARER = 3.0
 """How many times as near its identified value as to its CAD value (`regression.prior`) a base parameter is expected
 before the joint refit. Of 0.3, 1, 3, 10 and 30 the one with which the base predicts held-out recordings of four real
@@ -127,16 +130,16 @@ class Evidence:
         self.rows = len(field)
         scenes = [field] if reference is None else [field, reference]
         stacks = [base_columns(base, scene, self.common) for scene in scenes]
-        belief, near = _belief(base, scenes, stacks[0].shape[1])
+        self._width = stacks[0].shape[1]
+        belief, near = _belief(base, scenes, self._width)
         torque = np.concatenate([*(scene.torque() for scene in scenes), near])
         stacked = np.concatenate([*stacks, belief])
-        self._used = np.flatnonzero(np.any(stacked != 0, axis=0))
-        self._width = stacks[0].shape[1]
-        self._triangle: FloatArray = np.asarray(np.linalg.qr(stacked[:, self._used], mode="r"))
-        basis = solve_triangular(self._triangle, stacked[:, self._used].T, trans="T").T
-        # A copy: a view would keep the reference's rows in memory.
-        self._basis = basis[: self.rows] if reference is None else basis[: self.rows].copy(order="K")
-        self._inside = basis.T @ torque
+        del stacks
+        self._used = np.flatnonzero(stacked.any(axis=0))
+        self._triangle = _triangle_of(stacked, self._used)
+        # Of the field's rows alone: of the reference's, which are more, nothing else is needed.
+        self._basis = solve_triangular(self._triangle, stacked[: self.rows, self._used].T, trans="T").T
+        self._inside = solve_triangular(self._triangle, (stacked.T @ torque)[self._used], trans="T")
         self._squares = float(torque @ torque)
         self.residual: FloatArray = torque[: self.rows] - self._basis @ self._inside
 
@@ -433,6 +436,15 @@ class Evidence:
         if candidates:
             inside = inside - np.concatenate([c.inside for c in candidates], axis=1) @ values
         return np.asarray(inside)
+
+
+def _triangle_of(stacked: FloatArray, used: np.ndarray) -> FloatArray:
+    """(k, k) triangular factor of the columns `used` of rows (R, p), some rows at a time: a QR copies what it takes."""
+    triangle: FloatArray = np.zeros((0, len(used)))
+    for first in range(0, len(stacked), AT_ONCE):
+        rows = stacked[first : first + AT_ONCE, used]
+        triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
+    return triangle
 
 
 def _belief(base: IdentifiedModel, scenes: Sequence[Scene], width: int) -> tuple[FloatArray, FloatArray]:
