@@ -39,7 +39,7 @@ SINGULAR = 1e-13
 """Ratio of singular values below which normal equations are rounding."""
 
 AT_ONCE = 4096
-"""Rows that are factorised at a time."""
+"""Rows that are factorised at a time: a few megabytes, and many more than there are columns."""
 
 NEARER = 3.0
 """How many times as near its identified value as to its CAD value (`regression.prior`) a base parameter is expected

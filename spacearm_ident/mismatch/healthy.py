@@ -95,6 +95,7 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
     largest = np.fmax(floor, left_out.largest_Nm)
     if prepared.weighted:
         floor = np.fmax(floor, left_out.rms_Nm)
+    accelerated = residuals.acceleration()
     made = []
     for rows in judged:
         error = most_error = np.zeros(len(floor))
@@ -102,7 +103,7 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
         if prepared.weighted:
             error = left_out.error_Nm(rows)
             most_error = np.fmax(error, np.nan_to_num(rows.error_Nm(alone)))
-            grown = _growth(rows.acceleration(), residuals.acceleration())
+            grown = _growth(rows.acceleration(), accelerated)
         ordinary = np.nan_to_num(rows.ordinary_Nm(evidence.base.model, parameters))
         day = norm.isf(LEVEL) * prepared.days * ordinary
         most = np.sqrt((grown * largest) ** 2 + (left_out.times * most_error) ** 2 + day**2)

@@ -83,13 +83,8 @@ class Residuals:
 
     def acceleration(self) -> FloatArray:
         """(n,) RMS of each joint's acceleration, rad/s^2."""
-        rows = np.zeros(len(self.scene))
-        for m, motion in enumerate(self.scene.motions):
-            reduced = motion.reduce(motion.acceleration)
-            for j in range(reduced.shape[1]):
-                slot = self.scene.slot(j, m)
-                rows[slot] = reduced[self.scene.place[slot], j]
-        return self.rms(rows)
+        reduced = [motion.reduce(motion.acceleration) for motion in self.scene.motions]
+        return self.rms(self.scene.stacked_rows(reduced))
 
     def ordinary_Nm(self, model: TorqueModel, base: FloatArray) -> FloatArray:
         """(n,) RMS of what friction ordinarily differs by between two recordings of an arm (`ordinary_shifts`).

@@ -226,12 +226,18 @@ class Scene:
         self._travel = [travel(motion) for motion in self.motions]
         self._starts = np.concatenate([[0], np.cumsum([len(part) for part in joint])])
         self.speed, self.gone = (
-            np.concatenate(
-                [by[m][self.place[self.slot(j, m)], j] for j in range(len(whiteners)) for m in range(len(by))]
-            )
-            for by in ([motion.velocity_rows for motion in self.motions], self._travel)
+            self.stacked_rows(by) for by in ([motion.velocity_rows for motion in self.motions], self._travel)
         )
         self.weight = self._weight()
+
+    def stacked_rows(self, by: Sequence[FloatArray]) -> FloatArray:
+        """(R,) what a signal of the joints is at each stacked row.
+
+        Args:
+            by: By motion, (M, n) at its rows.
+        """
+        joints = range(len(self.whiteners))
+        return np.concatenate([by[m][self.place[self.slot(j, m)], j] for j in joints for m in range(len(by))])
 
     def _weight(self) -> FloatArray:
         """(R,) what each row counts for."""

@@ -170,7 +170,7 @@ class TimeDelay(_Late):
         name = known_joints(arm, place)
         if not isinstance(place.get("early", False), bool):
             raise ValueError("early is true or false")
-        # A log that took its way over a network is a quarter of a second late.
+        # Torque that was logged over a network may be a quarter of a second late.
         short = (5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3, 24e-3, 36e-3, 54e-3)
         grid = (*short, 81e-3, 0.12, 0.18, 0.25)
         share = share_of(name)
