@@ -45,6 +45,19 @@ def test_a_law_that_leaves_much_keeps_its_name_where_nothing_else_comes_near(rip
     assert doubted(replace(finding, explained=0.6), {"elbow": 0.1}).effect == UNKNOWN
 
 
+@pytest.mark.parametrize(
+    ("effect", "after", "named"), [("payload", 0.2, False), ("payload", 0.104, True), ("external_contact", 0.2, True)]
+)
+def test_a_law_that_leaves_more_at_a_joint_than_there_was_is_not_the_one(rippled, effect, after, named):
+    """However much of another joint it explains; an event need not be in the held-out data at all."""
+    (finding,) = rippled.findings
+    left = {"elbow": 0.1, "shoulder": after}
+    finding = replace(finding, effect=effect, explained=0.95, before_Nm={"elbow": 1.0, "shoulder": 0.05}, beside_Nm={})
+    judged = doubted(replace(finding, after_Nm=left), {"elbow": 0.1, "shoulder": 0.1})
+    assert (judged.effect != UNKNOWN) == named
+    assert named or "more than before at shoulder" in judged.where
+
+
 @pytest.mark.parametrize("explained, company, good", [(0.3, False, False), (0.3, True, True), (0.5, False, True)])
 def test_a_name_by_itself_must_explain_more_than_one_of_several(rippled, explained, company, good):
     (finding,) = rippled.findings
@@ -218,6 +231,7 @@ def test_what_is_left_counts_where_the_effect_is_felt(rippled, felt, named):
     finding = replace(
         finding,
         explained=0.7,
+        before_Nm={"shoulder": 0.25, "elbow": 0.3},
         after_Nm=left,
         beside_Nm={},
         felt_Nm={"shoulder": felt, "elbow": 1.0},

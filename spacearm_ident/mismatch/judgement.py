@@ -31,7 +31,8 @@ SURE = 5.0
 """Multiple of the gate that an effect must score in the field if the held-out data do not excite it."""
 LEAST = 0.1
 """A finding that lowers the mean square on held-out data by less than this share of the noise's, at all its joints, is
-an error of the base model: of friction near a velocity reversal, say."""
+an error of the base model: of friction near a velocity reversal, say. One that raises what is above the noise by more
+at any joint has not its name: what is there is none of its law."""
 BEYOND_A_DAY = float(norm.isf(LEVEL)) ** 2
 """Weighted squares that an effect must gain where friction of the field may differ from the reference's as it does
 between ordinary days (`Evidence.with_days`): such a difference gains so many with a probability of `LEVEL`."""
@@ -103,18 +104,40 @@ def clears_up(finding: Finding, left: Mapping[str, float], floor: Mapping[str, f
 
 
 def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
-    """A finding whose law is clearly not quite its own, as an unknown one that is like it; else the finding itself.
+    """A finding whose law is clearly not its own, or not quite, as an unknown one that is like it; else the finding.
 
     Args:
         finding: The finding, with residuals on held-out data.
         floor: Joint -> noise floor, RMS, N·m.
     """
+    if finding.effect == UNKNOWN:
+        return finding
+    worse = spoiled(finding, floor)
+    if worse:
+        where = " and ".join(worse)
+        return _as_unknown(finding, f"leaves more than before at {where}", f"which leaves more than before at {where}")
     left = times_noise(finding, floor)
     sole = finding.explained > ALONE and all(other.score < RIVALLED for other in finding.alternatives)
-    if finding.effect == UNKNOWN or not finding.explained < NAMES or left**2 <= LAW_LEFT or sole:
+    if not finding.explained < NAMES or left**2 <= LAW_LEFT or sole:
         return finding
     why_not = f"explains {finding.explained:.0%}, and leaves {left:.1f} times the noise"
     return _as_unknown(finding, why_not, f"which leaves {left:.1f} times the noise")
+
+
+def spoiled(finding: Finding, floor: Mapping[str, float]) -> tuple[str, ...]:
+    """Joints at which more is left of the held-out data with a finding than without it, beyond the noise.
+
+    Args:
+        finding: The finding, with residuals on held-out data; those need not have an event, which spoils none.
+        floor: Joint -> noise floor, RMS, N·m.
+    """
+    if finding.effect == ExternalContact.kind:
+        return ()
+    return tuple(
+        joint
+        for joint, rms in (finding.beside_Nm or finding.after_Nm).items()
+        if rms**2 - max(finding.before_Nm[joint], floor[joint]) ** 2 > LEAST * floor[joint] ** 2
+    )
 
 
 def times_noise(finding: Finding, floor: Mapping[str, float]) -> float:
