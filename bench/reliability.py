@@ -1,11 +1,12 @@
 """How often findings of `spacearm mismatch` were right in blind trials, and what that makes of stated confidences.
 
-    python bench/reliability.py --series DRAWS RESULTS.jsonl [--series DRAWS RESULTS.jsonl ...]
+    python bench/reliability.py [--series DRAWS RESULTS.jsonl ...] [--stated DRAWS RESULTS.jsonl ...]
 
 DRAWS and RESULTS are those of `bench/blind_series`. By situation (`spacearm_ident/mismatch/reliability.py`): findings,
 right ones, and the share of right ones divided by the mean weight, which is what the program multiplies by. Then the
 reliability diagram and the Brier score of weights and of confidences, each series judged by the shares of the others.
-The results that are read must hold weights, not confidences: those of seeds 1 to 5 do.
+Results of `--series` hold weights: those of seeds 1 to 5. Later ones hold confidences, `--stated`, which are divided by
+today's shares.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spacearm_ident.mismatch.reliability import Situation, situations
+from spacearm_ident.mismatch.reliability import RIGHT, Situation, situations
 
 sys.path.insert(0, str(Path(__file__).with_name("blind_series")))
 import score
@@ -36,15 +37,16 @@ class Judged(NamedTuple):
     right: bool
 
 
-def judged(series: Sequence[tuple[Path, Path]]) -> list[Judged]:
+def judged(series: Sequence[tuple[Path, Path]], stated: Sequence[tuple[Path, Path]] = ()) -> list[Judged]:
     """Every finding of every series; names of the same torque are right."""
     found = []
-    for number, (draws, results) in enumerate(series):
+    for number, (draws, results) in enumerate((*series, *stated)):
         for answer, line in score.load(draws, results):
             findings = line.get("findings") or []
             where = situations([(finding["effect"], finding["joints"]) for finding in findings])
             right = score.judge(answer, line)["wide"]
-            weights = [finding["confidence"] for finding in findings]
+            shown = [1.0 if number < len(series) else RIGHT[one] for one in where]
+            weights = [finding["confidence"] / share for finding, share in zip(findings, shown)]
             found += [Judged(number, *one) for one in zip(where, weights, right)]
     return found
 
@@ -61,9 +63,10 @@ def shares(found: Sequence[Judged]) -> dict[Situation, float]:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--series", type=Path, nargs=2, action="append", required=True, metavar=("DRAWS", "RESULTS"))
-    series = [(draws, results) for draws, results in parser.parse_args().series]
-    found = judged(series)
+    for name in ("--series", "--stated"):
+        parser.add_argument(name, type=Path, nargs=2, action="append", default=[], metavar=("DRAWS", "RESULTS"))
+    chosen = parser.parse_args()
+    found = judged(chosen.series, chosen.stated)
     whole = shares(found)
     for where in Situation:
         some = [one for one in found if one.where is where]
@@ -71,7 +74,7 @@ def main() -> None:
             f"{where.value:55s} {sum(one.right for one in some):3d} of {len(some):3d} right, factor {whole[where]:.2f}"
         )
     stated, weights, names = [], [], []
-    for number in range(len(series)):
+    for number in sorted({one.series for one in found}):
         others = shares([one for one in found if one.series != number])
         for one in (one for one in found if one.series == number):
             stated.append(one.weight * others[one.where])

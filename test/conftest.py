@@ -128,12 +128,28 @@ def workspace():
 
 
 @pytest.fixture
-def graph(tmp_path):
-    """Processes to start on a graph, and a node that sees what they say there."""
+def processes(tmp_path):
+    """Processes to start on a graph, ended with the test."""
     pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
-    from live_nodes import Probe, Processes
+    from live_nodes import Processes
 
-    processes, probe = Processes(tmp_path), Probe()
-    yield processes, probe
-    probe.close()
-    processes.end()
+    started = Processes(tmp_path)
+    yield started
+    started.end()
+
+
+@pytest.fixture
+def probe():
+    """A node that sees what is said on the graph."""
+    pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
+    from live_nodes import Probe
+
+    made = Probe()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def graph(processes, probe):
+    """Processes to start on a graph, and a node that sees what they say there."""
+    return processes, probe

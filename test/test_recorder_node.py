@@ -13,7 +13,7 @@ import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from live_nodes import LIVE, Probe, Processes, end, output
+from live_nodes import LIVE, end, output
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.duration import Duration
@@ -53,20 +53,6 @@ for k in range(number):
 print("sent", flush=True)
 time.sleep(600)
 """
-
-
-@pytest.fixture
-def processes(tmp_path):
-    started = Processes(tmp_path)
-    yield started
-    started.end()
-
-
-@pytest.fixture
-def probe():
-    probe = Probe()
-    yield probe
-    probe.close()
 
 
 def started(probe) -> Path:

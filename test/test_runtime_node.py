@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from live_nodes import LIVE, Probe, Processes, output, wait_for
+from live_nodes import LIVE, output, wait_for
 
 from spacearm_ident.nodes import main as entry
 
@@ -58,20 +58,6 @@ def slowly(name, package=None, import_module=importlib.import_module):
 importlib.import_module = slowly
 sys.exit(recorder())
 """
-
-
-@pytest.fixture
-def processes(tmp_path):
-    started = Processes(tmp_path)
-    yield started
-    started.end()
-
-
-@pytest.fixture
-def probe():
-    probe = Probe()
-    yield probe
-    probe.close()
 
 
 def sample(processes, *arguments):

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 import rclpy
-from live_nodes import LIVE, Probe, Processes, end, output
+from live_nodes import LIVE, Probe, end, output
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from simulated_arm import CONFIG, paper_limits
 
@@ -111,20 +111,6 @@ class Arm:
         self._ending.set()
         self._thread.join()
         self._command_node.destroy_node()
-
-
-@pytest.fixture
-def processes(tmp_path):
-    started = Processes(tmp_path)
-    yield started
-    started.end()
-
-
-@pytest.fixture
-def probe():
-    probe = Probe()
-    yield probe
-    probe.close()
 
 
 @pytest.fixture
