@@ -318,8 +318,10 @@ def test_scale_and_saturation_are_powers_of_the_models_torque():
         ("torque_constant", {}, W, tau),
         ("torque_constant", {"of": "temperature"}, warm, 25.0 * tau),
         ("motor_saturation", {}, W, tau**3),
+        ("motor_saturation", {"terms": 2}, W, tau**3 + tau**5),
     ):
-        made = torque(one(kind, ARM, joint="shoulder", **place), motion, [0.02], (), known)
+        effect = one(kind, ARM, joint="shoulder", **place)
+        made = torque(effect, motion, [0.02] * len(effect.parameters), (), known)
         np.testing.assert_allclose(made, only(1, 0.02 * want), rtol=1e-9, atol=1e-9)
 
 

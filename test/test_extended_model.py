@@ -100,6 +100,7 @@ def in_one_direction(truth: Truth) -> np.ndarray:
         ("payload", {"joint": "joint_6"}, {"dm": 1.2, "dmcx": 0.03, "dmcy": -0.02, "dmcz": 0.1}, 0.05),
         ("base_tilt", {}, {"tilt_x": 0.01, "tilt_y": -0.02}, 0.15),
         ("motor_saturation", SECOND, {"s": 1e-6}, 0.1),
+        ("motor_saturation", {**SECOND, "terms": 2}, {"s": 1.3e-6, "s_5": 3.2e-12}, 0.1),
         (
             "external_contact",
             {"joint": "joint_6"},

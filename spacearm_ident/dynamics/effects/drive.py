@@ -79,24 +79,34 @@ class MotorSaturation(Effect):
 
     kind: ClassVar[str] = "motor_saturation"
     words: ClassVar[str] = "the motor saturates: more current than torque at high load"
-    equation: ClassVar[str] = "s tau^3"
-    source: ClassVar[str] = "first term of the odd series of a saturating torque-current curve"
+    equation: ClassVar[str] = "s tau^3 (deep in saturation: + s_5 tau^5)"
+    source: ClassVar[str] = "first terms of the odd series of a saturating torque-current curve"
     confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "load_friction", "vacuum_friction")
     experiment: ClassVar[str] = "high torque at low speed and low torque at high speed"
     follows: ClassVar[str] = "torque"
 
     @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """The first term of the series, or two."""
+        for joint in arm.joint_names:
+            yield {"joint": joint}
+            yield {"joint": joint, "terms": 2}
+
+    @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
-        return cls((Parameter("s", joint, "1/(N m)^2", scale=1e-3, lower=0.0),), place=place)
+        first = Parameter("s", joint, "1/(N m)^2", scale=1e-3, lower=0.0)
+        second = Parameter("s_5", joint, "1/(N m)^4", scale=1e-5, lower=0.0)
+        return cls((first, second)[: place.get("terms", 1)], place=place)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """The cube of the model's torque."""
-        row = motion.joints.index(self.place["joint"])
+        """The cube of the model's torque, and its fifth power."""
+        row, count = motion.joints.index(self.place["joint"]), len(self.parameters)
         if background is None:
-            return nothing(motion, [row], 1)
-        return own(row, background.torque[:, row] ** 3)
+            return nothing(motion, [row], count)
+        torque = background.torque[:, row]
+        return own(row, *(torque**power for power in (3, 5)[:count]))
 
 
 @dataclass(frozen=True)

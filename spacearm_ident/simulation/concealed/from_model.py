@@ -10,8 +10,9 @@ the other: same thing, other parameters. What is exact and what is not:
 - A fitted `share` other than 1 goes into the constant beside it, to first order: half the lag, half the gap.
 - `load_friction` by the load on the motor's side leaves out the viscous part of that load.
 - `payload` is a ball: of its inertia only the trace counts. `presliding_hysteresis` takes over all dry friction of its
-  joint. `motor_saturation` agrees up to the third power of torque; `torque_constant` of temperature goes by the
-  winding. A spring is damped as the term has it with the arm at zero, a gap as gaps usually are.
+  joint. `motor_saturation` agrees up to the power of torque that the model has, at half the torque that saturates;
+  `torque_constant` of temperature goes by the winding. A spring is damped as the term has it with the arm at zero, a
+  gap as gaps usually are.
 """
 
 from __future__ import annotations
@@ -229,10 +230,14 @@ def _torque_constant(found: _Found) -> Values:
 
 
 def _saturation(found: _Found) -> Values:
-    if found["s"] < 0.0:
+    third, fifth = found["s"], found["s_5"]
+    if min(third, fifth) < 0.0:
         raise found.refused("its curve bends the wrong way")
-    # tau = T artanh(true / T) = true + true^3 / (3 T^2) + ...
-    return {"torque": 1.0 / np.sqrt(3.0 * max(found["s"], 1e-18))}
+    # tau = T artanh(true / T) = true + true^3 / (3 T^2) + true^5 / (5 T^4) + ..., as many terms as the model has, at
+    # true = T / 2.
+    excess = 1.0 / 12.0 + ("s_5" in found.values) / 80.0
+    square = 2.0 * excess / max(third + np.sqrt(third**2 + 4.0 * fifth * excess), 1e-18)
+    return {"torque": 2.0 * np.sqrt(square)}
 
 
 def _delay(found: _Found) -> Values:
