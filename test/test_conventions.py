@@ -317,6 +317,17 @@ def test_a_real_recording_is_sound_and_a_torque_sign_in_it_is_found(name):
     assert ("effort_sign", (arm.joint_names[2],)) in found
 
 
+def test_amperes_that_the_masses_take_up_are_another_unit():
+    """Lighter links explain a tenth of the torque as well as a unit does; no CAD is wrong by so much."""
+    recording = real("ur10e/field").between(2.68, 35.5)
+    arm = arm_from_urdf(recording.urdf)
+    per_Nm = np.array([0.0797, 0.0772, 0.0892, 0.1166, 0.105, 0.1119])
+    report = check_conventions([scaled(recording, "effort", slice(None), per_Nm)], arm)
+    assert unfit(report) == [("effort_unit", arm.joint_names)]
+    assert "CAD masses: another unit (A?)" in report.findings[0].statement
+    assert not unfit(check_conventions([scaled(recording, "effort", slice(None), 0.4)], arm))
+
+
 def test_torque_sign_is_found_where_the_joint_is_all_residual_and_slow():
     """A wrong sign leaves all of a joint's torque, as slow as the motion: it must not count for less for that."""
     recording = real("panda/run_1").between(0.0, 36.0)

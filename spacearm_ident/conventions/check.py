@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.special import expit
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
@@ -20,15 +21,16 @@ from ..forks import each
 from ..recording.recording import Recording
 from ..signals.bandwidth import BOUNDS_HZ
 from ..signals.prepare import prepare, require_joints, reversal_cutoff_hz
-from .change import Kind
+from .change import PRIOR, Change, Kind
 from .description import compare_description
+from .evidence import MASS_LEAST, MASS_SD
 from .finding import Alternative, ConventionReport, Finding, Level, merged
 from .plain import Plain, hardly_moving, read_off
 from .plausible import EFFORT_SLACK
 from .rows import rows_of
-from .search import SUSPECTED, Scored, Scorer, Step, loaded_joints, search, zero_error
+from .search import SUSPECTED, Scored, Scorer, Step, carried, loaded_joints, search, zero_error
 from .setup import Setup
-from .words import is_unit, joint_names, remedy, statement
+from .words import UNIT_FACTOR, is_unit, joint_names, remedy, statement
 
 SURE_PROBABILITY = 0.99
 """What a change at the limit of certainty is called; log odds are scaled to it."""
@@ -124,9 +126,40 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     steps = search(scorer)
     final = steps[-1].before
     findings = [finding for step in steps if (finding := _finding(scorer, step, final)) is not None]
+    findings += _far_from_cad(scorer, final, findings)
     findings += _beyond_the_limit(scorer, final, findings)
     findings += hardly_moving([arm.joint_names[k] for k in sorted(scorer.idle)])
     return findings, _undecided(scorer, steps[-1], plain)
+
+
+def _far_from_cad(scorer: Scorer, final: Scored, findings: Sequence[Finding]) -> list[Finding]:
+    """A unit of torque that masses have taken up, unless unit or gain is named already.
+
+    Masses that are all off by one factor explain the torque as well as a unit does, and a wide prior of CAD inertials
+    lets them: no hypothesis gains then. But neither CAD masses nor a gain are off by `UNIT_FACTOR`.
+    """
+    if any(one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN) for one in findings):
+        return []
+    size = carried(scorer, final)
+    if not np.isfinite(size) or abs(np.log(size)) < np.log(UNIT_FACTOR):
+        return []
+    # The masses of an arm are off together: what the factor costs, it costs once.
+    log_odds = float(min(0.5 * (np.log(size) / MASS_SD) ** 2, -MASS_LEAST) + np.log(PRIOR))
+    temperature = scorer.sure / np.log(SURE_PROBABILITY / (1.0 - SURE_PROBABILITY))
+    everywhere = Change(Kind.EFFORT_GAIN, tuple(range(len(scorer.arm.joints))))
+    error = np.full_like(final.evidence.gains, MASS_SD)
+    evidence = replace(final.evidence, gains=np.full_like(error, size), gain_errors=error)
+    return [
+        Finding(
+            kind=str(Kind.EFFORT_UNIT),
+            level=Level.UNFIT if log_odds > scorer.sure else Level.NOTE,
+            joints=joint_names(scorer.arm, everywhere),
+            statement=f"{statement(scorer.arm, everywhere, evidence)}, or the URDF's masses are not the arm's",
+            remedy=remedy(scorer.arm, everywhere, evidence),
+            probability=float(expit(log_odds / temperature)),
+            log_odds=log_odds,
+        )
+    ]
 
 
 def _beyond_the_limit(scorer: Scorer, final: Scored, findings: Sequence[Finding]) -> list[Finding]:

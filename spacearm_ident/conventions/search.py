@@ -365,6 +365,25 @@ def loaded_joints(scorer: Scorer, start: Scored) -> tuple[int, ...]:
     return tuple(int(j) for j in np.flatnonzero(np.isfinite(ratios)))
 
 
+def carried(scorer: Scorer, start: Scored) -> float:
+    """The torque that carries the arm over that of its CAD masses: of the loaded joints the one nearest to 1.
+
+    Args:
+        scorer: Scores, with the arm and what was recorded.
+        start: The scored setup whose parameters are taken.
+
+    Returns:
+        The factor; NaN where no joint is loaded, CAD is a placeholder, or joints are off in opposite ways.
+    """
+    design = scorer.design(start.setup)
+    ratios = design.mass_ratios(start.evidence.parameters[: design.rigid])
+    ratios = ratios[np.isfinite(ratios)]
+    if scorer.frame.rough or not len(ratios) or ratios.min() <= 0.0:
+        return float("nan")
+    logs = np.log(ratios)
+    return float(np.exp(logs[np.argmin(np.abs(logs))])) if np.all(logs > 0.0) or np.all(logs < 0.0) else float("nan")
+
+
 def zeros(scorer: Scorer, start: Scored) -> list[Scored]:
     """The best encoder zero of each joint by Gauss-Newton; from a quarter turn, too, where little is explained.
 
