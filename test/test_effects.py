@@ -325,6 +325,12 @@ def test_scale_and_saturation_are_powers_of_the_models_torque():
         np.testing.assert_allclose(made, only(1, 0.02 * want), rtol=1e-9, atol=1e-9)
 
 
+def test_a_motor_saturates_by_one_curve():
+    one_term, two = (one("motor_saturation", ARM, joint="shoulder", **place) for place in ({}, {"terms": 2}))
+    assert one_term.replaces(two) and two.replaces(one_term)
+    assert not two.replaces(one("motor_saturation", ARM, joint="elbow", terms=2))
+
+
 @pytest.mark.parametrize("early", [False, True])
 @pytest.mark.parametrize("delay", [0.0005, 0.004, 0.0133])
 def test_a_late_torque_is_the_same_sine_later(delay, early):

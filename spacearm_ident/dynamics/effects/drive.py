@@ -100,6 +100,10 @@ class MotorSaturation(Effect):
         second = Parameter("s_5", joint, "1/(N m)^4", scale=1e-5, lower=0.0)
         return cls((first, second)[: place.get("terms", 1)], place=place)
 
+    def replaces(self, other: Effect) -> bool:
+        """Of either number of terms."""
+        return isinstance(other, MotorSaturation) and other.joints == self.joints
+
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The cube of the model's torque, and its fifth power."""
         row, count = motion.joints.index(self.place["joint"]), len(self.parameters)
