@@ -128,9 +128,14 @@ def workspace():
 
 
 @pytest.fixture
-def processes(tmp_path):
-    """Processes to start on a graph, ended with the test."""
+def ros():
+    """Skips where there is no ROS 2."""
     pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
+
+
+@pytest.fixture
+def processes(ros, tmp_path):
+    """Processes to start on a graph, ended with the test."""
     from live_nodes import Processes
 
     started = Processes(tmp_path)
@@ -139,9 +144,8 @@ def processes(tmp_path):
 
 
 @pytest.fixture
-def probe():
+def probe(ros):
     """A node that sees what is said on the graph."""
-    pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
     from live_nodes import Probe
 
     made = Probe()

@@ -23,7 +23,7 @@ from ..signals.bandwidth import BOUNDS_HZ
 from ..signals.prepare import prepare, require_joints, reversal_cutoff_hz
 from .change import PRIOR, Change, Kind
 from .description import compare_description
-from .evidence import MASS_LEAST, MASS_SD
+from .evidence import MASS_SD, log_mass
 from .finding import Alternative, ConventionReport, Finding, Level, merged
 from .plain import Plain, hardly_moving, read_off
 from .plausible import EFFORT_SLACK
@@ -144,8 +144,7 @@ def _far_from_cad(scorer: Scorer, final: Scored, findings: Sequence[Finding]) ->
     if not np.isfinite(size) or abs(np.log(size)) < np.log(UNIT_FACTOR):
         return []
     # The masses of an arm are off together: what the factor costs, it costs once.
-    log_odds = float(min(0.5 * (np.log(size) / MASS_SD) ** 2, -MASS_LEAST) + np.log(PRIOR))
-    temperature = scorer.sure / np.log(SURE_PROBABILITY / (1.0 - SURE_PROBABILITY))
+    log_odds = float(np.log(PRIOR) - log_mass(np.array(size)))
     everywhere = Change(Kind.EFFORT_GAIN, tuple(range(len(scorer.arm.joints))))
     error = np.full_like(final.evidence.gains, MASS_SD)
     evidence = replace(final.evidence, gains=np.full_like(error, size), gain_errors=error)
@@ -156,7 +155,7 @@ def _far_from_cad(scorer: Scorer, final: Scored, findings: Sequence[Finding]) ->
             joints=joint_names(scorer.arm, everywhere),
             statement=f"{statement(scorer.arm, everywhere, evidence)}, or the URDF's masses are not the arm's",
             remedy=remedy(scorer.arm, everywhere, evidence),
-            probability=float(expit(log_odds / temperature)),
+            probability=float(expit(log_odds / _temperature(scorer))),
             log_odds=log_odds,
         )
     ]
@@ -239,13 +238,17 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
     )
 
 
+def _temperature(scorer: Scorer) -> float:
+    """What log odds are divided by: the limit of certainty is `SURE_PROBABILITY` then."""
+    return float(scorer.sure / np.log(SURE_PROBABILITY / (1.0 - SURE_PROBABILITY)))
+
+
 def _alternatives(scorer: Scorer, step: Step) -> tuple[tuple[Alternative, ...], float]:
     """Other changes as probable as the one taken, within the limits of certainty, and the probability of that one."""
     arm, taken = scorer.arm, step.after.changes[-1]
     rivals = [one for one in step.rivals if len(one.changes) == len(step.after.changes)]
-    temperature = scorer.sure / np.log(SURE_PROBABILITY / (1.0 - SURE_PROBABILITY))
     scores = np.array([step.after.score, step.before.score, *(one.score for one in rivals)])
-    weights = np.exp((scores - scores.max()) / temperature)
+    weights = np.exp((scores - scores.max()) / _temperature(scorer))
     weights /= weights.sum()
     close = [
         Alternative(str(one.changes[-1].kind), joint_names(arm, one.changes[-1]), float(weight))

@@ -215,9 +215,9 @@ class Design:
         rigid = regressor(self.frame.arm.with_gravity(self.motion.gravity), postures, still, still)
         return np.asarray(((rigid * self.frame.unit) @ self.frame.basis).transpose(1, 0, 2))
 
-    def mass_ratios(self, combinations: FloatArray) -> FloatArray:
-        """(n,) torque that holds the arm still under combinations (r,), relative to CAD's; NaN where that is small."""
-        cad, found = self.static @ self.frame.centre, self.static @ combinations
+    def mass_ratios(self, parameters: FloatArray) -> FloatArray:
+        """(n,) torque that holds the arm still under parameters (r + n OWN,), over CAD's; NaN where that is small."""
+        cad, found = self.static @ self.frame.centre, self.static @ parameters[: self.rigid]
         size = np.sqrt(np.mean(cad**2, axis=1))
         ratios = np.sum(cad * found, axis=1) / np.maximum(np.sum(cad**2, axis=1), 1e-12)
         loaded = (size > LOADED_SHARE * size.max()) & (size > 1e-6)
@@ -449,9 +449,14 @@ def mass_likelihood(design: Design, evidence: Evidence) -> float:
     """
     if design.frame.rough:
         return 0.0
-    ratios = design.mass_ratios(evidence.parameters[: design.rigid])
-    off = np.log(np.clip(ratios[np.isfinite(ratios)], 1e-3, 1e3)) / MASS_SD
-    return float(np.maximum(-0.5 * off**2, MASS_LEAST).sum())
+    ratios = design.mass_ratios(evidence.parameters)
+    return float(log_mass(ratios[np.isfinite(ratios)]).sum())
+
+
+def log_mass(ratios: FloatArray) -> FloatArray:
+    """Log-likelihood of masses that are so many times CAD's, `MASS_LEAST` at least; of the shape of `ratios`."""
+    off = np.log(np.clip(ratios, 1e-3, 1e3)) / MASS_SD
+    return np.asarray(np.maximum(-0.5 * off**2, MASS_LEAST))
 
 
 def predicted(design: Design, evidence: Evidence) -> FloatArray:

@@ -361,7 +361,7 @@ def loaded_joints(scorer: Scorer, start: Scored) -> tuple[int, ...]:
         Their numbers, in the arm's order.
     """
     design = scorer.design(start.setup)
-    ratios = design.mass_ratios(start.evidence.parameters[: design.rigid])
+    ratios = design.mass_ratios(start.evidence.parameters)
     return tuple(int(j) for j in np.flatnonzero(np.isfinite(ratios)))
 
 
@@ -376,7 +376,7 @@ def carried(scorer: Scorer, start: Scored) -> float:
         The factor; NaN where no joint is loaded, CAD is a placeholder, or joints are off in opposite ways.
     """
     design = scorer.design(start.setup)
-    ratios = design.mass_ratios(start.evidence.parameters[: design.rigid])
+    ratios = design.mass_ratios(start.evidence.parameters)
     ratios = ratios[np.isfinite(ratios)]
     if scorer.frame.rough or not len(ratios) or ratios.min() <= 0.0:
         return float("nan")

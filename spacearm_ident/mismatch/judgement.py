@@ -114,8 +114,8 @@ def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
         return finding
     worse = spoiled(finding, floor)
     if worse:
-        where = " and ".join(worse)
-        return _as_unknown(finding, f"leaves more than before at {where}", f"which leaves more than before at {where}")
+        why_not = f"leaves more than before at {' and '.join(worse)}"
+        return _as_unknown(finding, why_not, f"which {why_not}")
     left = times_noise(finding, floor)
     sole = finding.explained > ALONE and all(other.score < RIVALLED for other in finding.alternatives)
     if not finding.explained < NAMES or left**2 <= LAW_LEFT or sole:

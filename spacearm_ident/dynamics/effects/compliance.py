@@ -254,6 +254,7 @@ class JointElasticity(Compliance):
 
     at_once: ClassVar[bool] = True
     kind: ClassVar[str] = "joint_elasticity"
+    one_form: ClassVar[bool] = True
     words: ClassVar[str] = "the gear gives way like a spring"
     equation: ClassVar[str] = "-(M d'' + C d' + G d), M d'' + C d' + G d + K d (1 + (d/d_2)^2) = tau_load"
     source: ClassVar[str] = "Spong 1987; hardening: Tuttle 1992"
@@ -283,10 +284,6 @@ class JointElasticity(Compliance):
             return super().tangent(motion, constants, background)
         deflection, _ = self.deflection(motion, constants, background)
         return np.asarray(constants[0] * (1.0 + 3.0 * (deflection / constants[2]) ** 2))
-
-    def replaces(self, other: Effect) -> bool:
-        """A gear is one spring."""
-        return isinstance(other, JointElasticity) and other.joints == self.joints
 
     def where(self, values: FloatArray) -> str:
         """Whether it hardens."""

@@ -78,6 +78,7 @@ class MotorSaturation(Effect):
     """Torque grows less than current where the iron saturates: the recorded torque is too large at high load."""
 
     kind: ClassVar[str] = "motor_saturation"
+    one_form: ClassVar[bool] = True
     words: ClassVar[str] = "the motor saturates: more current than torque at high load"
     equation: ClassVar[str] = "s tau^3 (deep in saturation: + s_5 tau^5)"
     source: ClassVar[str] = "first terms of the odd series of a saturating torque-current curve"
@@ -99,10 +100,6 @@ class MotorSaturation(Effect):
         first = Parameter("s", joint, "1/(N m)^2", scale=1e-3, lower=0.0)
         second = Parameter("s_5", joint, "1/(N m)^4", scale=1e-5, lower=0.0)
         return cls((first, second)[: place.get("terms", 1)], place=place)
-
-    def replaces(self, other: Effect) -> bool:
-        """Of either number of terms."""
-        return isinstance(other, MotorSaturation) and other.joints == self.joints
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The cube of the model's torque, and its fifth power."""
@@ -220,6 +217,7 @@ class FilterLag(_Late):
     """The recorded torque went through a low-pass of first order, or through a Butterworth of second."""
 
     kind: ClassVar[str] = "filter_lag"
+    one_form: ClassVar[bool] = True
     one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "the recorded torque went through a low-pass"
     equation: ClassVar[str] = "tau filtered by 1/(1 + T s), or by 1/(1 + T s + (T s)^2/2), minus tau"
@@ -252,10 +250,6 @@ class FilterLag(_Late):
     @property
     def _second(self) -> bool:
         return bool(self.place.get("order") == 2)
-
-    def replaces(self, other: Effect) -> bool:
-        """Of either order."""
-        return isinstance(other, FilterLag) and other.joints == self.joints
 
     def where(self, values: FloatArray) -> str:
         """Of which order."""

@@ -43,6 +43,8 @@ class Effect(Term):
     """Whether several joints show it for one reason (the arm got warm, the clock is late): one finding then."""
     exact: ClassVar[bool] = False
     """Whether nature has its very equation, so that whatever explains more than it has seen something else."""
+    one_form: ClassVar[bool] = False
+    """Whether its joints have it in one of its forms alone: one spring, one filter, one curve."""
     imitated_by: ClassVar[str] = ""
     """Kind that can follow it joint by joint; then it is that, unless it explains more than all of these together."""
     weighs: ClassVar[bool] = False
@@ -193,7 +195,7 @@ class Effect(Term):
 
     def replaces(self, other: Effect) -> bool:
         """Whether another says the same of the same place in another form, and is no candidate once this is known."""
-        return other is self
+        return other is self or (self.one_form and type(other) is type(self) and other.joints == self.joints)
 
     def excludes(self, other: Effect) -> bool:
         """Whether an arm cannot have both: the one that was found first is kept."""

@@ -346,6 +346,7 @@ class Stribeck(_Friction):
     """Friction falls with speed from a level that the model does not have."""
 
     kind: ClassVar[str] = "stribeck"
+    one_form: ClassVar[bool] = True
     follows: ClassVar[str] = "velocity"
     words: ClassVar[str] = "friction is higher at low speeds"
     equation: ClassVar[str] = "f exp(-(qd/v)^2) sgn(qd), or f exp(-|qd/v|) sgn(qd)"
@@ -368,10 +369,6 @@ class Stribeck(_Friction):
         for joint in arm.joint_names:
             yield {"joint": joint}
             yield {"joint": joint, "law": EXPONENTIAL}
-
-    def replaces(self, other: Effect) -> bool:
-        """Of either law."""
-        return isinstance(other, Stribeck) and other.joints == self.joints
 
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """Whether it ends at a speed that was looked at: one below all of them is how the joint turns round."""
