@@ -22,9 +22,9 @@ command again does only what is missing: a result of the same bag, options and v
 INTERRUPTED = 130
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("batch", help="identify many bags, and show trends", description=DESCRIPTION)
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags, or folders to look for bags in")
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the result folders")
     command.add_argument("--jobs", type=int, metavar="N", help="processes at a time, one core each (default: cores)")

@@ -6,7 +6,6 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from ..dynamics.model_file import load_model, save_model
 from ..environment.temperature import (
@@ -29,11 +28,9 @@ forth and back through the same postures, or by the model where one is given.
 """
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser(
-        "calibrate-temperature", help="fit alpha, friction over temperature", description=DESCRIPTION
-    )
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="recordings over a temperature sweep")
     command.add_argument("--model", type=Path, metavar="FILE", help="model.yaml: takes gravity out, and gets the term")
     command.add_argument("--out", type=Path, metavar="DIR", help="folder for temperature.json, and model.yaml")

@@ -7,7 +7,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.text import Text
@@ -42,9 +41,9 @@ COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.FAIL: "bold red"}
 FINDING_COLOURS = {Weight.UNFIT: "bold red", Weight.NOTE: "yellow"}
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("check", help="check recordings, or machine and files", description=DESCRIPTION)
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument(
         "paths", nargs="*", type=Path, metavar="BAG|ARM", help="recordings; or one URDF, arm YAML or folder of new-arm"
     )

@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
@@ -75,9 +75,9 @@ PLANS = (Plan("excitation", 1, 5, 0.1), Plan("validation", 2, 3, 0.1))
 FAST_PLANS = (Plan("excitation", 1, 3, 0.2), Plan("validation", 2, 2, 0.2))
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("demo", help="the whole chain on the simulated arm", description=DESCRIPTION)
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument(
         "--out", type=Path, metavar="DIR", help=f"where to (default {OUT}; with --orbit, {demo_orbit.OUT})"
     )

@@ -48,9 +48,9 @@ METHODS = {"gradient": optimise, "genetic": evolve}
 INFORMATION_HZ = 1000.0
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("excite", help="optimise an excitation trajectory", description=DESCRIPTION)
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     common.add_arm_options(command)
     command.add_argument(
         "--model", type=Path, metavar="FILE", help="model.yaml: the model to plan with; default: CAD inertials"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from ..dynamics.arm import load_arm
 from ..dynamics.model import IdentifiedModel
@@ -29,11 +28,9 @@ contact (YAML or JSON; in c and numpy as a function as well).
 """
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser(
-        "export", help="write a model for simulators and controllers", description=DESCRIPTION
-    )
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("result", type=Path, metavar="DIR", help="result folder, or a model.yaml (then on a sweep)")
     command.add_argument("--to", required=True, choices=FORMATS, help="format; usd needs pip install usd-core")
     command.add_argument(

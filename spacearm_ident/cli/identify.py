@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import Any
 
 from ..dynamics.model import FRICTION_LAWS
 from ..environment.gravity import GRAVITY_CHOICES, VECTOR
@@ -29,9 +28,9 @@ POOR_OR_SUSPECT = 3
 """Exit code where it ran, and the model is not to be used before its reasons are cleared."""
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("identify", help="identify an arm from recordings", description=DESCRIPTION)
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="recordings to fit, of the same arm")
     command.add_argument(
         "--validate",

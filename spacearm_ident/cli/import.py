@@ -27,11 +27,9 @@ code 2). Bags (.mcap, .db3, .bag) need no mapping. A log below 90 Hz or without 
 """
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser(
-        "import", help="find out what the columns of a log are, and write a mapping or a bag", description=DESCRIPTION
-    )
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("log", type=Path, metavar="LOG", help="the log")
     command.add_argument("--arm", type=Path, required=True, metavar="FILE", help="URDF or arm YAML")
     command.add_argument(

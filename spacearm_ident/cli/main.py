@@ -11,38 +11,38 @@ import os
 import shlex
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib import import_module
 
 from .. import __version__
 from ..blas_threads import one_thread
 from ..errors import UnfitDataError, UserError
 
-COMMANDS = (
-    "demo",
-    "new-arm",
-    "check",
-    "import",
-    "excite",
-    "identify",
-    "batch",
-    "simulate",
-    "report",
-    "export",
-    "payload",
-    "mismatch",
-    "calibrate-temperature",
-    "watch",
-    "node",
-)
-
+COMMANDS = {
+    "demo": "the whole chain on the simulated arm",
+    "new-arm": "write the configuration files of your arm",
+    "check": "check recordings, or machine and files",
+    "import": "find out what the columns of a log are, and write a mapping or a bag",
+    "excite": "optimise an excitation trajectory",
+    "identify": "identify an arm from recordings",
+    "batch": "identify many bags, and show trends",
+    "simulate": "record the simulated arm",
+    "report": "(re)write the HTML report of a result folder, or of several",
+    "export": "write a model for simulators and controllers",
+    "payload": "identify what the arm holds",
+    "mismatch": "locate and explain a mismatch",
+    "calibrate-temperature": "fit alpha, friction over temperature",
+    "watch": "show the live graph on this terminal",
+    "node": "start a ROS 2 node",
+}
+"""Each command and what it does. Its module has its options, and imports what it plots and solves with: seconds."""
 
 SMALL_MATRICES = ("check",)
 """Commands whose matrices are so small that threads of BLAS cost more than they save."""
 
 
-def parser(names: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
-    """The command line of some commands."""
+def parser(names: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
+    """The command line: the commands of `names` with their options, the others as a line of the overview."""
     top = argparse.ArgumentParser(
         prog="spacearm",
         description="Identify the dynamics of a robot arm from its recordings.",
@@ -51,15 +51,11 @@ def parser(names: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"spacearm_ident {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name in names:
-        import_module(f".{name.replace('-', '_')}", __package__).add(commands)
+    for name, what in COMMANDS.items():
+        command = commands.add_parser(name, help=what)
+        if name in names:
+            import_module(f".{name.replace('-', '_')}", __package__).add(command)
     return top
-
-
-def _needed(words: Sequence[str]) -> Sequence[str]:
-    """The command that is asked for: to import all of them, with what they plot and solve with, takes seconds."""
-    asked = words[0] if words else ""
-    return (asked,) if asked in COMMANDS else () if asked == "--version" else COMMANDS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -73,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[:1] and words[0] in SMALL_MATRICES:
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read once, when numpy is first imported
             os.environ.setdefault(name, "1")
-    options = parser(_needed(words)).parse_args(words)
+    options = parser([word for word in words if word in COMMANDS][:1]).parse_args(words)
     options.command_line = shlex.join(["spacearm", *words])
     try:
         return int(options.run(options))

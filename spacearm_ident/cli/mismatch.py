@@ -6,7 +6,6 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 from ..dynamics.effects import EFFECTS
 from ..errors import UserError
@@ -32,9 +31,9 @@ a corrected file of the simulation.
 """
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("mismatch", help="locate and explain a mismatch", description=DESCRIPTION)
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("bags", nargs="*", type=Path, metavar="BAG", help="recordings to explain")
     command.add_argument(
         "--reference",

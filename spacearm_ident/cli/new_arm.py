@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -38,9 +37,9 @@ SHEET = {
 }
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("new-arm", help="write the configuration files of your arm", description=DESCRIPTION)
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("urdf", type=Path, metavar="URDF", help="robot description: kinematics, limits, CAD inertials")
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder to write")
     command.add_argument("--eds", type=Path, metavar="FILE", help="the drives' electronic data sheet (CiA 306)")

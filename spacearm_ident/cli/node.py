@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from ..nodes.main import NODES, start
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("node", help="start a ROS 2 node", description="Start one of the ROS 2 nodes.")
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = "Start one of the ROS 2 nodes."
     command.add_argument("name", choices=NODES, help="which node")
     command.add_argument("arguments", nargs=argparse.REMAINDER, help="passed on, such as --ros-args ...")
     command.set_defaults(run=run)

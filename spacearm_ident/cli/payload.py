@@ -24,9 +24,9 @@ have changed since the model; gains may not. Exit code 1: no payload was detecte
 """
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("payload", help="identify what the arm holds", description=DESCRIPTION)
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="recordings with the payload")
     command.add_argument(
         "--model", required=True, type=Path, metavar="DIR", help="result of the arm without it, or a model.yaml"

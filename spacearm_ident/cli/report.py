@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from ..report.folder import rewrite_report
 from ..report.index import write_comparison, write_index
@@ -18,11 +17,9 @@ that has two runs side by side, with the difference of every parameter in standa
 """
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser(
-        "report", help="(re)write the HTML report of a result folder, or of several", description=DESCRIPTION
-    )
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("directory", type=Path, metavar="DIR", help="folder written by identify, or one of several")
     command.add_argument(
         "--compare", nargs=2, type=Path, metavar="RUN", help="two result folders, by path or by name in DIR"

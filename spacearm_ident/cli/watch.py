@@ -22,9 +22,9 @@ since the set before, with their standard errors so far. It only listens. Ctrl-C
 NAMESPACE = r"([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?"
 
 
-def add(commands: Any) -> None:
-    """Add the command to a parser."""
-    command = commands.add_parser("watch", help="show the live graph on this terminal", description=DESCRIPTION)
+def add(command: argparse.ArgumentParser) -> None:
+    """Add the command's options to its parser."""
+    command.description = DESCRIPTION
     command.add_argument("--once", action="store_true", help="print one frame and end (exit code 1: no node is found)")
     command.add_argument("--json", action="store_true", help="the same as JSON; goes with --once")
     command.add_argument("--wait", type=float, default=10.0, metavar="S", help="with --once: for a node (default 10)")
