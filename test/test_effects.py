@@ -30,6 +30,8 @@ from planted_arm import THREE_LINKS, Link
 
 from spacearm_ident.dynamics.background import Background
 from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.dynamics.effects.backlash import CONTACT_GRID
+from spacearm_ident.dynamics.effects.compliance import GRID_SIZE, STIFFNESS_GRID
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
@@ -307,6 +309,20 @@ def test_a_gear_loses_the_share_of_power_it_says_driving_and_driven():
     assert driving.any() and driven.any()
     np.testing.assert_allclose(power_out[driving] / power_in[driving], eta)
     np.testing.assert_allclose(power_in[driven] / power_out[driven], eta)
+
+
+@pytest.mark.parametrize("times", [0.001, 0.3, 1.0, 7.0, 1000.0])
+def test_stiffness_is_looked_for_where_an_arm_of_that_size_swings(times):
+    size = times * GRID_SIZE / ARM.size
+    arm = arm_of([replace(link, mass=size * link.mass) for link in THREE_LINKS])
+    assert arm.size == pytest.approx(times * GRID_SIZE)
+    grid = np.array(one("joint_elasticity", arm, joint="elbow").constants[0].grid)
+    ratio = STIFFNESS_GRID[1] / STIFFNESS_GRID[0]
+    np.testing.assert_allclose(grid[1:] / grid[:-1], ratio)
+    assert set(STIFFNESS_GRID) <= set(grid.tolist())
+    assert grid[0] / times < ratio * STIFFNESS_GRID[0] and grid[-1] / times > STIFFNESS_GRID[-1] / ratio
+    hits = one("backlash", arm, joint="elbow").constants[1].grid
+    assert hits[: len(CONTACT_GRID)] == CONTACT_GRID and (len(hits) > len(CONTACT_GRID)) == (times > 100.0)
 
 
 def test_scale_and_saturation_are_powers_of_the_models_torque():

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changed_arm import ARM, HEALTHY, LAWS, NOISE, explained, ripple, run
-from planted_arm import TWO_LINKS, incommensurate, plant, two_link_run
+from planted_arm import TWO_LINKS, incommensurate, plant, two_link_run, urdf_of
 
+from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
@@ -326,6 +327,28 @@ def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
         assert finding.parameters[f"moment_{axis}"].value == pytest.approx(0.7 * place, abs=0.02)
     assert ("at another position" in finding.where) == (there != here)
     assert finding.explained > 0.9
+
+
+@pytest.mark.parametrize("times", [0.01, 300.0])
+def test_an_arm_of_any_mass_gets_the_same_answer(times):
+    """Masses, inertias and torques alike: nothing but the unit of torque has changed."""
+    links = [replace(link, mass=times * link.mass, inertia=[times * x for x in link.inertia]) for link in TWO_LINKS]
+    here = (0.05, 0.0, 0.3)
+    runs = ([replace(one, effort=times * one.effort)] for one in (carrying(2, here), HEALTHY, carrying(3, here)))
+    (finding,) = explain(arm_from_urdf(urdf_of(links)), RunSet(*runs), SLOW_ONES).findings
+    assert finding.effect == "payload" and finding.joints == ("elbow",)
+    assert finding.parameters["mass"].value == pytest.approx(0.7 * times, rel=0.1)
+
+
+def test_an_encoder_far_off_its_centre_is_no_load():
+    def off_centre(seed):
+        whole, err = run(seed), np.zeros_like(HEALTHY.position)
+        err[:, 1] = 0.05 * np.sin(whole.position[:, 1] + 0.4)
+        return replace(whole, position=whole.position + err, velocity=None)
+
+    (finding,) = explain(ARM, RunSet([off_centre(2)], [HEALTHY], [off_centre(3)]), SLOW_ONES).findings
+    assert finding.effect == "encoder_eccentricity" and finding.joints == ("elbow",)
+    assert finding.parameters["amplitude"].value == pytest.approx(0.05, rel=0.1)
 
 
 def test_a_body_whose_mass_may_be_zero_is_no_payload(monkeypatch):

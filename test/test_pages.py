@@ -40,7 +40,7 @@ def test_commands_import_jinja2_only_to_write_a_page() -> None:
     code = (
         "import sys\n"
         "from spacearm_ident.cli.main import main\n"
-        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "try:\n    main(['report', '--help'])\nexcept SystemExit:\n    pass\n"
         "assert 'spacearm_ident.report.pages' in sys.modules and 'jinja2' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

@@ -25,7 +25,7 @@ from .change import PRIOR, Change, Kind
 from .description import compare_description
 from .evidence import MASS_SD, log_mass
 from .finding import Alternative, ConventionReport, Finding, Level, merged
-from .plain import Plain, hardly_moving, read_off
+from .plain import STUCK_RAD, Plain, hardly_moving, read_off
 from .plausible import EFFORT_SLACK
 from .rows import rows_of
 from .search import SUSPECTED, Scored, Scorer, Step, carried, loaded_joints, search, zero_error
@@ -121,25 +121,25 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     if cutoff < widest:
         motions, _ = prepare([recording], arm.joint_names, cutoff)
     rows = rows_of(motions)
+    stuck = [joint.revolute for joint in arm.joints] & (np.ptp(recording.position, axis=0) < STUCK_RAD)
+    rows.moving[:, stuck] = False
     rows.moving[:, sorted(plain.dead | plain.still)] = False
     scorer = Scorer(arm, rows, _velocity_bonus(plain.velocity_slopes), plain.dead | plain.still)
     steps = search(scorer)
     final = steps[-1].before
     findings = [finding for step in steps if (finding := _finding(scorer, step, final)) is not None]
-    findings += _far_from_cad(scorer, final, findings)
-    findings += _beyond_the_limit(scorer, final, findings)
+    if not any(one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN) for one in findings):
+        findings += _far_from_cad(scorer, final) or _beyond_the_limit(scorer, final)
     findings += hardly_moving([arm.joint_names[k] for k in sorted(scorer.idle)])
     return findings, _undecided(scorer, steps[-1], plain)
 
 
-def _far_from_cad(scorer: Scorer, final: Scored, findings: Sequence[Finding]) -> list[Finding]:
-    """A unit of torque that masses have taken up, unless unit or gain is named already.
+def _far_from_cad(scorer: Scorer, final: Scored) -> list[Finding]:
+    """A unit of torque that masses have taken up.
 
     Masses that are all off by one factor explain the torque as well as a unit does, and a wide prior of CAD inertials
     lets them: no hypothesis gains then. But neither CAD masses nor a gain are off by `UNIT_FACTOR`.
     """
-    if any(one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN) for one in findings):
-        return []
     size = carried(scorer, final)
     if not np.isfinite(size) or abs(np.log(size)) < np.log(UNIT_FACTOR):
         return []
@@ -161,13 +161,11 @@ def _far_from_cad(scorer: Scorer, final: Scored, findings: Sequence[Finding]) ->
     ]
 
 
-def _beyond_the_limit(scorer: Scorer, final: Scored, findings: Sequence[Finding]) -> list[Finding]:
-    """A note on torques that no motor of the URDF gives, unless their unit or a gain is named already.
+def _beyond_the_limit(scorer: Scorer, final: Scored) -> list[Finding]:
+    """A note on torques that no motor of the URDF gives.
 
     Inertials that are placeholders tell no unit; a limit does where it is exceeded, and is wrong at times itself.
     """
-    if any(one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN) for one in findings):
-        return []
     ratios, names = scorer.ranges.effort_ratio(final.setup), scorer.arm.joint_names
     beyond = [k for k in range(len(names)) if ratios[k] > EFFORT_SLACK]
     if not beyond:

@@ -13,6 +13,9 @@ from .finding import Finding, Level
 
 REST_RAD = 1e-3
 """A joint that ranges over less is at rest: the resolution of common encoders behind a gear is finer."""
+STUCK_RAD = 0.02
+"""A revolute joint that ranges over less may never have slid: the friction of geared joints builds up over 1e-3 to 2e-2
+rad (presliding; Armstrong-Helouvry et al. 1994), and what it holds no model of sliding friction explains."""
 DEAD_SHARE = 1e-6
 """A torque that varies by less than this share of the largest joint's says nothing."""
 SLOPE_OFF = 0.1

@@ -540,7 +540,21 @@ def refined_gravity(scorer: Scorer, one: Scored) -> Scored:
         if better.score <= one.score:
             break
         one = better
+    mounts = [change.value for change in discrete_changes(scorer.arm) if change.kind is Kind.GRAVITY]
+    if all(tilted(np.array(mount), np.array(one.changes[-1].value)) for mount in mounts if np.any(mount)):
+        return replace(one, score=one.score + _log_share_of_directions(scorer, one, size))
     return one
+
+
+def _log_share_of_directions(scorer: Scorer, one: Scored, size: float) -> float:
+    """Logarithm of the share of all directions of gravity that the data leave (Laplace): what fitting it costs.
+
+    A base may be mounted at any angle, all as probable before; along an axis of its frame it is not fitted.
+    """
+    square, _ = _gravity_normal(scorer, one)
+    _, _, turns = np.linalg.svd(one.setup.gravity[None])
+    information = size**2 * turns[1:] @ square @ turns[1:].T + np.eye(2)
+    return min(0.0, float(-np.log(2.0) - 0.5 * np.linalg.slogdet(information)[1]))
 
 
 def gravity_step(scorer: Scorer, one: Scored, size: float) -> FloatArray:
@@ -551,16 +565,18 @@ def gravity_step(scorer: Scorer, one: Scored, size: float) -> FloatArray:
         one: The scored setup whose gravity is changed by one Gauss-Newton step.
         size: Norm of the result, above zero, m/s^2.
     """
-    design = scorer.design(one.setup)
-    motion = design.motion
-    inertials = scorer.frame.inertials(one.evidence.parameters[: design.rigid])
-    still = np.zeros_like(motion.position)
-    pulls = [
-        rigid_body_torque(scorer.arm.with_gravity(axis), inertials, motion.position, still, still) for axis in np.eye(3)
-    ]
-    square, product = reduced(scorer, one, np.stack(pulls, axis=2))
-    vector = motion.gravity + np.linalg.solve(square + np.eye(3) / size**2, product)
+    square, product = _gravity_normal(scorer, one)
+    vector = one.setup.gravity + np.linalg.solve(square + np.eye(3) / size**2, product)
     return np.asarray(size * vector / np.linalg.norm(vector))
+
+
+def _gravity_normal(scorer: Scorer, one: Scored) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix (3, 3) and vector (3,) of gravity with all parameters free."""
+    design = scorer.design(one.setup)
+    position = design.motion.position
+    inertials, still = scorer.frame.inertials(one.evidence.parameters[: design.rigid]), np.zeros_like(position)
+    pulls = [rigid_body_torque(scorer.arm.with_gravity(axis), inertials, position, still, still) for axis in np.eye(3)]
+    return reduced(scorer, one, np.stack(pulls, axis=2))
 
 
 def delays(scorer: Scorer, start: Scored) -> list[Scored]:

@@ -138,6 +138,19 @@ class Arm:
             return TURNING.effort
         return SLIDING.effort if len(sliding) == len(self.joints) else f"{TURNING.effort} (N: {', '.join(sliding)})"
 
+    @property
+    def mass(self) -> float:
+        """Kg, of all links as the description has them; 0 where it has none."""
+        return float(sum(joint.inertial[0] for joint in self.joints))
+
+    @property
+    def size(self) -> float:
+        """Mass times the squared length of its longest chain, kg m^2: of that order is what its first joint swings."""
+        lengths = [float(np.linalg.norm(joint.translation)) for joint in self.joints]
+        # What the first joint stands on does not swing.
+        reach = max(sum(lengths[k] for k in self.supports(link)[:-1]) for link in range(len(self.joints)))
+        return self.mass * reach**2
+
     def with_gravity(self, gravity: FloatArray) -> Arm:
         """The same arm under another gravity vector (3,), m/s^2, base frame."""
         return replace(self, gravity=np.asarray(gravity, dtype=float))

@@ -39,6 +39,15 @@ class _LinkMotion:
     origin: FloatArray
 
 
+@dataclass(frozen=True)
+class _Twists:
+    """Twists of R rows seen in one frame; linear and angular (3, R, N), N one sample for all."""
+
+    rows: tuple[int, ...]
+    linear: FloatArray
+    angular: FloatArray
+
+
 BASE_ROWS = range(-6, 0)
 """Rows of the base: force and moment at the base link's origin, in its axes."""
 BASE_LINK = -1
@@ -68,16 +77,15 @@ def rigid_body_blocks(
         in `BASE_ROWS`, the base link `BASE_LINK`.
     """
     root = _base_motion(arm, len(position), base)
-    of_base = _base_twists() if base_rows else {}
-    blocks = {(row, BASE_LINK): _block(*twist, root) for row, twist in of_base.items()}
-    twists: list[dict[int, tuple[FloatArray, FloatArray]]] = []
-    for link, motion in enumerate(_link_motions(arm, root, position, velocity, acceleration)):
-        joint = arm.joints[link]
-        carried = of_base if joint.parent < 0 else twists[joint.parent]
-        moved = {row: _twist_in_child(motion, *twist) for row, twist in carried.items()}
-        twists.append({**moved, link: _own_twist(joint)})
-        for row, twist in twists[link].items():
-            blocks[row, link] = _block(*twist, motion)
+    motions = {BASE_LINK: root} | dict(enumerate(_link_motions(arm, root, position, velocity, acceleration)))
+    twists = {BASE_LINK: _base_twists(base_rows)}
+    blocks: dict[tuple[int, int], FloatArray] = {}
+    for link, motion in motions.items():
+        if link != BASE_LINK:
+            twists[link] = _twists_in_child(twists[max(arm.joints[link].parent, BASE_LINK)], motion, link, arm)
+        # All rows at once: with few samples a call of numpy costs more than what it computes.
+        columns = _columns(twists[link], motion)
+        blocks.update({(row, link): columns[:, k] for k, row in enumerate(twists[link].rows)})
     return blocks
 
 
@@ -142,22 +150,23 @@ def _base_motion(arm: Arm, samples: int, base: BaseMotion | None) -> _LinkMotion
     return _LinkMotion(base.rate.T, base.rate_dot.T, base.force(arm.gravity).T, *place)
 
 
-def _base_twists() -> dict[int, tuple[FloatArray, FloatArray]]:
-    """The base's own six twists, (3, 1) linear and angular."""
-    axes, zero = np.eye(3)[:, :, None], np.zeros((3, 1))
-    return {row: (axes[k], zero) if k < 3 else (zero, axes[k - 3]) for k, row in enumerate(BASE_ROWS)}
+def _base_twists(wanted: bool) -> _Twists:
+    """The base's own six twists; none where its rows are not wanted."""
+    if not wanted:
+        return _Twists((), *np.zeros((2, 3, 0, 1)))
+    axes = np.eye(6)[:, :, None]
+    return _Twists(tuple(BASE_ROWS), axes[:3], axes[3:])
 
 
-def _own_twist(joint: Joint) -> tuple[FloatArray, FloatArray]:
-    """(3, 1) linear and angular twist of a joint in its own frame."""
-    axis, zero = joint.axis[:, None], np.zeros((3, 1))
-    return (zero, axis) if joint.revolute else (axis, zero)
-
-
-def _twist_in_child(motion: _LinkMotion, linear: FloatArray, angular: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A twist of the carrier's frame in a link's."""
-    at_origin = linear + cross(angular, motion.origin)
-    return _to_child(motion.rotation, at_origin), _to_child(motion.rotation, angular)
+def _twists_in_child(carrier: _Twists, motion: _LinkMotion, link: int, arm: Arm) -> _Twists:
+    """The twists of a carrier's frame in a link's, then that of the link's own joint."""
+    joint, count = arm.joints[link], len(carrier.rows)
+    rotation, origin = motion.rotation[:, :, None], motion.origin[:, None]
+    linear, angular = np.zeros((2, 3, count + 1, motion.omega.shape[1]))
+    linear[:, :count] = _to_child(rotation, carrier.linear + cross(carrier.angular, origin))
+    angular[:, :count] = _to_child(rotation, carrier.angular)
+    (angular if joint.revolute else linear)[:, count] = joint.axis[:, None]
+    return _Twists((*carrier.rows, link), linear, angular)
 
 
 def regressor(arm: Arm, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
@@ -242,15 +251,16 @@ def _wrench(phi: FloatArray, motion: _LinkMotion) -> tuple[FloatArray, FloatArra
     return force, cross(first, accel) + inertia @ epsilon + cross(omega, inertia @ omega)
 
 
-def _block(linear: FloatArray, angular: FloatArray, motion: _LinkMotion) -> FloatArray:
-    """(10, N) columns of one link in one joint's row; the formula of the module's head."""
-    omega, epsilon, accel = motion.omega, motion.epsilon, motion.accel
+def _columns(twists: _Twists, motion: _LinkMotion) -> FloatArray:
+    """(10, R, N) columns of one link in the rows of some twists; the formula of the module's head."""
+    omega, epsilon, accel = (vector[:, None] for vector in (motion.omega, motion.epsilon, motion.accel))
+    linear, angular = twists.linear, twists.angular
     twist_x_omega = cross(angular, omega)
-    block = np.empty((10, omega.shape[1]))
-    block[0] = (linear * accel).sum(axis=0)
-    block[1:4] = cross(linear, epsilon) + cross(omega, cross(omega, linear)) + cross(accel, angular)
+    columns = np.empty((10, *twist_x_omega.shape[1:]))
+    columns[0] = linear[0] * accel[0] + linear[1] * accel[1] + linear[2] * accel[2]
+    columns[1:4] = cross(linear, epsilon) + cross(omega, cross(omega, linear)) + cross(accel, angular)
     for row, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), start=4):
-        block[row] = angular[i] * epsilon[j] + twist_x_omega[i] * omega[j]
+        columns[row] = angular[i] * epsilon[j] + twist_x_omega[i] * omega[j]
         if i != j:
-            block[row] += angular[j] * epsilon[i] + twist_x_omega[j] * omega[i]
-    return block
+            columns[row] += angular[j] * epsilon[i] + twist_x_omega[j] * omega[i]
+    return columns

@@ -20,7 +20,7 @@ from ...signals.motion import Motion
 from ..arm import Arm
 from ..background import Background
 from ..term import Constant, Values
-from .compliance import Compliance, FloatArrays, Swing, own_signals
+from .compliance import Compliance, FloatArrays, Swing, grid_for, own_signals
 from .effect import Effect, Options, known_joint, share_of
 from .linearised import Sensitivity, by_position, least_inertia
 
@@ -37,7 +37,7 @@ nearer than any of them."""
 GAP_GRID = tuple(float(b) for b in np.geomspace(8e-5, 0.02, 26))
 """rad, dense: when the teeth meet again follows from how far apart they are."""
 CONTACT_GRID = (4e3, 3.5e4, 3e5)
-"""N·m/rad: from the smallest strain-wave gears to spur gears of a large arm."""
+"""N·m/rad: from the smallest strain-wave gears to spur gears; a larger arm's are stiffer (`grid_for`)."""
 CALM = 1.5
 """The load that lets teeth part and meet is looked at in so many times the bandwidth. Below, the jolt of a neighbour's
 reversal is lost, after which the link flies; above, accelerations are encoder noise, which opens the gap too early. At
@@ -172,7 +172,9 @@ class Backlash(Compliance):
         joint = known_joint(arm, place)
         share = share_of(joint)
         width = Constant("gap", joint, "rad", GAP_GRID)
-        stiffness = Constant("stiffness", joint, "N m/rad", CONTACT_GRID)
+        # The softest is stiff already where a small link hits.
+        contact = tuple(stiffness for stiffness in grid_for(arm, CONTACT_GRID) if stiffness >= CONTACT_GRID[0])
+        stiffness = Constant("stiffness", joint, "N m/rad", contact)
         reach = (LEAST_CONTACT_DAMPING, MOST_CONTACT_DAMPING)
         damping = Constant("damping_ratio", joint, "1", (CONTACT_DAMPING,), reach=reach)
         if arm.joints[arm.joint_names.index(joint)].parent >= 0:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...signals.motion import Motion
-from ..arm import Arm, Joint
+from ..arm import EARTH, Arm, Joint
 from ..background import Background
 from ..frames import frames_of
 from ..regressor import cross, rigid_body_blocks
@@ -20,6 +20,7 @@ from .linearised import COARSE_HZ, interpolate, rigid_torque
 
 MASS = ("m", "mcx", "mcy", "mcz")
 HEAVIEST_KG, LONGEST_M = 50.0, 2.0
+"""Of a payload; one as heavy as the arm where that is more: rated payloads are 0.1 to 0.3 of an arm's mass."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,11 @@ class Payload(Effect):
         joint = known_joint(arm, place)
         units = {"m": "kg", "mcx": "kg m", "mcy": "kg m", "mcz": "kg m"}
         scales = {"m": 2.0, "mcx": 0.5, "mcy": 0.5, "mcz": 0.5}
-        parameters = [Parameter(f"d{s}", joint, units[s], scale=scales[s]) for s in MASS]
+        most = {"m": max(HEAVIEST_KG, arm.mass)}
+        parameters = [
+            Parameter(f"d{s}", joint, units[s], scale=scales[s], lower=-most.get(s, np.inf), upper=most.get(s, np.inf))
+            for s in MASS
+        ]
         if place.get("inertia"):
             parameters += [Parameter(f"dI{axis}{axis}", joint, "kg m^2", scale=0.2) for axis in "xyz"]
         return cls(tuple(parameters), place=place)
@@ -75,7 +80,7 @@ class Payload(Effect):
         mass, moment = float(parameters[0]), float(np.linalg.norm(parameters[1:4]))
         if mass < 0 and not self.place.get("last"):
             return False
-        return abs(mass) < HEAVIEST_KG and moment < LONGEST_M * abs(mass)
+        return moment < LONGEST_M * abs(mass)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The regressor's columns of that link."""
@@ -202,7 +207,7 @@ class FloatingBase(Effect):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """Of the base."""
         share = share_of("base")
-        total = max(sum(joint.inertial[0] for joint in arm.joints), 1.0)
+        total = max(arm.mass, 1.0)
         # Not its radius of gyration: mass and radius are searched one after the other, and the data know their inertia
         # first. A mass that is changed at a fixed radius hardly leaves its grid point.
         inertia = tuple(float(total * ratio) for ratio in 0.1 * 2.3 ** np.arange(9))
@@ -289,7 +294,10 @@ class _FreeBase:
 OUTER_LINKS = 4
 """Those that reach where something may be in the way."""
 LARGEST_FORCE = 300.0
-"""N: of a person, a cable, a fixture touched in passing (the field's examples: 3 to 40)."""
+"""N: of a person, a cable, a fixture touched in passing (the field's examples: 3 to 40); of an arm that weighs more,
+its weight."""
+STARTS_S = tuple(float(t) for t in np.arange(0.0, 600.0, 0.5))
+"""When one may begin; those of them within the recording are looked at."""
 RISE_S, RISE_REACH = 0.1, (0.01, 2.5)
 """How long a touch takes to come, and to go; at most half of how long it lasts."""
 POINT_REACH = (-0.3, 0.3)
@@ -319,8 +327,11 @@ class ExternalContact(Effect):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """On a link; its window and its point are searched."""
         joint = known_joint(arm, place)
-        parameters = tuple(Parameter(f"force_{axis}", joint, "N", scale=50.0) for axis in "xyz")
-        start = Constant("start", joint, "s", tuple(float(t) for t in np.arange(0.0, 120.0, 0.5)), begins=True)
+        most = max(LARGEST_FORCE, arm.mass * float(np.linalg.norm(EARTH)))
+        parameters = tuple(
+            Parameter(f"force_{axis}", joint, "N", scale=50.0, lower=-most, upper=most) for axis in "xyz"
+        )
+        start = Constant("start", joint, "s", STARTS_S, begins=True)
         length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 5.0))
         rise = Constant("rise", joint, "s", (RISE_S,), reach=RISE_REACH)
         point = (Constant(f"point_{axis}", joint, "m", (0.0,), reach=POINT_REACH) for axis in "xyz")
@@ -368,7 +379,7 @@ class ExternalContact(Effect):
 
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """Whether it is a touch: a direction that hardly shows may be fitted with any force."""
-        return float(np.linalg.norm(parameters)) < LARGEST_FORCE
+        return float(np.linalg.norm(parameters)) < self.parameters[0].upper
 
     def shown(self, values: FloatArray) -> Shown:
         """Force, window and point."""

@@ -42,8 +42,11 @@ SHORTEST_M = 0.02
 ALONG = 0.1
 """A joint's axis this near its link's length (sine) turns the link; it cannot bend it."""
 STIFFNESS_GRID = tuple(float(k) for k in np.geomspace(400.0, 120e3, 20))
-MOUNT_GRID = tuple(5.0 * k for k in STIFFNESS_GRID)
-"""A mount carries the whole arm."""
+"""N m/rad, of an arm of `GRID_SIZE`; `grid_for` has that of another."""
+GRID_SIZE = 70.0
+"""kg m^2, `Arm.size`: the paper's arm has 72, a UR10e 76, a Panda 12, an AIRBOT 2, an arm that carries 300 kg 10^4."""
+MOUNT = 5.0
+"""Times as stiff is a mount: it carries the whole arm."""
 DOUBLES_GRID = tuple(float(d) for d in np.geomspace(8e-4, 5e-3, 5))
 """rad: strain-wave gears double their torque over the linear one's within a few thousandths (Tuttle 1992)."""
 HORIZONTAL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
@@ -173,7 +176,24 @@ class Compliance(Effect):
         return each({row: torque[:, [row]] for row in range(torque.shape[1])})
 
 
-def springs(name: str, grid: tuple[float, ...] = STIFFNESS_GRID) -> tuple[Constant, Constant]:
+def grid_for(arm: Arm, grid: tuple[float, ...]) -> tuple[float, ...]:
+    """A grid of stiffnesses, by its own steps further down for an arm of less than `GRID_SIZE`, and up for one of more.
+
+    What swings, swings at sqrt(K / M): alike of all arms are the frequencies that their bandwidth shows.
+
+    Args:
+        arm: Its CAD inertials say its size; without any the grid is as it was.
+        grid: N·m/rad, at even ratios.
+    """
+    ratio, times = grid[1] / grid[0], arm.size / GRID_SIZE
+    steps = int(abs(np.log(times)) / np.log(ratio)) if times > 0.0 else 0
+    further = [ratio**k for k in range(1, steps + 1)]
+    if times < 1.0:
+        return (*(grid[0] / far for far in reversed(further)), *grid)
+    return (*grid, *(grid[-1] * far for far in further))
+
+
+def springs(name: str, grid: tuple[float, ...]) -> tuple[Constant, Constant]:
     """Stiffness, and the damping ratio, which says how long a swing lasts and is refined once the stiffness is near."""
     reach = (LEAST_DAMPING, MOST_DAMPING)
     stiffness = Constant("stiffness", name, "N m/rad", grid)
@@ -272,11 +292,11 @@ class JointElasticity(Compliance):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
-        share = share_of(joint)
+        share, spring_of = share_of(joint), springs(joint, grid_for(arm, STIFFNESS_GRID))
         if not place.get("hardens"):
-            return cls((share,), springs(joint), place=place)
+            return cls((share,), spring_of, place=place)
         doubles_at = Constant("doubles_at", joint, "rad", DOUBLES_GRID)
-        return cls((share,), (*springs(joint), doubles_at), place=place)
+        return cls((share,), (*spring_of, doubles_at), place=place)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
         """The stiffer the further it is wound up."""
@@ -328,7 +348,7 @@ class LinkFlexibility(Compliance):
             raise ValueError("along is a share of the way to the next joint, 0 to 1")
         joint = known_joint(arm, place)
         share = share_of(joint)
-        return cls((share,), springs(joint), place=place)
+        return cls((share,), springs(joint, grid_for(arm, STIFFNESS_GRID)), place=place)
 
     def sensitivity(self, motion: Motion, constants: Values, background: Background) -> Sensitivity:
         """About a hinge in the link."""
@@ -360,7 +380,8 @@ class BaseFlexibility(Compliance):
         if "axis" in place:
             known_axis(place)
         share = share_of("base")
-        return cls((share,), springs("base", MOUNT_GRID), place=place)
+        grid = tuple(MOUNT * stiffness for stiffness in grid_for(arm, STIFFNESS_GRID))
+        return cls((share,), springs("base", grid), place=place)
 
     @property
     def joints(self) -> tuple[str, ...]:

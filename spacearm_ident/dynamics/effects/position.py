@@ -90,6 +90,10 @@ class HarnessSpring(Effect):
         return own(row, motion.position[:, row], np.ones(len(motion.position)))
 
 
+FARTHEST_OFF = 0.1
+"""Share by which the slope of a reading may err: that of an encoder off its centre by e does by e / R, 1 mm of 10."""
+
+
 @dataclass(frozen=True)
 class EncoderEccentricity(Effect):
     """An encoder off its centre reads a position that is wrong by a sine of itself."""
@@ -104,7 +108,7 @@ class EncoderEccentricity(Effect):
     @classmethod
     def variants(cls, arm: Arm):  # type: ignore[no-untyped-def]
         """Up to eight times a turn: an encoder off its centre once, a bent disc twice, a resolver by its poles."""
-        for joint in arm.joint_names:
+        for joint in (joint.name for joint in arm.joints if joint.revolute):
             for cycles in range(1, 9):
                 yield {"joint": joint, "cycles": cycles}
 
@@ -112,7 +116,7 @@ class EncoderEccentricity(Effect):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
-        bound = 0.02
+        bound = FARTHEST_OFF / float(place.get("cycles", 1))
         symbols = ("sin", "cos")
         parameters = tuple(Parameter(symbol, joint, "rad", scale=1e-3, lower=-bound, upper=bound) for symbol in symbols)
         return cls(parameters, place=place)
