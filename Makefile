@@ -19,8 +19,8 @@ demo: venv
 	$(BIN)/spacearm demo --out demo_result
 
 test: venv lint
-	$(BIN)/python -m pytest -m "not live" -n auto --dist worksteal
-	$(BIN)/python -m pytest -m live
+	$(BIN)/python -m pytest -m "not live" -n auto --dist worksteal --durations=20
+	$(BIN)/python -m pytest -m live --durations=20
 
 # The tests that keep no time, with Python 3.12 and the versions of Ubuntu 24.04: what a ROS 2 Jazzy machine has.
 # Not those marked `long`, which take nearly half as long as all the others.
