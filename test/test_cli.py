@@ -233,3 +233,11 @@ def test_the_command_says_the_verdict_first_and_describes_its_recordings_last(ba
     lines = [line for line in done.stdout.splitlines() if not line.lstrip()[:3].rstrip("%").isdigit()]
     assert lines[0].startswith("Good fit.") and lines[1].startswith("next: ") and lines[2].startswith("report: ")
     assert "Warning" not in done.stdout and "with velocity" in lines[-1]
+
+
+@pytest.mark.parametrize(
+    "values, places",
+    [((2.3, 0.031), 3), ((0.02, 0.0004, float("nan"), 0.0), 5), ((8123.0, 0.0004), 3), ((41.0, 0.0004), 5), ((), 3)],
+)
+def test_small_torques_of_a_table_keep_two_digits_where_there_is_room(values, places):
+    assert common.decimals(values) == places

@@ -319,10 +319,10 @@ def test_stiffness_is_looked_for_where_an_arm_of_that_size_swings(times):
     grid = np.array(one("joint_elasticity", arm, joint="elbow").constants[0].grid)
     ratio = STIFFNESS_GRID[1] / STIFFNESS_GRID[0]
     np.testing.assert_allclose(grid[1:] / grid[:-1], ratio)
-    assert set(STIFFNESS_GRID) <= set(grid.tolist())
     assert grid[0] / times < ratio * STIFFNESS_GRID[0] and grid[-1] / times > STIFFNESS_GRID[-1] / ratio
+    assert grid[0] * 1.01 > STIFFNESS_GRID[0] * min(times, 1.0) and grid[-1] >= STIFFNESS_GRID[-1]
     hits = one("backlash", arm, joint="elbow").constants[1].grid
-    assert hits[: len(CONTACT_GRID)] == CONTACT_GRID and (len(hits) > len(CONTACT_GRID)) == (times > 100.0)
+    assert len(hits) == len(CONTACT_GRID) and (hits != CONTACT_GRID) == (times > 100.0)
 
 
 def test_scale_and_saturation_are_powers_of_the_models_torque():

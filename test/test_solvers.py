@@ -19,6 +19,7 @@ from spacearm_ident.estimate.identified import Determination, Identified
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.nodes.jobs import IdentifyJob
 from spacearm_ident.recording import write_recording
+from spacearm_ident.regression import balanced
 from spacearm_ident.regression.prior import make_prior
 from spacearm_ident.regression.regression import Regression
 from spacearm_ident.results.covariance_file import covariance_dict
@@ -194,3 +195,16 @@ def test_a_node_with_a_parameter_that_cannot_be_says_so_and_ends(tmp_path, monke
         assert words in live_nodes.output(node) and "Traceback" not in live_nodes.output(node)
     finally:
         processes.end()
+
+
+@pytest.mark.parametrize("decades", [0, 9])
+def test_normal_equations_in_many_units_are_solved_as_those_in_one(decades):
+    """Two unknowns of six are alike, which no unit changes: only their sum is known, and shared between them."""
+    columns = np.random.default_rng(3).normal(size=(40, 5))
+    columns = np.column_stack([columns, columns[:, 4]])
+    gram, slope = columns.T @ columns, columns.T @ (columns @ np.arange(1.0, 7.0))
+    units = 10.0 ** np.linspace(-decades, decades, 6)
+    inverse = balanced.pseudo_inverse(gram * np.outer(units, units))
+    np.testing.assert_allclose(inverse * np.outer(units, units), np.linalg.pinv(gram, hermitian=True), rtol=1e-6)
+    found = balanced.solve(gram * np.outer(units, units), units * slope) * units
+    np.testing.assert_allclose(found, [1.0, 2.0, 3.0, 4.0, 5.5, 5.5], rtol=1e-8)

@@ -30,6 +30,7 @@ from ..environment.temperature import LEAST_SPAN_K
 from ..errors import UserError
 from ..noise.weights import residual_noise
 from ..recording.recording import Recording
+from ..regression.balanced import pseudo_inverse
 from ..signals.motion import Motion
 from ..signals.prepare import prepare
 from ..tracking.rows import with_effects
@@ -210,9 +211,7 @@ def _since(prior: GroundPrior, updated: Updated, room: Mapping[str, float]) -> t
     after = np.concatenate([updated.model.parameters, updated.model.constants])
     whole = prior.widened(room).covariance
     change = whole - prior.covariance
-    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    inverse = np.linalg.pinv(whole / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-    gain = change @ inverse
+    gain = change @ pseudo_inverse(whole, rcond=1e-12)
     spread = change - gain @ change + gain @ updated.covariance @ gain.T
     return np.asarray(gain @ (after - before)), np.asarray(spread)
 
@@ -241,7 +240,7 @@ def _vacuum(prior: GroundPrior, change: FloatArray, spread: FloatArray) -> Share
     high = prior.model.parameters[places]
     if not high.any():
         return None
-    weight = np.linalg.pinv(spread[np.ix_(places, places)], hermitian=True) @ high
+    weight = pseudo_inverse(spread[np.ix_(places, places)]) @ high
     information = float(high @ weight)
     return Share(-float(weight @ change[places]) / information, 1.0 / np.sqrt(information))
 

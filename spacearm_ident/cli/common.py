@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,13 @@ from ..sessions.identification import within as within
 from ..sessions.reading import Reading
 
 Report = Callable[[float, str], None]
+
+
+def decimals(values: Iterable[float]) -> int:
+    """Places after the point for a table of torques: two digits of the smallest where there is room, 3 at least."""
+    sizes = [abs(value) for value in values if value and math.isfinite(value)] or [1.0]
+    least, most = (math.floor(math.log10(size)) for size in (min(sizes), max(sizes)))
+    return max(3, min(1 - least, 6 - max(most, 0)))
 
 
 def add_arm_options(command: argparse.ArgumentParser) -> None:

@@ -215,11 +215,12 @@ def summary(identified: Identified, validation: Validation, page: Path) -> str:
         f"validated {validation.what}",
         f"{'joint':<24}{'RMSE':>10}{'max':>10} {'unit':<5}{'R':>8}{'rel. RMS':>10}{'moving':>9}{'unfiltered':>12}",
     ]
+    places = common.decimals(joint.everything.rmse for joint in validation.joints.values())
     for joint, figures in validation.joints.items():
         fit = figures.everything
         raw = figures.unfiltered_moving or figures.unfiltered
         lines.append(
-            f"{joint:<24}{fit.rmse:>10.3f}{fit.largest:>10.3f} {units[joint]:<5}{fit.correlation:>8.4f}"
+            f"{joint:<24}{fit.rmse:>10.{places}f}{fit.largest:>10.{places}f} {units[joint]:<5}{fit.correlation:>8.4f}"
             f"{fit.relative_rms:>10.1%}{figures.moving.relative_rms:>9.1%}{raw.relative_rms:>12.1%}"
         )
     lines += [

@@ -7,6 +7,8 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
+
 from ..dynamics.effects import EFFECTS
 from ..errors import UserError
 from ..layers.comparison import Comparison
@@ -188,8 +190,9 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
         comparison.ceiling_Nm,
         comparison.mended_Nm,
     )
+    places = common.decimals(np.ravel(columns).tolist())
     lines += [
-        f"{joint:24}" + "".join(f"{value:13.3f}" for value in values)
+        f"{joint:24}" + "".join(f"{value:13.{places}f}" for value in values)
         for joint, *values in zip(comparison.joints, *columns)
     ]
     if mended is not None and mended.closed_loop is not None:
@@ -268,8 +271,9 @@ def summary(explanation: Explanation, page: Path, unit: str) -> str:
         lines.append(f"{'joint':24}" + "".join(f"{head:>11}" for head in heads))
         columns = [explanation.noise_floor_Nm, explanation.detectable_Nm, explanation.before_Nm]
         columns += [explanation.after_Nm] if explanation.findings else []
+        places = common.decimals(np.ravel(columns).tolist())
         lines += [
-            f"{joint:24}" + "".join(f"{value:11.3f}" for value in values)
+            f"{joint:24}" + "".join(f"{value:11.{places}f}" for value in values)
             for joint, *values in zip(explanation.joints, *columns)
         ]
         lines.append(RESIDUAL_WORDS)

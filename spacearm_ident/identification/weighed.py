@@ -31,6 +31,7 @@ from ..errors import UnfitDataError, UserError
 from ..estimate.identified import GAIN_DEVIATION
 from ..noise.weights import common_correlation, residual_noise
 from ..recording.recording import Recording
+from ..regression.balanced import pseudo_inverse
 from ..regression.prior import make_prior
 from ..regression.regression import Regression
 from ..signals.motion import Motion
@@ -249,7 +250,7 @@ class _Problem:
             solved = least_squares(self._residuals, x, self._jacobian, x_scale="jac", args=(compressed, free))
             x = solved.x
             left = [self._left(matrix, joint, x, free) for joint, matrix in enumerate(self.matrices)]
-        covariance = np.linalg.pinv(solved.jac.T @ solved.jac, hermitian=True)
+        covariance = pseudo_inverse(solved.jac.T @ solved.jac)
         return x[-count:], covariance[-count:, -count:]
 
     def _compressed(self, left: Sequence[FloatArray]) -> list[FloatArray]:

@@ -21,6 +21,7 @@ from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..estimate.consistency import make_consistent
 from ..mismatch.noise import in_full, weighted
 from ..mismatch.scene import Whitener, one_way
+from ..regression.balanced import solve
 from ..regression.held_out import folds_of, predicts_better
 from ..regression.held_out import gain as lowered_by
 from ..regression.prior import make_prior
@@ -491,7 +492,7 @@ class JointFit:
             precision += weight * np.outer(vector, vector)
             slope += weight * value * vector
         slope -= precision[:, ~free] @ mean[~free]
-        mean[free] = np.linalg.lstsq(precision[np.ix_(free, free)], slope[free])[0]
+        mean[free] = solve(precision[np.ix_(free, free)], slope[free])
         return Prior(mean, precision, free)
 
     def beside(self, model: IdentifiedModel) -> FloatArray:

@@ -27,6 +27,7 @@ from ..dynamics.term import Columns
 from ..forks import each
 from ..mismatch.noise import Noise
 from ..mismatch.scene import Scene, Whitener
+from ..regression.balanced import solve
 from ..regression.held_out import time_blocks
 from ..regression.prior import make_prior
 from ..signals.motion import Motion
@@ -65,7 +66,7 @@ class Prior:
         """The same with some unknowns (P,) held at a value; the others are as they would be, were that so."""
         mean, free = self.mean.copy(), self.free & ~which
         slope = self.precision[np.ix_(free, which)] @ (value - mean[which])
-        mean[free] -= np.linalg.lstsq(self.precision[np.ix_(free, free)], slope)[0]
+        mean[free] -= solve(self.precision[np.ix_(free, free)], slope)
         mean[which] = value
         return Prior(mean, self.precision, free)
 

@@ -24,6 +24,7 @@ from ..dynamics.arm import Arm
 from ..dynamics.base_parameters import base_parameters
 from ..dynamics.model import TorqueModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
+from ..regression.balanced import pseudo_inverse
 from ..simulations import Simulation
 from .estimate import Estimate
 from .linear import Linear, Prior
@@ -125,7 +126,7 @@ def determined(linear: Linear, found: Estimate, prior: Prior, simulation: Simula
         simulation: What to compare with.
     """
     own = np.flatnonzero(prior.free)
-    spread = np.linalg.pinv(prior.precision[np.ix_(own, own)], hermitian=True)
+    spread = pseudo_inverse(prior.precision[np.ix_(own, own)])
 
     def known(one: Change) -> bool:
         free = one.vector[own]

@@ -173,7 +173,7 @@ class Backlash(Compliance):
         share = share_of(joint)
         width = Constant("gap", joint, "rad", GAP_GRID)
         # The softest is stiff already where a small link hits.
-        contact = tuple(stiffness for stiffness in grid_for(arm, CONTACT_GRID) if stiffness >= CONTACT_GRID[0])
+        contact = grid_for(arm, CONTACT_GRID)[-len(CONTACT_GRID) :]
         stiffness = Constant("stiffness", joint, "N m/rad", contact)
         reach = (LEAST_CONTACT_DAMPING, MOST_CONTACT_DAMPING)
         damping = Constant("damping_ratio", joint, "1", (CONTACT_DAMPING,), reach=reach)

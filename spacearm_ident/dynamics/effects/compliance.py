@@ -179,7 +179,8 @@ class Compliance(Effect):
 def grid_for(arm: Arm, grid: tuple[float, ...]) -> tuple[float, ...]:
     """A grid of stiffnesses, by its own steps further down for an arm of less than `GRID_SIZE`, and up for one of more.
 
-    What swings, swings at sqrt(K / M): alike of all arms are the frequencies that their bandwidth shows.
+    What swings, swings at sqrt(K / M): alike of all arms are the frequencies that their bandwidth shows. A spring that
+    is soft for its arm holds nothing up; one that is stiff does no harm.
 
     Args:
         arm: Its CAD inertials say its size; without any the grid is as it was.
@@ -190,7 +191,7 @@ def grid_for(arm: Arm, grid: tuple[float, ...]) -> tuple[float, ...]:
     further = [ratio**k for k in range(1, steps + 1)]
     if times < 1.0:
         return (*(grid[0] / far for far in reversed(further)), *grid)
-    return (*grid, *(grid[-1] * far for far in further))
+    return (*grid, *(grid[-1] * far for far in further))[steps:]
 
 
 def springs(name: str, grid: tuple[float, ...]) -> tuple[Constant, Constant]:
