@@ -44,7 +44,7 @@ ALONG = 0.1
 STIFFNESS_GRID = tuple(float(k) for k in np.geomspace(400.0, 120e3, 20))
 """N m/rad, of an arm of `GRID_SIZE`; `grid_for` has that of another."""
 GRID_SIZE = 70.0
-"""kg m^2, `Arm.size`: the paper's arm has 72, a UR10e 76, a Panda 12, an AIRBOT 2, an arm that carries 300 kg 10^4."""
+"""kg m^2, `Arm.size`: the paper's arm has 72, a UR10e 76, a Panda 12, an AIRBOT 2."""
 MOUNT = 5.0
 """Times as stiff is a mount: it carries the whole arm."""
 DOUBLES_GRID = tuple(float(d) for d in np.geomspace(8e-4, 5e-3, 5))
