@@ -115,7 +115,7 @@ def discrete_changes(arm: Arm) -> list[Change]:
         found.append((Kind.DEGREES, tuple(turning), ()))
     for kind in _ORDERS:
         found += [(kind, _moved(order), order) for order in _orders(arm)]
-    found += [(Kind.GRAVITY, (), tuple(vector)) for vector in _gravities(arm)]
+    found += [(Kind.GRAVITY, (), tuple(vector)) for vector in gravities(arm)]
     found += [(Kind.EFFORT_GAIN, (k,), ()) for k in range(n)]
     if n > 1:
         found += [(Kind.EFFORT_GAIN, tuple(range(n)), ())]
@@ -156,8 +156,8 @@ def _orders(arm: Arm) -> list[tuple[int, ...]]:
     return [*dict.fromkeys([*orders, *(order for order in whole if order != tuple(range(n)))])]
 
 
-def _gravities(arm: Arm) -> list[FloatArray]:
-    """Gravity along the axes of the base frame but the stated one, and none."""
+def gravities(arm: Arm) -> list[FloatArray]:
+    """(3,) gravity along the axes of the base frame but the stated one, and none, m/s^2."""
     size = float(np.linalg.norm(arm.gravity)) or 9.81
     stated = arm.gravity / size
     axes = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]

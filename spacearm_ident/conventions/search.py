@@ -12,7 +12,7 @@ from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..dynamics.regressor import rigid_body_torque
 from ..forks import each
-from .change import PRIOR, Change, Kind, discrete_changes
+from .change import PRIOR, Change, Kind, discrete_changes, gravities
 from .evidence import (
     CAD_SCALES,
     GAIN_SD,
@@ -540,8 +540,7 @@ def refined_gravity(scorer: Scorer, one: Scored) -> Scored:
         if better.score <= one.score:
             break
         one = better
-    mounts = [change.value for change in discrete_changes(scorer.arm) if change.kind is Kind.GRAVITY]
-    if all(tilted(np.array(mount), np.array(one.changes[-1].value)) for mount in mounts if np.any(mount)):
+    if all(tilted(along, one.setup.gravity) for along in gravities(scorer.arm) if along.any()):
         return replace(one, score=one.score + _log_share_of_directions(scorer, one, size))
     return one
 

@@ -194,9 +194,15 @@ def grid_for(arm: Arm, grid: tuple[float, ...]) -> tuple[float, ...]:
     return (*grid, *(grid[-1] * far for far in further))[steps:]
 
 
-def springs(name: str, grid: tuple[float, ...]) -> tuple[Constant, Constant]:
-    """Stiffness, and the damping ratio, which says how long a swing lasts and is refined once the stiffness is near."""
-    reach = (LEAST_DAMPING, MOST_DAMPING)
+def springs(arm: Arm, name: str, stiffer: float = 1.0) -> tuple[Constant, Constant]:
+    """Stiffness, and the damping ratio, which says how long a swing lasts and is refined once the stiffness is near.
+
+    Args:
+        arm: Whose size says where a stiffness is looked for.
+        name: Of the joint, or what else gives way.
+        stiffer: Times as stiff as a joint may be.
+    """
+    grid, reach = tuple(stiffer * k for k in grid_for(arm, STIFFNESS_GRID)), (LEAST_DAMPING, MOST_DAMPING)
     stiffness = Constant("stiffness", name, "N m/rad", grid)
     return stiffness, Constant("damping_ratio", name, "1", (DAMPING_RATIO,), reach=reach)
 
@@ -293,11 +299,11 @@ class JointElasticity(Compliance):
     def at(cls, arm: Arm, place: Options) -> Effect:
         """At one joint."""
         joint = known_joint(arm, place)
-        share, spring_of = share_of(joint), springs(joint, grid_for(arm, STIFFNESS_GRID))
+        share = share_of(joint)
         if not place.get("hardens"):
-            return cls((share,), spring_of, place=place)
+            return cls((share,), springs(arm, joint), place=place)
         doubles_at = Constant("doubles_at", joint, "rad", DOUBLES_GRID)
-        return cls((share,), (*spring_of, doubles_at), place=place)
+        return cls((share,), (*springs(arm, joint), doubles_at), place=place)
 
     def tangent(self, motion: Motion, constants: Values, background: Background) -> FloatArray:
         """The stiffer the further it is wound up."""
@@ -349,7 +355,7 @@ class LinkFlexibility(Compliance):
             raise ValueError("along is a share of the way to the next joint, 0 to 1")
         joint = known_joint(arm, place)
         share = share_of(joint)
-        return cls((share,), springs(joint, grid_for(arm, STIFFNESS_GRID)), place=place)
+        return cls((share,), springs(arm, joint), place=place)
 
     def sensitivity(self, motion: Motion, constants: Values, background: Background) -> Sensitivity:
         """About a hinge in the link."""
@@ -381,8 +387,7 @@ class BaseFlexibility(Compliance):
         if "axis" in place:
             known_axis(place)
         share = share_of("base")
-        grid = tuple(MOUNT * stiffness for stiffness in grid_for(arm, STIFFNESS_GRID))
-        return cls((share,), springs("base", grid), place=place)
+        return cls((share,), springs(arm, "base", MOUNT), place=place)
 
     @property
     def joints(self) -> tuple[str, ...]:
