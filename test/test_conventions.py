@@ -59,6 +59,18 @@ def sound(
     return replace(recording, velocity=motion[1])
 
 
+PRESLIDING = tuple(replace(law, d_s=0.008) for law in FRICTION)
+
+
+def gentle(seed: int, zero: float = 0.0) -> Recording:
+    """A run at 0.4 rad/s whose friction builds up over 8 mrad after a reversal; the elbow's zero is off, rad."""
+    time = np.arange(0.0, 30.0, 1 / 200)
+    motion = incommensurate(time, 4, seed=seed, speed=0.4)
+    made = plant(LINKS, PRESLIDING, motion, 200.0, true_links=TRUE)
+    recording = made.recording(noise=[0.2, 0.3, 0.1, 0.05], seed=seed, ar=0.5)
+    return replace(recording, velocity=motion[1], position=recording.position - [0.0, 0.0, zero, 0.0])
+
+
 @pytest.fixture(scope="module")
 def run() -> Recording:
     return sound()
@@ -103,6 +115,21 @@ def late(recording: Recording, samples: int) -> Recording:
 def test_a_sound_recording_raises_no_alarm(seed, arm):
     report = check_conventions([sound(seed)], arm)
     assert report.fit and not report.findings
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_friction_that_builds_up_after_a_reversal_is_hardly_a_late_torque(seed, arm):
+    """Taken for sliding friction, it is one of 0.11 to 0.13 s."""
+    report = check_conventions([gentle(seed)], arm)
+    assert all(finding.kind == "delay" and finding.values["value"][0] < 0.03 for finding in report.findings)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_behind_friction_that_builds_up_a_zero_is_found(seed, arm):
+    report = check_conventions([gentle(seed, zero=0.25)], arm)
+    assert unfit(report) == [("encoder_zero", ("elbow",))]
+    (zero,) = (finding for finding in report.findings if finding.kind == "encoder_zero")
+    assert zero.values["value"][0] == pytest.approx(0.25, abs=0.05)
 
 
 MISTAKES = {

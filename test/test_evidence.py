@@ -294,6 +294,19 @@ def test_a_gain_is_the_drop_of_the_sum_of_squares_of_everything_fitted_together(
     assert np.all((found.visibility >= 0) & (found.visibility <= 1 + 1e-9))
 
 
+@pytest.mark.parametrize("chosen", SETS)
+def test_columns_in_half_the_memory_lose_nothing_that_is_decided_on(prepared, chosen):
+    evidence = prepared.evidence
+    exact = [candidates_of(evidence)[k] for k in chosen]
+    rounded = [evidence.candidates(one.effect, [one.constants])[0] for one in exact]
+    assert sum(one.stacked.kept.nbytes for one in exact) == 2 * sum(one.stacked.kept.nbytes for one in rounded)
+    want = evidence.refit(exact)
+    for some in (rounded, [*rounded[:1], *exact[1:]]):
+        found = evidence.refit(some)
+        assert found.gain == pytest.approx(want.gain, rel=1e-6)
+        np.testing.assert_allclose(found.values, want.values, rtol=1e-4, atol=1e-7)
+
+
 @pytest.mark.parametrize("chosen", [(1,), (0, 1, 2, 3)])
 def test_friction_of_another_day_is_least_squares_with_shifts_of_the_field_alone(prepared, chosen):
     """Coulomb friction off by 3 % and viscous by 6 % at each joint, 1.5 times that, beside everything else."""

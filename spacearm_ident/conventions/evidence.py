@@ -1,11 +1,12 @@
 """How well the arm of the URDF explains torque and motion under one hypothesis: a log marginal likelihood.
 
-tau_j = g_j Y_j(q, qd, qdd) phi + f_c s + k_v qd + J_m qdd + offset + e_j. The inertials phi have the CAD values as
-mean and a relative standard deviation s that the data choose from a grid (the likelihood is summed over it); a
-payload may be on the last link. The gains g_j are 1 give or take `GAIN_SD`. The error e_j is mostly what the model
-leaves out and therefore slow: n_j rows with a correlation time of kappa_j rows count as n_j / kappa_j. Its size is
-unknown, believed near `MODEL_ERROR` of the torque. Friction takes power from a joint and never gives any: the
-probability of that under the posterior multiplies the likelihood, as does that of rotor inertias that are not negative.
+tau_j = g_j Y_j(q, qd, qdd) phi + f_c s + f_p (s - z) + k_v qd + J_m qdd + offset + e_j. The inertials phi have the CAD
+values as mean and a relative standard deviation s that the data choose from a grid (the likelihood is summed over it);
+a payload may be on the last link. The state z follows the sign s of the velocity over a presliding distance. The gains
+g_j are 1 give or take `GAIN_SD`. The error e_j is mostly what the model leaves out and therefore slow: n_j rows with a
+correlation time of kappa_j rows count as n_j / kappa_j. Its size is unknown, believed near `MODEL_ERROR` of the
+torque. Friction takes power from a joint and never gives any: the probability of that under the posterior multiplies
+the likelihood, as does that of rotor inertias that are not negative.
 """
 
 from __future__ import annotations
@@ -38,8 +39,10 @@ LOADED_SHARE = 0.3
 """Joints whose gravity torque is below this share of the largest joint's may carry mostly payload."""
 MASS_SD, MASS_LEAST = 0.3, -20.0
 """Standard deviation of the logarithm of a joint's gravity torque over CAD's (payload, CAD), and what it may cost."""
-OWN = 4
-"""Columns of a joint's own: Coulomb, viscous, rotor inertia, offset."""
+OWN = 5
+"""Columns of a joint's own: Coulomb, presliding, viscous, rotor inertia, offset."""
+FRICTION = 3
+"""How many of them, the first, are friction."""
 OWN_SPREAD = 0.5
 """Relative standard deviation of a joint's own parameters where they are known beforehand. As often they are as good as
 not known, for friction of a simulation may be guessed: the likelihood is summed over both."""
@@ -80,7 +83,7 @@ class ArmMotion:
     """Motion of the URDF's joints under one hypothesis.
 
     Attributes:
-        position, velocity, acceleration, direction, moving: (M, n) as of `Rows`, corrected.
+        position, velocity, acceleration, direction, unbuilt, moving: (M, n) as of `Rows`, corrected.
         gravity: (3,) m/s^2, base frame.
     """
 
@@ -88,6 +91,7 @@ class ArmMotion:
     velocity: FloatArray
     acceleration: FloatArray
     direction: FloatArray
+    unbuilt: FloatArray
     moving: np.ndarray
     gravity: FloatArray
 
@@ -200,7 +204,8 @@ class Design:
     def __init__(self, frame: Frame, motion: ArmMotion) -> None:
         arm = frame.arm.with_gravity(motion.gravity)
         rigid = regressor(arm, motion.position, motion.velocity, motion.acceleration)
-        signals = (motion.direction, motion.velocity, motion.acceleration, np.ones_like(motion.position))
+        one = np.ones_like(motion.position)
+        signals = (motion.direction, motion.unbuilt, motion.velocity, motion.acceleration, one)
         columns = np.concatenate([(rigid * frame.unit) @ frame.basis, np.stack(signals, axis=2)], axis=2)
         self.frame, self.motion, self.rigid = frame, motion, frame.basis.shape[1]
         self.columns = np.ascontiguousarray((columns * motion.moving[:, :, None]).transpose(1, 0, 2))
@@ -247,7 +252,8 @@ class Design:
             known: (n, OWN) what is known of them; zero: nothing.
         """
         speed, push = rms(self.motion.velocity) + 1e-9, rms(self.motion.acceleration) + 1e-9
-        deviation = np.column_stack([0.5 * torque, 0.5 * torque / speed, 0.3 * torque / push, 0.1 * torque])
+        size = np.stack([torque, torque, torque / speed, torque / push, torque], axis=1)
+        deviation = size * (0.5, 0.5, 0.5, 0.3, 0.1)
         deviation = np.where(known != 0.0, OWN_SPREAD * np.abs(known), deviation)
         return known, np.asarray(1.0 / (deviation + 1e-12) ** 2)
 
@@ -423,19 +429,20 @@ class _Signs:
     """Friction takes power from a joint, and rotors have inertia."""
 
     def __init__(self, design: Design) -> None:
-        speed = np.where(design.motion.moving, design.motion.velocity, 0.0)
         self.moves = design.rows > 0
+        columns = design.columns[:, :, design.rigid : design.rigid + FRICTION]
         rows = np.maximum(design.rows, 1)
-        self.power = np.column_stack([np.abs(speed).sum(axis=0) / rows, (speed**2).sum(axis=0) / rows])
+        self.power = np.einsum("mj,jmc->jc", design.motion.velocity, columns) / rows[:, None]
 
     def log_probability(self, own: FloatArray, covariance: FloatArray) -> float:
         """Log of the probability of both at every joint, own parameters (n OWN,) being known so well."""
         total = 0.0
         for j in np.flatnonzero(self.moves):
             first, power = OWN * j, self.power[j]
-            friction = slice(first, first + 2)
+            friction = slice(first, first + FRICTION)
             lost = power @ own[friction] / np.sqrt(power @ covariance[friction, friction] @ power)
-            inertia = own[first + 2] / np.sqrt(covariance[first + 2, first + 2])
+            rotor = first + FRICTION
+            inertia = own[rotor] / np.sqrt(covariance[rotor, rotor])
             total += float(log_ndtr(lost) + log_ndtr(inertia))
         return total
 

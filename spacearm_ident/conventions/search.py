@@ -15,6 +15,7 @@ from ..forks import each
 from .change import PRIOR, Change, Kind, discrete_changes, gravities
 from .evidence import (
     CAD_SCALES,
+    FRICTION,
     GAIN_SD,
     OWN,
     Design,
@@ -86,7 +87,7 @@ class Scorer:
             rows: Its motion and torque.
             bonus: What else a setup explains, as a log-likelihood.
             dead: Joints whose torque says nothing.
-            own: (n, OWN) what is known of Coulomb, viscous, rotor inertia and offset; None: nothing.
+            own: (n, OWN) what is known of Coulomb, presliding, viscous, rotor inertia and offset; None: nothing.
         """
         self.arm, self.rows, self.bonus = arm, rows, bonus
         self.ranges = Ranges(arm, rows)
@@ -612,8 +613,8 @@ def friction_shares(scorer: Scorer, start: Scored) -> FloatArray:
     """
     design, evidence = scorer.design(start.setup), start.evidence
     r = design.rigid
-    own = evidence.parameters[r:].reshape(-1, OWN)[:, :2]
-    friction = np.einsum("jmc,jc->mj", design.columns[:, :, r : r + 2], own)
+    own = evidence.parameters[r:].reshape(-1, OWN)[:, :FRICTION]
+    friction = np.einsum("jmc,jc->mj", design.columns[:, :, r : r + FRICTION], own)
     whole = np.mean(scorer.measured(start.setup).torque ** 2, axis=0)
     return np.asarray(np.minimum(np.mean(friction**2, axis=0) / (whole + 1e-12), 1.0))
 

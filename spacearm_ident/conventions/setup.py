@@ -71,6 +71,7 @@ def motion_of(rows: Rows, setup: Setup) -> ArmMotion:
         velocity=back * rows.velocity[:, source] * scale,
         acceleration=rows.acceleration[:, source] * scale,
         direction=back * rows.direction[:, source] * np.sign(scale),
+        unbuilt=back * rows.unbuilt[:, source] * np.sign(scale),
         moving=rows.moving[:, source],
         gravity=setup.gravity,
     )

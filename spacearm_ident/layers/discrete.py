@@ -106,7 +106,7 @@ def find_mistakes(recordings: Sequence[Recording], simulation: Simulation) -> Un
 
 def _known(simulation: Simulation) -> FloatArray:
     """(n, OWN) what a simulation says of its joints' friction and rotor inertias."""
-    symbols, values = (FRICTION, DAMPING, ARMATURE, ""), simulation.own
+    symbols, values = (FRICTION, "", DAMPING, ARMATURE, ""), simulation.own
     names = simulation.arm.joint_names
     return np.array([[values.get(f"{symbol}[{name}]", 0.0) for symbol in symbols] for name in names])
 

@@ -543,7 +543,7 @@ class Competition:
             return None if found is candidate else found
 
         # The longest first: what is begun last the other processes wait for.
-        order = sorted(candidates, key=lambda one: -one.stacked.columns.size * len(one.constants))
+        order = sorted(candidates, key=lambda one: -one.stacked.kept.size * len(one.constants))
         found = dict(zip(map(id, order), each(better, order)))
         # What another process computed is of a copy of the effect.
         return [one if (other := found[id(one)]) is None else replace(other, effect=one.effect) for one in candidates]

@@ -75,7 +75,8 @@ class Candidate:
     @cached_property
     def energy(self) -> FloatArray:
         """(k,) sum of squares of each column."""
-        return np.asarray(np.einsum("rk,rk->k", self.stacked.columns, self.stacked.columns))
+        columns = self.stacked.columns
+        return np.asarray(np.einsum("rk,rk->k", columns, columns))
 
 
 @dataclass(frozen=True)
@@ -273,9 +274,8 @@ class Evidence:
             before: The evidence that they are of.
         """
         ratio = [old.sigma_Nm / new.sigma_Nm for old, new in zip(before.field.whiteners, self.field.whiteners)]
-        times = (np.array(ratio)[self.field.joint] * self.field.weight / before.field.weight)[:, None]
-        rows = [candidate.stacked.rows for candidate in known]
-        stacks = [Stacked(own, candidate.stacked.columns * times[own]) for own, candidate in zip(rows, known)]
+        factors = np.array(ratio)[self.field.joint] * self.field.weight / before.field.weight
+        stacks = [candidate.stacked.times(factors) for candidate in known]
         return self._candidates(known[0].effect, [candidate.constants for candidate in known], stacks)
 
     def _candidates(self, effect: Effect, constants: Sequence[Values], stacks: Sequence[Stacked]) -> list[Candidate]:
