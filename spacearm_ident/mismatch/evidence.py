@@ -131,18 +131,18 @@ class Evidence:
         self.rows = len(field)
         scenes = [field] if reference is None else [field, reference]
         stacks = [base_columns(base, scene, self.common) for scene in scenes]
+        torques = [scene.torque() for scene in scenes]
         self._width = stacks[0].shape[1]
         belief, near = _belief(base, scenes, self._width)
-        torque = np.concatenate([*(scene.torque() for scene in scenes), near])
-        stacked = np.concatenate([*stacks, belief])
-        del stacks
-        self._used = np.flatnonzero(stacked.any(axis=0))
-        self._triangle = _triangle_of(stacked, self._used)
+        stacks, torques = [*stacks, belief], [*torques, near]
+        self._used = np.flatnonzero(np.any([columns.any(axis=0) for columns in stacks], axis=0))
+        self._triangle = _triangle_of(stacks, self._used)
         # Of the field's rows alone: of the reference's, which are more, nothing else is needed.
-        self._basis = solve_triangular(self._triangle, stacked[: self.rows, self._used].T, trans="T").T
-        self._inside = solve_triangular(self._triangle, (stacked.T @ torque)[self._used], trans="T")
-        self._squares = float(torque @ torque)
-        self.residual: FloatArray = torque[: self.rows] - self._basis @ self._inside
+        self._basis = solve_triangular(self._triangle, stacks[0][:, self._used].T, trans="T").T
+        slope = np.sum([columns.T @ torque for columns, torque in zip(stacks, torques)], axis=0)
+        self._inside = solve_triangular(self._triangle, slope[self._used], trans="T")
+        self._squares = float(sum(torque @ torque for torque in torques))
+        self.residual: FloatArray = torques[0] - self._basis @ self._inside
 
     @property
     def squares_left(self) -> float:
@@ -438,12 +438,16 @@ class Evidence:
         return np.asarray(inside)
 
 
-def _triangle_of(stacked: FloatArray, used: np.ndarray) -> FloatArray:
-    """(k, k) triangular factor of the columns `used` of rows (R, p), some rows at a time: a QR copies what it takes."""
+def _triangle_of(stacks: Sequence[FloatArray], used: np.ndarray) -> FloatArray:
+    """(k, k) triangular factor of the columns `used` of stacks of rows (r, p), some rows at a time.
+
+    A QR copies what it takes, and so would putting the stacks together: most of the memory that a fit of the base has.
+    """
     triangle: FloatArray = np.zeros((0, len(used)))
-    for first in range(0, len(stacked), AT_ONCE):
-        rows = stacked[first : first + AT_ONCE, used]
-        triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
+    for stacked in stacks:
+        for first in range(0, len(stacked), AT_ONCE):
+            rows = stacked[first : first + AT_ONCE, used]
+            triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
     return triangle
 
 
