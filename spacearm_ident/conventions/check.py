@@ -209,8 +209,8 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
     sure = step.gain > scorer.sure
     level = Level.UNFIT if sure else Level.NOTE
     if change.kind is Kind.DELAY:
-        # Friction that builds up over a distance lags behind the velocity like a late torque does: 11 of 28 sound
-        # recordings with such friction show one of 20 to 110 ms, at log odds of hundreds.
+        # Friction that builds up over another distance than is modelled lags behind the velocity like a late torque
+        # does: of the bench's 460 recordings with seed 32, 79 have such a note without a delay, at log odds up to 310.
         level = Level.NOTE
     elif change.kind is Kind.ENCODER_ZERO:
         if abs(change.value[0]) < ZERO_SMALL:
