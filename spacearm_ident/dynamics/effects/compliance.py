@@ -232,7 +232,16 @@ def spring(
 
 
 def own_signals(links: Sequence[Sensitivity], step: int = 1) -> Iterator[FloatArray]:
-    """(N, n, 1) inertia, what d' and d cost about their own axes, and load, of every `step`-th sample."""
+    """What n springs feel about their own axes, over the samples of a motion.
+
+    Args:
+        links: Sensitivity of the torque to each spring's deflection d.
+        step: Every so many samples are taken.
+
+    Yields:
+        (N, n, 1) inertia, kg m² (kg of a rail), at least `LEAST_INERTIA`; then what d' and d cost, N·m s/rad and
+        N·m/rad; then load, N·m.
+    """
     inertia, *others = zip(*((link.own_inertia, link.own_coriolis, link.own_gradient, link.load) for link in links))
     for signals in ([np.maximum(own, LEAST_INERTIA) for own in inertia], *others):
         yield np.stack([signal[::step] for signal in signals], axis=1)[:, :, None]
