@@ -128,13 +128,14 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     steps = search(scorer)
     final = steps[-1].before
     findings = [finding for step in steps if (finding := _finding(scorer, step, final)) is not None]
-    told = [one for one in findings if one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN)]
-    far = _far_from_cad(scorer, final)
-    if far and all(one.level is Level.NOTE for one in told) and far[0].level is Level.UNFIT:
-        # Both say that the torque is too small, or too large: a fact takes the place of what is suspected.
-        findings = [one for one in findings if one not in told] + far
-    elif not told:
-        findings += far or _beyond_the_limit(scorer, final)
+    units = [one for one in findings if one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN)]
+    if all(one.level is Level.NOTE for one in units):
+        far = _far_from_cad(scorer, final)
+        if any(one.level is Level.UNFIT for one in far):
+            # Both say that the torque is too small, or too large: a fact takes the place of what is suspected.
+            findings = [one for one in findings if one not in units] + far
+        elif not units:
+            findings += far or _beyond_the_limit(scorer, final)
     findings += hardly_moving([arm.joint_names[k] for k in sorted(scorer.idle)])
     return findings, _undecided(scorer, steps[-1], plain)
 

@@ -4,7 +4,7 @@ tau_j = g_j Y_j(q, qd, qdd) phi + f_c s + f_p (s - z) + k_v qd + J_m qdd + offse
 values as mean and a relative standard deviation s that the data choose from a grid (the likelihood is summed over it);
 a payload may be on the last link. The state z follows the sign s of the velocity over a presliding distance. The gains
 g_j are 1 give or take `GAIN_SD`. The error e_j is mostly what the model leaves out and therefore slow: n_j rows with a
-correlation time of kappa_j rows count as n_j / kappa_j. Its size is unknown, believed near `MODEL_ERROR` of the
+correlation time of kappa_j rows count as n_j / kappa_j. Its size is unknown, expected near `MODEL_ERROR` of the
 torque. Friction takes power from a joint and never gives any: the probability of that under the posterior multiplies
 the likelihood, as does that of rotor inertias that are not negative.
 """
