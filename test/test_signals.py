@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted_arm import incommensurate, multisine
+from scipy.signal import butter, sosfilt
 
 from spacearm_ident.errors import UnfitDataError, UserError
 from spacearm_ident.recording.recording import Recording, Series, Source
@@ -218,6 +219,28 @@ class TestBandwidth:
         chosen = choose_bandwidth(q + 2e-4 * rng.standard_normal(q.shape), 1000.0)
         assert "positions are noise" in chosen.reason
         assert chosen.crossing_hz < 5 * chosen.dynamic_hz
+
+    @pytest.mark.parametrize("filtered_hz", [15.0, 60.0, 250.0])
+    def test_noise_that_a_controller_has_filtered_is_noise(self, filtered_hz):
+        """Nothing of it is left at the highest frequencies, where a white noise would be measured."""
+        rng = np.random.default_rng(0)
+        time = even(1000.0, 20.0)
+        filtered = butter(2, filtered_hz, fs=1000.0, output="sos")
+        q = incommensurate(time, 2, 1)[0] + 1e-4 * sosfilt(filtered, rng.standard_normal((len(time), 2)), axis=0)
+        slow = choose_bandwidth(incommensurate(time, 2, 1)[0], 1000.0)
+        chosen = choose_bandwidth(q, 1000.0)
+        assert chosen.dynamic_hz == pytest.approx(slow.dynamic_hz, abs=0.2)
+        assert slow.dynamic_hz < chosen.crossing_hz < 12.0
+
+    @pytest.mark.parametrize("fast_hz", [6.0, 9.0])
+    def test_a_fast_motion_on_a_slow_one_is_motion(self, fast_hz):
+        """Between them the acceleration's spectrum is low, and rises again: but not for good."""
+        rng = np.random.default_rng(0)
+        time = even(1000.0, 20.0)
+        shaking = 0.3 * 0.3 / fast_hz * np.sin(2 * np.pi * fast_hz * time)[:, None]
+        noise = 1e-6 * sosfilt(butter(2, 60.0, fs=1000.0, output="sos"), rng.standard_normal((len(time), 1)), axis=0)
+        chosen = choose_bandwidth(np.sin(2 * np.pi * 0.3 * time)[:, None] + shaking + noise, 1000.0)
+        assert chosen.dynamic_hz == pytest.approx(fast_hz, abs=0.2) and chosen.cutoff_hz > fast_hz
 
     def test_a_motion_of_fast_lines_alone_is_not_taken_for_noise(self):
         """Its spectrum is empty from zero to 6 Hz; the noise begins above the line, not below it."""

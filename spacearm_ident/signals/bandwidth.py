@@ -1,11 +1,15 @@
 """The bandwidth of a recording, read off its own spectra.
 
 Two frequencies bound what is worth keeping. Above the *crossing*, where the position's spectrum falls into its
-noise floor, a low-pass loses nothing but noise: there the expected error of the acceleration (signal cut off
+noise, a low-pass loses nothing but noise: there the expected error of the acceleration (signal cut off
 plus noise let through, both weighted by w^4) is least. And five times the *dynamic* frequency, below which
 nearly all of the velocity's power lies, keeps the motion's harmonics undistorted (Gautier 1997, "Dynamic
 identification of robots with power model": cut-off >= 5 w_dyn). The smaller of the two, the same for every
 joint and for torque and regressor alike, is the bandwidth.
+
+The noise need not be white. A controller that filters its encoders leaves noise whose spectrum falls, too, but not as
+fast as that of a motion: motors drive accelerations, whose spectrum falls with the frequency. So noise begins where
+the acceleration's spectrum begins to rise for good.
 """
 
 from __future__ import annotations
@@ -24,7 +28,10 @@ BOUNDS_HZ = (5.0, 20.0)
 WINDOW_S = 8.0
 """Length of the spectra's window; what is shorter shows no lines, only their smear."""
 FLOOR_FACTOR = 4.0
-"""A line this far above the floor (6 dB) is taken for signal."""
+"""A line this far above the noise (6 dB) is taken for signal."""
+BANDS_AN_OCTAVE, HIGHEST_HZ = 3, 40.0
+"""Bands over which the acceleration's spectrum is averaged, and the last of them: what is above twice the largest
+cut-off, where a controller's filters may let noise fall as a motion does, says nothing of what is below."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +69,15 @@ def choose_bandwidth(position: FloatArray, rate_hz: float) -> Bandwidth:
     frequency, density = welch(position, rate_hz, nperseg=window, detrend="linear", axis=0)
     floor = np.median(density[frequency > 0.3 * rate_hz], axis=0)
     noise = np.sqrt(floor * rate_hz / 2)
-    velocity_power = np.cumsum(density * (frequency**2)[:, None] * (density > FLOOR_FACTOR * floor[None]), axis=0)
+    signal = (density > FLOOR_FACTOR * floor) & (frequency[:, None] < _noise_onset(frequency, density))
+    velocity_power = np.cumsum(density * (frequency**2)[:, None] * signal, axis=0)
     moving = velocity_power[-1] > 0
     if not moving.any():
         return Bandwidth(BOUNDS_HZ[0], 0.0, 0.0, noise, "nothing moves")
     share = velocity_power[:, moving] / velocity_power[-1, moving]
     lines = [int(np.argmax(column >= DYNAMIC_SHARE)) for column in share.T]
     dynamic = float(frequency[max(lines)])
-    below = density[:, moving] < FLOOR_FACTOR * floor[moving]
+    below = ~signal[:, moving]
     for column, line in zip(below.T, lines):
         column[: line + 1] = False  # A spectrum may be empty below its lines: the noise begins above them.
     first = [np.argmax(column) if column.any() else len(frequency) - 1 for column in below.T]
@@ -87,3 +95,30 @@ def choose_bandwidth(position: FloatArray, rate_hz: float) -> Bandwidth:
     elif cutoff < wanted:
         reason += f", lowered to {cutoff:.2g} Hz, the largest bandwidth used at this rate"
     return Bandwidth(cutoff, crossing, dynamic, noise, reason)
+
+
+def _noise_onset(frequency: FloatArray, density: FloatArray) -> FloatArray:
+    """(n,) frequency from which each acceleration's spectrum does nothing but rise, Hz; infinite where it falls.
+
+    From the highest band down: the least one before the spectrum is `FLOOR_FACTOR` times that again.
+
+    Args:
+        frequency: (F,) Hz, of a spectrum.
+        density: (F, n) of the positions.
+    """
+    highest = min(HIGHEST_HZ, 0.8 * frequency[-1])
+    octaves = np.log2(highest / np.maximum(frequency, 1e-9))
+    number = np.floor(BANDS_AN_OCTAVE * octaves).astype(int)
+    inside = (frequency > 0) & (octaves >= 0)
+    # Numbers of the bands that hold a line, the highest band first.
+    bands = np.unique(number[inside])
+    acceleration = density * (frequency**4)[:, None]
+    power = np.stack([acceleration[inside & (number == band)].mean(axis=0) for band in bands])
+    onset = np.full(density.shape[1], np.inf)
+    for k, column in enumerate(power.T):
+        least = np.minimum.accumulate(column)
+        risen = np.flatnonzero(column > FLOOR_FACTOR * least)
+        down_to = int(np.argmin(column[: risen[0] if len(risen) else None]))
+        if column[0] > FLOOR_FACTOR * column[down_to]:
+            onset[k] = highest * 2.0 ** (-(bands[down_to] + 0.5) / BANDS_AN_OCTAVE)
+    return onset
