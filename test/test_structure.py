@@ -62,6 +62,31 @@ def test_quadratic_friction_is_found_in_its_own_form(seed):
     assert result.model.value("k_v2", "shoulder") == pytest.approx(2.0, rel=0.2)
 
 
+def sprung(stiffness: float, seed: int = 0, speed: float = 2.0) -> Identified:
+    """Two joints with plain friction, and a spring at the elbow."""
+    planted = two_link_run(PLAIN, seconds=40.0, seed=seed, speed=speed)
+    recording = planted.recording(noise=0.2, seed=seed)
+    pull = stiffness * recording.position * [0.0, 1.0]
+    return identify([replace(recording, effort=recording.effort + pull)], arm_from_urdf(planted.urdf))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_spring_is_found_at_its_joint(seed):
+    result = sprung(4.0, seed)
+    assert (OptionalTerm.SPRING, "elbow") in found(result)
+    assert (OptionalTerm.SPRING, "shoulder") not in found(result)
+    assert result.model.value("k_1", "elbow") == pytest.approx(4.0, rel=0.1)
+
+
+def test_what_pushes_a_joint_away_from_its_middle_is_no_spring():
+    assert OptionalTerm.SPRING not in {kind for kind, _ in found(sprung(-4.0))}
+
+
+def test_spring_is_not_looked_for_in_a_small_part_of_a_joints_range():
+    result = sprung(4.0, speed=0.1)
+    assert not any(choice.kind is OptionalTerm.SPRING for choice in result.choices)
+
+
 def test_recording_too_short_to_hold_out_blocks_gets_the_plain_law():
     result = run(replace(PLAIN[0], k_v2=2.0, odd=True), PLAIN[1], seconds=2.5)
     assert found(result) == set()

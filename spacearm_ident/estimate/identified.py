@@ -89,6 +89,7 @@ class OptionalTerm(StrEnum):
     EVEN = "even"
     ODD = "odd"
     CUBIC = "cubic"
+    SPRING = "spring"
 
     @property
     def words(self) -> str:
@@ -104,6 +105,7 @@ _WORDS = {
     OptionalTerm.EVEN: "quadratic friction k_v2 qd^2",
     OptionalTerm.ODD: "quadratic friction k_v2 qd |qd|",
     OptionalTerm.CUBIC: "cubic friction k_v3 qd^3",
+    OptionalTerm.SPRING: "spring k_1 q",
 }
 
 

@@ -12,6 +12,10 @@ from typing import Any
 
 from ..dynamics.friction import StribeckFriction, ViscousFriction
 from ..dynamics.model import Structure
+from ..dynamics.rigid_body import JointSpring
+
+_FLAGS = ("offset", "stribeck", "presliding", "load", "cubic", "spring")
+"""Terms that are there or not; quadratic friction has a form."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,7 @@ class JointTerms:
         load: Coulomb friction grows with the torque of the links, mu.
         quadratic: `even` (qd^2), `odd` (qd |qd|), or empty.
         cubic: qd^3.
+        spring: k_1 q, as of a cable harness.
     """
 
     offset: bool = True
@@ -33,6 +38,7 @@ class JointTerms:
     load: bool = False
     quadratic: str = ""
     cubic: bool = False
+    spring: bool = False
 
     def neighbours(self, seen: frozenset[str]) -> Iterator[JointTerms]:
         """Laws that differ in one term, or have several of a curve more: often only together do they help.
@@ -40,7 +46,7 @@ class JointTerms:
         Args:
             seen: Names of the terms that these data can show at all; others are not offered.
         """
-        for name in ("offset", "stribeck", "presliding", "load", "cubic"):
+        for name in _FLAGS:
             there = getattr(self, name)
             if there or name in seen:
                 changes: dict[str, Any] = {name: not there}
@@ -63,7 +69,7 @@ class JointTerms:
     @property
     def terms(self) -> frozenset[str]:
         """Names of its terms, values of `OptionalTerm`."""
-        flags = {name for name in ("offset", "stribeck", "presliding", "load", "cubic") if getattr(self, name)}
+        flags = {name for name in _FLAGS if getattr(self, name)}
         return frozenset(flags | ({self.quadratic} if self.quadratic else set()))
 
     @property
@@ -78,6 +84,7 @@ class JointTerms:
         names += [f"f_b {self.tag}"] if self.stribeck else []
         names += [f"mu {self.tag}"] if self.load else []
         names += ["offset"] if self.offset else []
+        names += ["k_1"] if self.spring else []
         names += [{"even": "k_v2", "odd": ViscousFriction.ODD}[self.quadratic]] if self.quadratic else []
         return (*names, "k_v3") if self.cubic else tuple(names)
 
@@ -116,6 +123,8 @@ def structure_with(
         },
         ViscousFriction.kind: viscous,
     }
+    if having("spring"):
+        chosen[JointSpring.kind] = {"free": having("spring")}
     if having("offset"):
         chosen["torque_offset"] = {"joints": having("offset")}
     return chosen

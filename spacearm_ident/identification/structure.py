@@ -37,7 +37,8 @@ ROUNDS = 12
 COVERED_SHARE = 0.25
 """Share of a joint's velocity limit that the data must reach before friction of second or third order in speed is
 considered: a curvature seen below a quarter of the range is hardly distinct from slopes of other terms, and the rest of
-the range would be extrapolated (rokae joint 6, 8 % of its range: 27 % of its torque off, without the term 9 %)."""
+the range would be extrapolated (rokae joint 6, 8 % of its range: 27 % of its torque off, without the term 9 %). As much
+of the joint's range, or of a turn, they must cover before a spring is considered."""
 SPEEDS = 9
 """Speeds at which friction is checked to resist, from zero to the largest in the data."""
 
@@ -92,9 +93,15 @@ def choose_structure(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
 
 def _offered(trials: Trials, fit: Fit, joint: int, fastest: float) -> frozenset[str]:
     """Names of the terms that a joint may get: those that are seen, and whose range the data cover."""
-    limit = fit.regression.model.arm.joints[joint].velocity_limit
-    covered = not np.isfinite(limit) or fastest >= COVERED_SHARE * limit
-    return trials.seen[joint] if covered else trials.seen[joint] - {"even", "odd", "cubic"}
+    described, motions = fit.regression.model.arm.joints[joint], fit.regression.motions
+    positions = np.concatenate([motion.position[:, joint] for motion in motions])
+    turn = 2.0 * np.pi if described.revolute else np.inf
+    unseen: set[str] = set()
+    if np.isfinite(described.velocity_limit) and fastest < COVERED_SHARE * described.velocity_limit:
+        unseen |= {"even", "odd", "cubic"}
+    if np.ptp(positions) < COVERED_SHARE * min(described.upper - described.lower, turn):
+        unseen |= {"spring"}
+    return trials.seen[joint] - unseen
 
 
 def _searched(
@@ -167,7 +174,7 @@ def _whole(trials: Trials, offered: Sequence[frozenset[str]]) -> list[JointTerms
     """Laws with every term that a joint may have, each quadratic one in the form that leaves less beside the others."""
 
     def law(names: frozenset[str], form: str) -> JointTerms:
-        flags: dict[str, Any] = {name: name in names for name in ("stribeck", "presliding", "load", "cubic")}
+        flags: dict[str, Any] = {name: name in names for name in ("stribeck", "presliding", "load", "cubic", "spring")}
         return JointTerms(quadratic=form if form in names else "", **flags)
 
     laws = [law(names, "even") for names in offered]
@@ -216,6 +223,8 @@ def _possible(trials: Trials, laws: Sequence[JointTerms], joint: int, fastest: F
     if law.stribeck and values[f"f_b {law.tag}"] < 0.0:
         return False
     if law.load and not 0.0 <= values[f"mu {law.tag}"] <= LARGEST_LOAD_SHARE:
+        return False
+    if law.spring and values["k_1"] < 0.0:
         return False
     odd = values[f"f_c {law.tag}"] + values.get("k_v1", 0.0) * speeds + values.get("k_v3", 0.0) * speeds**3
     odd = odd + values.get("k_v2_odd", 0.0) * speeds**2

@@ -16,6 +16,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.friction import StribeckFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
+from ..dynamics.rigid_body import JointSpring
 from ..noise.weights import common_correlation
 from ..regression.held_out import folds_of, time_blocks
 from ..regression.prior import make_prior
@@ -37,6 +38,7 @@ COLUMN_OF = {
     "even": "k_v2",
     "odd": "k_v2_odd",
     "cubic": "k_v3",
+    "spring": "k_1",
 }
 """Optional term -> the column by whose presence it can be chosen."""
 
@@ -164,6 +166,7 @@ def _with_everything(fit: Fit) -> tuple[Regression, FloatArray]:
         "stribeck_friction": {**fitted.structure["stribeck_friction"], "load": True},
         "viscous_friction": {"quadratic": "both"},
         "torque_offset": {},
+        JointSpring.kind: {"free": True},
     }
     model = TorqueModel(fitted.arm, structure)
     regression = Regression(model, fit.regression.motions, fit.regression)
@@ -210,7 +213,7 @@ def _joint(
         else:
             columns |= {f"{names[n].name}": (column, float(scale[n])) for n, column in zip(found[0], found[1].T)}
     optional = {name for tag in ("00", "0d", "v0", "vd") for name in (f"f_c {tag}", f"f_b {tag}", f"mu {tag}")}
-    optional |= {"offset", "k_v2", "k_v2_odd", "k_v3"}
+    optional |= {"offset", "k_v2", "k_v2_odd", "k_v3", "k_1"}
     residual = fit.residuals[joint]
     size = float(np.sqrt(np.mean(residual**2))) if len(residual) else 1.0
     weight = np.sqrt(fit.regression.rows[joint].trust)[:, None] / max(size, 1e-12)
