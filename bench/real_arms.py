@@ -211,7 +211,10 @@ def run(chosen: argparse.Namespace) -> list[Line]:
         except UnfitDataError as error:
             print(f"| {case.name} | – | | | | | | | unfit: {error} |", flush=True)
             continue
-        print("\n".join(row(line) for line in found), flush=True)
+        for line in found:
+            print(row(line), flush=True)
+        if not found:
+            print(f"| {case.name} | – | | | | | | | no joint moves in {LEAST_ROWS} rows of both |", flush=True)
         lines += found
     return lines
 
