@@ -14,7 +14,7 @@ from ..dynamics.friction import StribeckFriction, ViscousFriction
 from ..dynamics.model import Structure
 from ..dynamics.rigid_body import JointSpring
 
-_FLAGS = ("offset", "stribeck", "presliding", "load", "cubic", "spring")
+FLAGS = ("offset", "stribeck", "presliding", "load", "cubic", "spring")
 """Terms that are there or not; quadratic friction has a form."""
 
 
@@ -46,7 +46,7 @@ class JointTerms:
         Args:
             seen: Names of the terms that these data can show at all; others are not offered.
         """
-        for name in _FLAGS:
+        for name in FLAGS:
             there = getattr(self, name)
             if there or name in seen:
                 changes: dict[str, Any] = {name: not there}
@@ -69,7 +69,7 @@ class JointTerms:
     @property
     def terms(self) -> frozenset[str]:
         """Names of its terms, values of `OptionalTerm`."""
-        flags = {name for name in _FLAGS if getattr(self, name)}
+        flags = {name for name in FLAGS if getattr(self, name)}
         return frozenset(flags | ({self.quadratic} if self.quadratic else set()))
 
     @property

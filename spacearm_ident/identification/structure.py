@@ -29,7 +29,7 @@ from ..dynamics.model import Structure
 from ..estimate.identified import Choice, OptionalTerm
 from ..regression.held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, gain, predicts_better, t_of_all, t_of_drop
 from .fit import Fit
-from .joint_terms import JointTerms, structure_with
+from .joint_terms import FLAGS, JointTerms, structure_with
 from .trials import Trials
 
 ROUNDS = 12
@@ -174,7 +174,7 @@ def _whole(trials: Trials, offered: Sequence[frozenset[str]]) -> list[JointTerms
     """Laws with every term that a joint may have, each quadratic one in the form that leaves less beside the others."""
 
     def law(names: frozenset[str], form: str) -> JointTerms:
-        flags: dict[str, Any] = {name: name in names for name in ("stribeck", "presliding", "load", "cubic", "spring")}
+        flags: dict[str, Any] = {name: name in names for name in FLAGS if name != "offset"}
         return JointTerms(quadratic=form if form in names else "", **flags)
 
     laws = [law(names, "even") for names in offered]

@@ -107,13 +107,12 @@ def _noise_onset(frequency: FloatArray, density: FloatArray) -> FloatArray:
         density: (F, n) of the positions.
     """
     highest = min(HIGHEST_HZ, 0.8 * frequency[-1])
-    octaves = np.log2(highest / np.maximum(frequency, 1e-9))
-    number = np.floor(BANDS_AN_OCTAVE * octaves).astype(int)
-    inside = (frequency > 0) & (octaves >= 0)
+    inside = (frequency > 0) & (frequency <= highest)
+    acceleration = density[inside] * (frequency[inside] ** 4)[:, None]
+    number = np.floor(BANDS_AN_OCTAVE * np.log2(highest / frequency[inside])).astype(int)
     # Numbers of the bands that hold a line, the highest band first.
-    bands = np.unique(number[inside])
-    acceleration = density * (frequency**4)[:, None]
-    power = np.stack([acceleration[inside & (number == band)].mean(axis=0) for band in bands])
+    bands = np.unique(number)
+    power = np.stack([acceleration[number == band].mean(axis=0) for band in bands])
     onset = np.full(density.shape[1], np.inf)
     for k, column in enumerate(power.T):
         least = np.minimum.accumulate(column)
