@@ -25,6 +25,7 @@ from ..solvers import pso_lm
 from ..solvers.choice import Search
 from ..solvers.separable import PRESENCE_GATE, Solution, solve, system, without_constants
 from ..solvers.solution_columns import all_columns, residuals_of
+from .cad_scale import with_cad_scale
 
 REWEIGHTINGS = 2
 
@@ -49,7 +50,7 @@ def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: 
         motions: One or more, with the arm's joints in its order.
         search: How constants are searched; not used where `start` is given.
         start: A fit of a model of the same terms to the same motions. Its row weights and constants are where the
-            solver begins.
+            solver begins, and its CAD scale is kept.
 
     Raises:
         UnfitDataError: A joint moves without any torque.
@@ -60,7 +61,10 @@ def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: 
     prior = make_prior(model, motions)
     if start is None:
         solution = searched(regression, prior, search)
+        prior = with_cad_scale(regression, prior, solution.constants)
+        solution = solve(regression, prior, solution.constants)
     else:
+        prior = make_prior(model, motions, start.prior.cad_scale)
         for rows, known in zip(regression.rows, start.regression.rows):
             rows.set_weight(known.weight)
         solution = solve(regression, prior, allowed(regression, start.solution.constants))
@@ -141,7 +145,7 @@ def fit_as_published(model: TorqueModel, motions: list[Motion], seed: int) -> Fi
 def refitted(known: Fit, motions: list[Motion]) -> tuple[Regression, Prior, Solution, list[list[Noise]]]:
     """Least squares on the same recordings made ready in another way, from the constants that are known."""
     regression = Regression(known.regression.model, motions)
-    prior = make_prior(known.regression.model, motions)
+    prior = make_prior(known.regression.model, motions, known.prior.cad_scale)
     _first_weights(regression)
     return regression, prior, *reweighted(regression, prior, solve(regression, prior, known.solution.constants))
 

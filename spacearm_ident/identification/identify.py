@@ -43,6 +43,7 @@ from ..solvers.choice import CLOE, IDIM_IV, LEAST_SQUARES, PSO_LM, SEEDED, SEPAR
 from ..solvers.separable import Solution, system
 from . import output_error
 from .blend import blend_notes, blended
+from .cad_scale import prior_note
 from .coupled_wrist import try_coupling
 from .cross_check import fit_instrumental, fit_output_error
 from .fit import Fit, covariance_of, fit_as_published, fit_model, freedom, revealed
@@ -268,7 +269,7 @@ def _conclude(
         choices=choices,
         solver=solver,
         joints_at_rest=at_rest,
-        notes=(*_notes(regression.motions, at_rest), *said.notes, *fit.stages),
+        notes=(*_notes(regression.motions, at_rest), *prior_note(prior), *said.notes, *fit.stages),
         environment=environment,
     )
 

@@ -66,7 +66,7 @@ def plain_fit(fit: Fit, arm: Arm | None = None) -> tuple[Regression, Prior, Solu
     sliding = [joint for joint in arm.joint_names if f"d_s[{joint}]" in distance]
     model = TorqueModel(arm, plain_structure(arm, sliding))
     regression = Regression(model, fit.regression.motions, fit.regression)
-    prior = make_prior(model, regression.motions)
+    prior = make_prior(model, regression.motions, fit.prior.cad_scale)
     constants = np.array([distance.get(constant.name, 0.0) for constant in model.constants])
     solution = _solved(regression, prior, constants)
     for _ in range(WEIGHTINGS):

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.model import TorqueModel
+from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..dynamics.term import Parameter
 from ..signals.motion import Motion
 
@@ -32,6 +33,7 @@ class Prior:
         scale: (p,) standard deviation of each parameter before the data; 0 where held.
         held: (p,) values of the parameters that are not estimated (and prior means of the others).
         free: (f,) numbers of the parameters to estimate.
+        cad_scale: Factor on the scales of the inertials, as of `make_prior`.
     """
 
     rows: FloatArray
@@ -39,6 +41,7 @@ class Prior:
     scale: FloatArray
     held: FloatArray
     free: np.ndarray
+    cad_scale: float = 1.0
 
     @cached_property
     def _fixed(self) -> np.ndarray:
@@ -50,11 +53,20 @@ class Prior:
         return np.asarray(matrix[:, self._fixed] @ self.held[self._fixed])
 
 
-def make_prior(model: TorqueModel, motions: Sequence[Motion]) -> Prior:
-    """The prior of a model for data of this size."""
+def make_prior(model: TorqueModel, motions: Sequence[Motion], cad_scale: float = 1.0) -> Prior:
+    """The prior of a model for data of this size.
+
+    Args:
+        model: Terms and their parameters.
+        motions: How large torque and motion are.
+        cad_scale: Factor on the scales of the links' inertials. The last link's stay as they are: what the arm carries
+            is part of it, and CAD need not have it.
+    """
     size = _Sizes(motions)
     parameters = model.parameters
     scale = np.array([WIDENING * size.scale(parameter) for parameter in parameters])
+    believed = [one.symbol in INERTIAL_SYMBOLS and one.joint in model.arm.joint_names[:-1] for one in parameters]
+    scale *= np.where(believed, cad_scale, 1.0)
     numbers = {parameter.name: k for k, parameter in enumerate(parameters)}
     free = np.flatnonzero(scale > 0)
     rows = np.zeros((len(free), len(parameters)))
@@ -66,7 +78,7 @@ def make_prior(model: TorqueModel, motions: Sequence[Motion]) -> Prior:
         if parameter.anchor is not None:
             rows[row, numbers[f"{parameter.anchor}[{parameter.joint}]"]] = -1.0 / scale[k]
     held = np.array([parameter.prior for parameter in parameters])
-    return Prior(rows, target, scale, held, free)
+    return Prior(rows, target, scale, held, free, cad_scale)
 
 
 class _Sizes:
