@@ -116,4 +116,4 @@ def test_short_slow_motion_predicts_fast_motion_better_than_with_the_widest_prio
 
 def test_result_says_how_far_the_urdf_is_believed():
     result = identify([recorded(THREE_LINKS)], arm_from_urdf(recorded(THREE_LINKS).urdf))
-    assert sum("URDF's inertials, give or take 20%" in note for note in result.notes) == 1
+    assert sum("URDF's inertials count as known to 20% of a link" in note for note in result.notes) == 1

@@ -49,8 +49,8 @@ def prior_note(prior: Prior) -> tuple[str, ...]:
     if prior.cad_scale == max(CAD_SCALES):
         return ()
     return (
-        "where the data do not tell, the links but the last have the URDF's inertials, give or take "
-        f"{WIDENING * prior.cad_scale:.0%} of the link: of the widths that are tried the data are most likely under it",
+        f"before the data, the URDF's inertials count as known to {WIDENING * prior.cad_scale:.0%} of a link (the last: "
+        f"{WIDENING:.0%}), the width under which these data are most likely",
     )
 
 
