@@ -89,13 +89,13 @@ def _products(fit: Fit, plain: Regression, plain_prior: Prior, constants: FloatA
         fit: Least squares without bounds.
         plain: Weighted rows of the plain model on the same motions.
         plain_prior: Its prior.
-        constants: (c,) its constants.
+        constants: (c,) its constants in a prediction; zero in its fit.
 
     Returns:
         (blocks, n, 3, 3) sums over a block's rows, N²·m²; each candidate fitted to the other folds.
     """
     model, prior = fit.regression.model, fit.prior
-    grams, plain_grams = BlockGrams(fit.regression, fit.solution.constants), BlockGrams(plain, constants)
+    grams, plain_grams = BlockGrams(fit.regression, fit.solution.constants), BlockGrams(plain, np.zeros_like(constants))
     columns, numbers = columns_at(fit.regression, fit.solution.constants)
     plain_columns, plain_numbers = columns_at(plain, constants)
     block_of, recording = time_blocks(fit.regression.motions)

@@ -48,9 +48,10 @@ def prior_note(prior: Prior) -> tuple[str, ...]:
     """What the prior's width means for the user; empty where it is the widest."""
     if prior.cad_scale == max(CAD_SCALES):
         return ()
+    known, last = f"{WIDENING * prior.cad_scale:.0%}", f"{WIDENING:.0%}"
     return (
-        f"before the data, the URDF's inertials count as known to {WIDENING * prior.cad_scale:.0%} of a link (the last: "
-        f"{WIDENING:.0%}), the width under which these data are most likely",
+        f"before the data, the URDF's inertials count as known to {known} of a link (the last: {last}), the width "
+        "under which these data are most likely",
     )
 
 
