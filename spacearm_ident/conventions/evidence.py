@@ -43,9 +43,11 @@ OWN = 5
 """Columns of a joint's own: Coulomb, presliding, viscous, rotor inertia, offset."""
 FRICTION = 3
 """How many of them, the first, are friction."""
-OWN_SD = (0.5, 0.5, 0.5, 0.3, 0.3)
-"""Standard deviation of what each of them adds to a joint's torque, of its RMS, before any data. The offset's is a
-drive's: that of a wrist that carries nothing can be as large as its friction (Panda: 0.29 N·m, torque 0.24 RMS)."""
+OWN_SD = (0.5, 0.5, 0.5, 0.3, 0.1)
+"""Standard deviation of what each of them adds to a joint's torque, of its RMS, before any data."""
+OFFSET_UNLOADED = 0.3
+"""That of the offset where the joint carries little: a drive's offset does not get smaller with the load (Panda:
+0.29 N·m at a joint whose torque is 0.24 RMS). At a joint that carries the arm, so wide an offset hides a wrong zero."""
 SPRING_LIKE = 1e-3
 """Probability that what the model lacks at a joint, such as a spring, gives the rotor inertia any sign. Without it one
 such joint outvotes the torque of all others (AIRBOT joint4: 17 standard errors below zero)."""
@@ -226,13 +228,17 @@ class Design:
         rigid = regressor(self.frame.arm.with_gravity(self.motion.gravity), postures, still, still)
         return np.asarray(((rigid * self.frame.unit) @ self.frame.basis).transpose(1, 0, 2))
 
+    @cached_property
+    def loaded(self) -> np.ndarray:
+        """(n,) whether CAD's gravity torque is a large part of what the joint carries: no payload would be more."""
+        size = rms((self.static @ self.frame.centre).T)
+        return np.asarray((size > LOADED_SHARE * size.max()) & (size > 1e-6))
+
     def mass_ratios(self, parameters: FloatArray) -> FloatArray:
         """(n,) torque that holds the arm still under parameters (r + n OWN,), over CAD's; NaN where that is small."""
         cad, found = self.static @ self.frame.centre, self.static @ parameters[: self.rigid]
-        size = np.sqrt(np.mean(cad**2, axis=1))
         ratios = np.sum(cad * found, axis=1) / np.maximum(np.sum(cad**2, axis=1), 1e-12)
-        loaded = (size > LOADED_SHARE * size.max()) & (size > 1e-6)
-        return np.where(loaded, ratios, np.nan)
+        return np.where(self.loaded, ratios, np.nan)
 
     def times_cad(self, joint: int, torque: FloatArray) -> tuple[float, FloatArray]:
         """The factor on the CAD inertials' torque that fits a joint's torque best beside its own parameters.
@@ -260,6 +266,7 @@ class Design:
         speed, push = rms(self.motion.velocity) + 1e-9, rms(self.motion.acceleration) + 1e-9
         size = np.stack([torque, torque, torque / speed, torque / push, torque], axis=1)
         deviation = size * OWN_SD
+        deviation[:, -1] = torque * np.where(self.loaded, OWN_SD[-1], OFFSET_UNLOADED)
         deviation = np.where(known != 0.0, OWN_SPREAD * np.abs(known), deviation)
         return known, np.asarray(1.0 / (deviation + 1e-12) ** 2)
 
