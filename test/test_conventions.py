@@ -49,12 +49,15 @@ NAMES = tuple(link.name for link in LINKS)
 
 
 def sound(
-    seed: int = 0, gravity: Sequence[float] = (0.0, 0.0, -9.81), share: Sequence[float] = (1.0, 1.0, 1.0, 1.0)
+    seed: int = 0,
+    gravity: Sequence[float] = (0.0, 0.0, -9.81),
+    share: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
+    friction: Sequence[Friction] = FRICTION,
 ) -> Recording:
     """A run; `share` of its motion is what each joint makes."""
     time = np.arange(0.0, 30.0, 1 / 200)
     motion = tuple(np.asarray(share) * signal for signal in incommensurate(time, 4, seed=seed, speed=1.2))
-    made = plant(LINKS, FRICTION, motion, 200.0, gravity, true_links=TRUE)
+    made = plant(LINKS, friction, motion, 200.0, gravity, true_links=TRUE)
     recording = made.recording(noise=[0.2, 0.3, 0.1, 0.05], seed=seed, ar=0.5)
     return replace(recording, velocity=motion[1])
 
@@ -130,6 +133,29 @@ def test_behind_friction_that_builds_up_a_zero_is_found(seed, arm):
     assert unfit(report) == [("encoder_zero", ("elbow",))]
     (zero,) = (finding for finding in report.findings if finding.kind == "encoder_zero")
     assert zero.values["value"][0] == pytest.approx(0.25, abs=0.05)
+
+
+def log_likelihood(recording: Recording) -> float:
+    """Of a recording as it is."""
+    arm = arm_from_urdf(recording.urdf)
+    motions, _ = prepare([recording], arm.joint_names)
+    return Scorer(arm, rows_of(motions)).score((), Setup.as_recorded(arm)).score
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_offset_of_a_drive_that_carries_nothing_costs_little(seed):
+    """With a prior of a tenth of the torque it cost 36 to 44, more than many a mistake."""
+    recording = sound(seed)
+    torque = np.sqrt(np.mean(recording.effort**2, axis=0))
+    other = replace(recording, effort=recording.effort + 1.2 * torque * np.array([1.0, 0.0, 0.0, 0.0]))
+    assert log_likelihood(other) > log_likelihood(recording) - 20.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_looks_like_a_rotor_without_inertia_costs_little(seed):
+    """As of a spring at one joint; without a bound the sign alone cost 27 to 33 here."""
+    spring = (replace(FRICTION[0], J_m=-1.5), *FRICTION[1:])
+    assert log_likelihood(sound(seed, friction=spring)) > log_likelihood(sound(seed)) - 15.0
 
 
 MISTAKES = {
