@@ -115,7 +115,7 @@ def test_noise_in_the_positions_biases_least_squares_and_not_these(seed):
     plain, result = identified(recording, "separable"), identified(recording, "cloe")
     assert np.abs(off(plain)).max() > 8.0
     assert np.abs(off(result)).max() < 4.0
-    how, verdict = result.notes
+    how, verdict, *_ = result.notes
     assert "along the recorded commands" in how and "settled" in result.solver
     assert "disagree with least squares" in verdict and "noise in the measured positions" in verdict
 

@@ -269,7 +269,7 @@ def _conclude(
         choices=choices,
         solver=solver,
         joints_at_rest=at_rest,
-        notes=(*_notes(regression.motions, at_rest), *prior_note(prior), *said.notes, *fit.stages),
+        notes=(*_notes(regression.motions, at_rest), *said.notes, *fit.stages, *prior_note(prior)),
         environment=environment,
     )
 
