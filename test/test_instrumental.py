@@ -40,7 +40,8 @@ def test_noise_in_the_positions_biases_least_squares_and_not_these(seed):
     plain, result = identified(recording, "separable"), identified(recording, "idim-iv")
     assert np.abs(off(plain)).max() > 8.0
     assert np.abs(off(result)).max() < 5.0
-    verdict, *_ = result.notes
+    verdict, prior = result.notes
+    assert "URDF's inertials" in prior
     assert "disagree with least squares" in verdict and "J_m[shoulder]" in verdict
 
 

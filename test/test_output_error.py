@@ -115,7 +115,8 @@ def test_noise_in_the_positions_biases_least_squares_and_not_these(seed):
     plain, result = identified(recording, "separable"), identified(recording, "cloe")
     assert np.abs(off(plain)).max() > 8.0
     assert np.abs(off(result)).max() < 4.0
-    how, verdict, *_ = result.notes
+    how, verdict, prior = result.notes
+    assert "URDF's inertials" in prior
     assert "along the recorded commands" in how and "settled" in result.solver
     assert "disagree with least squares" in verdict and "noise in the measured positions" in verdict
 

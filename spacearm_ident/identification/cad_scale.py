@@ -1,4 +1,4 @@
-"""How far the inertials of the URDF are believed: the data choose the width of their prior.
+"""The width of the prior of the inertials that the URDF gives: the data choose it.
 
 Seconds of data leave directions of the inertials open, and there the prior decides which torque other motions are
 predicted to take. One as wide as the inertials themselves leaves those directions to the noise; where CAD is right, it

@@ -58,13 +58,12 @@ def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: 
     require_torque(motions)
     shared = start.regression if start and start.regression.model.arm is model.arm else None
     regression = Regression(model, motions, shared)
-    prior = make_prior(model, motions)
+    prior = make_prior(model, motions, 1.0 if start is None else start.prior.cad_scale)
     if start is None:
         solution = searched(regression, prior, search)
         prior = with_cad_scale(regression, prior, solution.constants)
         solution = solve(regression, prior, solution.constants)
     else:
-        prior = make_prior(model, motions, start.prior.cad_scale)
         for rows, known in zip(regression.rows, start.regression.rows):
             rows.set_weight(known.weight)
         solution = solve(regression, prior, allowed(regression, start.solution.constants))
