@@ -34,6 +34,7 @@ def live(tmp_path_factory):
 @pytest.fixture
 def arm(live):
     live.healthy()
+    live.home()
     return live
 
 
