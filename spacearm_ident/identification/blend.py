@@ -6,8 +6,9 @@ than by least squares without bounds. And where joints share inertials, a term t
 more than a plain model would (`plain.py`). Held-out blocks decide: the prediction is a convex combination of the three
 (stacked regressions, Breiman 1996, Machine Learning 24, 49). Of all combinations that predict held-out blocks within
 one standard error of the best, the one nearest to the plain model is taken (one-standard-error rule, Breiman et al.
-1984, section 3.4.3): a more complex prediction must earn its place. Bodies, simulations and the URDF keep the
-consistent parameters.
+1984, section 3.4.3): a more complex prediction must earn its place. Where the consistent parameters have earned it,
+and predict a joint better than the plain model beyond chance, the plain model has no part in that joint's torque, and
+the combination nearest to them is taken. Bodies, simulations and the URDF keep the consistent parameters.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, Plain, Unbounded
 from ..estimate.consistency import make_consistent
-from ..regression.held_out import BEYOND, FEWEST_BLOCKS, folds_of, t_of_drop, time_blocks
+from ..regression.held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, folds_of, t_of_drop, time_blocks
 from ..regression.prior import Prior
 from ..regression.regression import Regression
 from ..solvers.solution_columns import columns_at
@@ -51,10 +52,8 @@ def blended(model: IdentifiedModel, fit: Fit, allow_plain: bool = True) -> Ident
     if len(recording) < FEWEST_BLOCKS:
         return model
     plain, prior, solution = plain_fit(fit)
-    mixtures = MIXTURES if allow_plain else MIXTURES[MIXTURES[:, PLAIN] == 0.0]
-    simplest = PLAIN if allow_plain else CONSISTENT
     products = _products(fit, plain, prior, solution.constants)
-    shares = np.stack([_share(products[:, joint], mixtures, simplest) for joint in range(products.shape[1])])
+    shares = np.stack([_share(products[:, joint], allow_plain) for joint in range(products.shape[1])])
     if shares[:, UNBOUNDED].any():
         model = replace(model, unbounded=Unbounded(fit.solution.parameters, shares[:, UNBOUNDED]))
     if shares[:, PLAIN].any():
@@ -116,21 +115,25 @@ def _products(fit: Fit, plain: Regression, plain_prior: Prior, constants: FloatA
     return products
 
 
-def _share(products: FloatArray, mixtures: FloatArray, simplest: int) -> FloatArray:
+def _share(products: FloatArray, allow_plain: bool) -> FloatArray:
     """Shares of the candidates in one joint's prediction.
 
     Args:
         products: (blocks, 3, 3) of `_products`.
-        mixtures: (k, 3) shares to choose from.
-        simplest: Number of the candidate that needs no evidence.
+        allow_plain: Whether the plain model is a candidate.
 
     Returns:
         (3,) shares nearest to the simplest candidate among those within one standard error of the best; the consistent
         parameters alone where too few blocks hold motion of the joint.
     """
-    squares = np.einsum("bij,wi,wj->bw", products, mixtures, mixtures)
-    if (squares.min(axis=1) > 0.0).sum() < FEWEST_BLOCKS:
+    alone = np.einsum("bkk->kb", products)
+    if (alone.min(axis=0) > 0.0).sum() < FEWEST_BLOCKS:
         return np.asarray(np.eye(3)[CONSISTENT])
+    surpassed = t_of_drop(alone[PLAIN], alone[CONSISTENT]) > bound(LEVEL, len(products))
+    with_plain = allow_plain and not surpassed
+    mixtures = MIXTURES if with_plain else MIXTURES[MIXTURES[:, PLAIN] == 0.0]
+    simplest = PLAIN if with_plain else CONSISTENT
+    squares = np.einsum("bij,wi,wj->bw", products, mixtures, mixtures)
     best = int(squares.sum(axis=0).argmin())
     drops = np.array([t_of_drop(left, squares[:, best]) for left in squares.T])
     distance = np.linalg.norm(mixtures - np.eye(3)[simplest], axis=1)
