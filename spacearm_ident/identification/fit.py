@@ -23,7 +23,7 @@ from ..signals.motion import Motion
 from ..signals.prepare import require_torque
 from ..solvers import pso_lm
 from ..solvers.choice import Search
-from ..solvers.separable import PRESENCE_GATE, Solution, solve, system, without_constants
+from ..solvers.separable import PRESENCE_GATE, Solution, exact, solve, system, without_constants
 from ..solvers.solution_columns import all_columns, residuals_of
 from .cad_scale import with_cad_scale
 
@@ -86,13 +86,16 @@ def searched(regression: Regression, prior: Prior, search: Search) -> Solution:
         search: How constants are searched.
     """
     _first_weights(regression)
-    reweight(regression, residuals_of(regression, without_constants(regression, prior)))
+    first = without_constants(regression, prior)
+    regression.update_background(first.parameters, first.constants)
+    reweight(regression, residuals_of(regression, first))
     # What a model leaves out makes its residual loud and slow, and a test under its weights blind. So the search is
-    # first free to take what helps, and what then is left weighs the rows of the search that counts.
-    flexible = solve(regression, prior, search(regression, prior, 0.0), gate=0.0)
+    # first free to take what helps, and what then is left weighs the rows of the search that counts. Weights need no
+    # refined constants: those of the grid do (0.45 of 1.9 s on two recordings of a UR10e, and the same predictions).
+    flexible = exact(regression, prior, search(regression, prior, 0.0))
     for _ in range(REWEIGHTINGS):
         reweight(regression, residuals_of(regression, flexible))
-        flexible = solve(regression, prior, flexible.constants)
+        flexible = exact(regression, prior, flexible.constants)
     reweight(regression, residuals_of(regression, flexible))
     return solve(regression, prior, search(regression, prior, PRESENCE_GATE))
 

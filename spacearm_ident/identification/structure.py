@@ -68,7 +68,7 @@ def choose_structure(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
     trials = Trials(fit)
     offered = [_offered(trials, fit, number, float(speed)) for number, speed in enumerate(fastest)]
     evidence: dict[tuple[int, str], float] = {}
-    if trials.blocks >= FEWEST_BLOCKS and len(trials.folds) > 1:
+    if trials.blocks >= FEWEST_BLOCKS and trials.folds > 1:
         trials.settle(laws)
         laws = _with_stribeck(trials, _searched(trials, laws, offered, fastest, evidence), offered, fastest)
         against: dict[tuple[int, str], float] = {}

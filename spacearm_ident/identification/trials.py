@@ -45,13 +45,43 @@ COLUMN_OF = {
 
 @dataclass
 class _Joint:
-    """Gram matrices of one joint: shared columns, own columns, torque."""
+    """Gram matrices of one joint: shared columns, own columns, torque.
+
+    Attributes:
+        own: Column name -> place; shared columns come first, the torque last.
+        fixed: Names of the columns that every law has.
+        gram: (blocks, c, c) of every block.
+        rest: (folds + 1, c, c) of all blocks but those of a fold; the last of all blocks.
+        ridge: (c,) what a column's prior adds to its square.
+        rows: Number of rows.
+    """
 
     own: dict[str, int]
     fixed: tuple[str, ...]
     gram: FloatArray
+    rest: FloatArray
     ridge: FloatArray
     rows: int
+
+    def scale(self, factor: float) -> None:
+        """Weigh all rows by the root of a factor."""
+        self.gram *= factor
+        self.rest *= factor
+
+
+@dataclass(frozen=True)
+class _Eliminated:
+    """A joint's part of the normal equations with its own columns solved for, by subset of the blocks (k of them).
+
+    Attributes:
+        own: (o,) places of its own columns.
+        back: (k, o, s + 1) the way back to their values.
+        normal: (k, s + 1, s + 1) what is left for the s shared parameters and the torque: the Schur complement.
+    """
+
+    own: np.ndarray
+    back: FloatArray
+    normal: FloatArray
 
 
 class Trials:
@@ -59,6 +89,7 @@ class Trials:
 
     Attributes:
         blocks: Number of blocks.
+        folds: Number of folds that they are held out in.
         seen: Per joint, names of the optional terms that these data can show.
     """
 
@@ -78,83 +109,81 @@ class Trials:
         concerned = np.abs(width).sum(axis=1) > 0
         self._information = width[concerned].T @ width[concerned] + RIDGE * np.eye(self._shared)
         self._pull = width[concerned].T @ prior.target[concerned]
-        block_of, self._recording = time_blocks(regression.motions)
-        self.blocks = len(self._recording)
+        block_of, recording = time_blocks(regression.motions)
+        self.blocks = len(recording)
+        folds = folds_of(recording)
+        self.folds = len(folds)
+        self._fold = np.empty(self.blocks, dtype=int)
+        for number, fold in enumerate(folds):
+            self._fold[fold] = number
         self._correlation = common_correlation([noise for joint in fit.noise for noise in joint])
         self._joints = [
-            _joint(regression, fit, joint, constants, shared, prior.scale, block_of, self.blocks)
+            _joint(regression, fit, joint, constants, shared, prior.scale, block_of, folds)
             for joint in range(len(self.joints))
         ]
         self.seen = [
             frozenset(name for name, column in COLUMN_OF.items() if one.rows and column in one.own)
             for one in self._joints
         ]
-        self._known: dict[tuple[int, JointTerms, bytes], tuple[FloatArray, FloatArray, np.ndarray]] = {}
-
-    @property
-    def folds(self) -> list[np.ndarray]:
-        """Numbers of the blocks that are held out together."""
-        return folds_of(self._recording)
+        self._known: dict[tuple[int, JointTerms], _Eliminated] = {}
 
     def settle(self, laws: Sequence[JointTerms]) -> None:
         """Weight each joint by what these laws leave of it."""
-        everything = np.arange(self.blocks)
         for _ in range(SETTLING):
-            squares = self._squares(everything, *self._solve(everything, laws)).sum(axis=0)
+            squares = self._squares(*self._solve(laws), np.full(self.blocks, self.folds)).sum(axis=0)
             for joint, left in zip(self._joints, squares):
                 if joint.rows:
-                    joint.gram /= max(left / joint.rows, 1e-12)
+                    joint.scale(1.0 / max(left / joint.rows, 1e-12))
             self._known.clear()
 
     def held_out(self, laws: Sequence[JointTerms]) -> FloatArray:
         """(blocks, n) squares left in every block by a fit to the blocks of the other folds, in units of `settle`."""
-        left = np.zeros((self.blocks, len(self._joints)))
-        for fold in self.folds:
-            rest = np.setdiff1d(np.arange(self.blocks), fold)
-            left[fold] = self._squares(fold, *self._solve(rest, laws))
-        return left
+        return self._squares(*self._solve(laws), self._fold)
 
     def values(self, laws: Sequence[JointTerms], joint: int) -> dict[str, float]:
         """Values of a joint's own columns, fitted to everything: column name -> value; `f_b` relative to `f_c`."""
-        _, own = self._solve(np.arange(self.blocks), laws)
+        _, own = self._solve(laws)
         names = {place: name for name, place in self._joints[joint].own.items()}
-        return {names[int(place)]: float(value) for place, value in zip(*own[joint])}
+        places, values = own[joint]
+        return {names[int(place)]: float(value) for place, value in zip(places, values[-1])}
 
-    def _solve(
-        self, blocks: np.ndarray, laws: Sequence[JointTerms]
-    ) -> tuple[FloatArray, list[tuple[np.ndarray, FloatArray]]]:
-        """Shared parameters, and per joint the places and values of its own, fitted to some blocks."""
-        normal = np.zeros((self._shared + 1, self._shared + 1))
-        eliminated = []
-        for number, law in enumerate(laws):
-            key = number, law, blocks.tobytes()
-            if key not in self._known:
-                self._known[key] = self._eliminate(number, law, blocks)
-            part = self._known[key]
-            normal += part[0]
-            eliminated.append(part)
-        matrix = normal[:-1, :-1] + self._information
-        shared = np.linalg.solve(matrix + RIDGE * np.diag(np.diag(matrix)), normal[:-1, -1] + self._pull)
-        return shared, [(own, back[:, -1] - back[:, :-1] @ shared) for _, back, own in eliminated]
+    def _solve(self, laws: Sequence[JointTerms]) -> tuple[FloatArray, list[tuple[np.ndarray, FloatArray]]]:
+        """Fits to every subset of the blocks: all but one fold's, in turn, and at last all.
 
-    def _eliminate(self, number: int, law: JointTerms, blocks: np.ndarray) -> tuple[FloatArray, FloatArray, np.ndarray]:
-        """Schur complement of a joint's own columns, the way back to their values, and their places."""
-        joint = self._joints[number]
-        own = np.array([joint.own[name] for name in (*joint.fixed, *law.columns) if name in joint.own], dtype=int)
-        outer = np.r_[np.arange(self._shared), joint.gram.shape[1] - 1]
-        gram = joint.gram[blocks].sum(axis=0) / self._correlation
-        inner = gram[np.ix_(own, own)] + np.diag(joint.ridge[own] + RIDGE * np.diag(gram)[own])
-        across = gram[np.ix_(own, outer)]
-        back = np.linalg.solve(inner, across) if len(own) else np.zeros((0, len(outer)))
-        return gram[np.ix_(outer, outer)] - across.T @ back, back, own
+        Returns:
+            (folds + 1, s) shared parameters, and per joint the places (o,) and values (folds + 1, o) of its own.
+        """
+        joints = [self._eliminated(number, law) for number, law in enumerate(laws)]
+        normal = np.sum([joint.normal for joint in joints], axis=0)
+        matrix = normal[:, :-1, :-1] + self._information
+        diagonal = np.arange(self._shared)
+        matrix[:, diagonal, diagonal] *= 1.0 + RIDGE
+        shared = np.linalg.solve(matrix, (normal[:, :-1, -1] + self._pull)[..., None])
+        return shared[..., 0], [
+            (joint.own, joint.back[..., -1] - (joint.back[..., :-1] @ shared)[..., 0]) for joint in joints
+        ]
 
-    def _squares(self, blocks: np.ndarray, shared: FloatArray, own: list[tuple[np.ndarray, FloatArray]]) -> FloatArray:
-        """(len(blocks), n) squares left by a solution."""
-        left = np.zeros((len(blocks), len(self._joints)))
+    def _eliminated(self, number: int, law: JointTerms) -> _Eliminated:
+        """One joint's part of the normal equations under a law; kept for the next time."""
+        if (number, law) not in self._known:
+            joint = self._joints[number]
+            own = np.array([joint.own[name] for name in (*joint.fixed, *law.columns) if name in joint.own], dtype=int)
+            outer = np.r_[np.arange(self._shared), joint.gram.shape[1] - 1]
+            gram, diagonal = joint.rest / self._correlation, np.arange(len(own))
+            inner, across = gram[:, own[:, None], own], gram[:, own[:, None], outer]
+            inner[:, diagonal, diagonal] += joint.ridge[own] + RIDGE * gram[:, own, own]
+            back = np.linalg.solve(inner, across)
+            normal = gram[:, outer[:, None], outer] - across.transpose(0, 2, 1) @ back
+            self._known[number, law] = _Eliminated(own, back, normal)
+        return self._known[number, law]
+
+    def _squares(self, shared: FloatArray, own: list[tuple[np.ndarray, FloatArray]], subset: np.ndarray) -> FloatArray:
+        """(blocks, n) squares that fits of `_solve` leave, in every block those of the subset (blocks,) named for it."""
+        left = np.zeros((self.blocks, len(self._joints)))
         for number, (joint, (places, values)) in enumerate(zip(self._joints, own)):
-            vector = np.zeros(joint.gram.shape[1])
-            vector[: self._shared], vector[places], vector[-1] = shared, values, -1.0
-            left[:, number] = np.einsum("i,bij,j->b", vector, joint.gram[blocks], vector)
+            vector = np.zeros((self.blocks, joint.gram.shape[1], 1))
+            vector[:, : self._shared, 0], vector[:, places, 0], vector[:, -1] = shared[subset], values[subset], -1.0
+            left[:, number] = ((joint.gram @ vector) * vector).sum(axis=(1, 2))
         return np.maximum(left, 0.0)
 
 
@@ -192,7 +221,7 @@ def _joint(
     shared: np.ndarray,
     scale: FloatArray,
     block_of: list[np.ndarray],
-    blocks: int,
+    folds: Sequence[np.ndarray],
 ) -> _Joint:
     """One joint's columns, weighted, as Gram matrices by block."""
     rows, names = regression.rows[joint], regression.model.parameters
@@ -219,12 +248,14 @@ def _joint(
     weight = np.sqrt(fit.regression.rows[joint].trust)[:, None] / max(size, 1e-12)
     stacked = np.column_stack([common, *(column for column, _ in columns.values()), rows.torque]) * weight
     owner = rows.group(block_of)
-    gram = np.stack([stacked[owner == block].T @ stacked[owner == block] for block in range(blocks)])
+    parts = [stacked[owner == block] for block in range(sum(len(fold) for fold in folds))]
+    gram = np.stack([part.T @ part for part in parts])
+    rest = np.stack([*(np.delete(gram, fold, axis=0).sum(axis=0) for fold in folds), gram.sum(axis=0)])
     own = {name: len(shared) + k for k, name in enumerate(columns)}
     ridge = np.zeros(gram.shape[1])
     for name, (_, width) in columns.items():
         ridge[own[name]] = 1.0 / width**2 if width > 0 else 1e12
-    return _Joint(own, tuple(name for name in columns if name not in optional), gram, ridge, len(rows.torque))
+    return _Joint(own, tuple(name for name in columns if name not in optional), gram, rest, ridge, len(rows.torque))
 
 
 def _friction_columns(

@@ -16,6 +16,7 @@ from ..errors import UserError
 from ..regression.prior import Prior
 from ..regression.regression import Regression
 from . import pso_separable
+from .separable import grid_search
 
 SEPARABLE, PSO_LM, PSO_SEPARABLE, IDIM_IV, CLOE = "separable", "pso-lm", "pso-separable", "idim-iv", "cloe"
 SOLVERS = (SEPARABLE, PSO_LM, PSO_SEPARABLE, IDIM_IV, CLOE)
@@ -23,8 +24,8 @@ SEEDED = (PSO_LM, PSO_SEPARABLE)
 LEAST_SQUARES = (SEPARABLE, PSO_SEPARABLE)
 """Those whose fit is least squares in the torque over all parameters: blocks of rows can be held out of it."""
 
-Search = Callable[[Regression, Prior, float], FloatArray | None]
-"""(rows, prior, gate) -> constants to refine from; None: `separable.solve`'s own search."""
+Search = Callable[[Regression, Prior, float], FloatArray]
+"""(rows with a background, prior, gate) -> constants to refine from."""
 
 
 def require_solver(name: str) -> str:
@@ -41,6 +42,6 @@ def require_solver(name: str) -> str:
 def search_of(solver: str, seed: int) -> Search:
     """How a solver of the separable kind searches the constants."""
     if solver != PSO_SEPARABLE:
-        return lambda regression, prior, gate: None
+        return lambda regression, prior, gate: grid_search(regression, gate)
     rng = np.random.default_rng(seed)
     return lambda regression, prior, gate: pso_separable.search(regression, prior, gate, rng)

@@ -115,6 +115,15 @@ def without_constants(regression: Regression, prior: Prior) -> Solution:
     return Solution(parameters, constants, cost, 0, "linear")
 
 
+def exact(regression: Regression, prior: Prior, constants: FloatArray) -> Solution:
+    """The parameters at given constants (c,), under a background that follows them; it is updated."""
+    parameters, cost = solve_linear(regression, prior, constants)
+    if regression.model.depends:
+        regression.update_background(parameters, constants)
+        parameters, cost = solve_linear(regression, prior, constants)
+    return Solution(parameters, constants, cost, 0, LINEAR)
+
+
 def _first_value(grid: FloatArray) -> float:
     """Zero where a constant may be absent, else the middle of the grid."""
     return 0.0 if grid[0] == 0 else float(grid[len(grid) // 2])
@@ -245,12 +254,9 @@ def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray)
         prior: Of the parameters.
         start: (c,) constants to begin from.
     """
-    constants = start.copy()
     lower, upper = _bounds(regression)
-    regression_parameters, cost = solve_linear(regression, prior, constants)
-    if regression.model.depends:
-        regression.update_background(regression_parameters, constants)
-        regression_parameters, cost = solve_linear(regression, prior, constants)
+    first = exact(regression, prior, start.copy())
+    constants, regression_parameters, cost = first.constants, first.parameters, first.cost
     damping, status, steps = 1e-3, LIMIT, 0
     while steps < ITERATIONS:
         searched = _inside(regression, constants)
