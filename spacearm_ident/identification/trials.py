@@ -174,11 +174,11 @@ class Trials:
             inner[:, diagonal, diagonal] += joint.ridge[own] + RIDGE * gram[:, own, own]
             back = np.linalg.solve(inner, across)
             normal = gram[:, outer[:, None], outer] - across.transpose(0, 2, 1) @ back
-            self._known[number, law] = _Eliminated(own, back, normal)
+            self._known[number, law] = _Eliminated(own, np.asarray(back), normal)
         return self._known[number, law]
 
     def _squares(self, shared: FloatArray, own: list[tuple[np.ndarray, FloatArray]], subset: np.ndarray) -> FloatArray:
-        """(blocks, n) squares that fits of `_solve` leave, in every block those of the subset (blocks,) named for it."""
+        """(blocks, n) squares that fits of `_solve` leave, in every block those of the subset (blocks,) named."""
         left = np.zeros((self.blocks, len(self._joints)))
         for number, (joint, (places, values)) in enumerate(zip(self._joints, own)):
             vector = np.zeros((self.blocks, joint.gram.shape[1], 1))

@@ -44,8 +44,6 @@ class Rows:
         place: (M,) its row number within that motion.
         weight: (M,) square root of the row's information, 1/(N·m).
         trust: (M,) share of its information that a row keeps as a possible outlier.
-        basis: (M, r) orthonormal basis of the weighted fixed columns.
-        triangle: (r, k) their coordinates in it.
     """
 
     indices: list[int]
@@ -55,18 +53,34 @@ class Rows:
     place: np.ndarray
     weight: FloatArray
     trust: FloatArray
-    basis: FloatArray
-    triangle: FloatArray
+    _factors: tuple[FloatArray, FloatArray] | None = None
 
     def group(self, group_of: Sequence[np.ndarray]) -> np.ndarray:
         """(M,) the group of every row, from that of every row of each motion."""
         return np.concatenate([group_of[k][self.place[self.owner == k]] for k in range(len(group_of))])
 
     def set_weight(self, weight: FloatArray, trust: FloatArray | None = None) -> None:
-        """Weight the rows (`trust` is in the weight already), and factor the fixed columns anew."""
+        """Weight the rows; `trust` is in the weight already."""
         self.weight = weight
         self.trust = np.ones(len(weight)) if trust is None else trust
-        self.basis, self.triangle = np.linalg.qr(self.fixed * weight[:, None])
+        self._factors = None
+
+    @property
+    def basis(self) -> FloatArray:
+        """(M, r) orthonormal basis of the weighted fixed columns."""
+        return self._factored()[0]
+
+    @property
+    def triangle(self) -> FloatArray:
+        """(r, k) coordinates of the weighted fixed columns in their basis."""
+        return self._factored()[1]
+
+    def _factored(self) -> tuple[FloatArray, FloatArray]:
+        """Of these weights: many are set that nothing is solved under."""
+        if self._factors is None:
+            basis, triangle = np.linalg.qr(self.fixed * self.weight[:, None])
+            self._factors = basis, triangle
+        return self._factors
 
 
 Shaped = dict[int, tuple[list[int], FloatArray]]
@@ -94,26 +108,14 @@ class Regression:
         self._most_kept = max(4 * len(self._terms), KEPT_VALUES // max(longest, 1))
         self._fixed: list[tuple[Term, Shaped]] = []
         self._fill_fixed(known._fixed if known else [])
-        for rows in self.rows:
-            rows.set_weight(np.ones(len(rows.torque)))
 
     def _rows(self, joint: int) -> Rows:
         place = [np.flatnonzero(motion.moving[:, joint]) for motion in self.motions]
         torque = [motion.torque_rows[where, joint] for motion, where in zip(self.motions, place)]
         owner = np.repeat(np.arange(len(place)), [len(where) for where in place])
         count = len(owner)
-        empty = np.empty((count, 0))
-        return Rows(
-            [],
-            empty,
-            np.concatenate(torque),
-            owner,
-            np.concatenate(place),
-            np.ones(count),
-            np.ones(count),
-            empty,
-            np.empty((0, 0)),
-        )
+        fixed, one = np.empty((count, 0)), np.ones(count)
+        return Rows([], fixed, np.concatenate(torque), owner, np.concatenate(place), weight=one, trust=one)
 
     def _fill_fixed(self, known: list[tuple[Term, Shaped]]) -> None:
         for term, first, _ in self._terms:

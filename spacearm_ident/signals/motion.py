@@ -128,6 +128,8 @@ class Motion:
         tail = signal.shape[1:]
         weights = np.full(self.block, 1.0 / self.block)
         whole = signal[: blocks * self.block]
+        if self.block == 1:
+            return np.asarray(self._low_pass @ whole)
         # A product with ones is several times as fast as a mean over an axis, and fastest along the memory.
         if signal.ndim == 2 and signal.flags.f_contiguous:
             mean = (whole.T.reshape(-1, blocks, self.block) @ weights).T
