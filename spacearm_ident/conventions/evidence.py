@@ -355,6 +355,7 @@ class _Problem:
         half_log += 0.5 * float(np.log(own.precision).sum())
         prior_mean = np.append(self.design.frame.centre, own.mean)
         better, next_weight = self.first_gains, counts / self.rows / self.floor**2
+        diagonal = np.arange(len(prior))
         for _ in range(iterations):
             gains, weight = better, next_weight
             matrix, vector = self._system(prior, prior @ prior_mean, gains, weight)
@@ -363,8 +364,9 @@ class _Problem:
                 # Gains that run away: no explanation.
                 return Evidence(-np.inf, scale, gains, np.ones_like(gains), prior_mean, prior, weight)
             mean = dpotrs(factor, vector, lower=1)[0]
-            covariance = dpotri(factor, lower=1)[0]
-            covariance = np.tril(covariance) + np.tril(covariance, -1).T
+            half = dpotri(factor, lower=1)[0]
+            covariance = half + half.T
+            covariance[diagonal, diagonal] *= 0.5
             sums = self._sums(mean, covariance, gains)
             variance = (sums.lost + sums.spread) * counts / self.rows + MODEL_ERROR_WEIGHT * self.floor**2
             inverse = (counts + MODEL_ERROR_WEIGHT) / variance

@@ -6,7 +6,7 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -43,7 +43,7 @@ def write_result(
     identified: Identified,
     validation: Validation,
     directory: Path,
-    further: Mapping[str, Any] | None = None,
+    further: Callable[[], Mapping[str, Any]] = dict,
     runs: Sequence[RecordedRun] = (),
 ) -> Path:
     """Write a result folder; an older result in it is replaced, of whatever command; anything else stays.
@@ -54,7 +54,8 @@ def write_result(
         identified: The identification.
         validation: How well it predicts.
         directory: Made where it does not exist.
-        further: Further keys of `validation.json`, as plain data.
+        further: Gives further keys of `validation.json`, as plain data; asked when the report, which takes longest,
+            is there.
         runs: What was recorded, for the page.
 
     Returns:
@@ -65,6 +66,7 @@ def write_result(
     """
     result = Result(identified, validation, datetime.now(UTC).isoformat(timespec="seconds"), tuple(runs))
     with replacing(directory) as staging:
+        (staging / REPORT).write_text(report_html(result), encoding="utf-8")
         save_result(result, staging)
         (staging / "parameters.csv").write_text(parameters_csv(identified), encoding="utf-8")
         (staging / "base_parameters.csv").write_text(base_parameters_csv(identified), encoding="utf-8")
@@ -72,9 +74,8 @@ def write_result(
         (staging / "identified.urdf").write_text(identified_urdf(identified.model), encoding="utf-8")
         spread = json.dumps(covariance_dict(identified), indent=1, allow_nan=False)
         (staging / "covariance.json").write_text(spread + "\n", encoding="utf-8")
-        figures = json.dumps({**validation_dict(identified, validation), **(further or {})}, indent=2, allow_nan=False)
+        figures = json.dumps({**validation_dict(identified, validation), **further()}, indent=2, allow_nan=False)
         (staging / "validation.json").write_text(figures + "\n", encoding="utf-8")
-        (staging / REPORT).write_text(report_html(result), encoding="utf-8")
     return directory / REPORT
 
 

@@ -6,9 +6,9 @@ same because the code is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -105,17 +105,27 @@ def identify_session(
             # What is wrong with the recordings is said before what could not be made of them.
             checked()
             raise
-        conventions = checked()
-    identified = with_provenance(identified, _origin(fitted, validated or fitted[-1:], command, settings, asked))
-    tried = identified.coupling
-    further: dict[str, Any] = {"conventions": conventions.as_dict(), "coupling_tried": tried and tried.as_dict()}
-    if settings.gains is not None:
-        further["torque_gains"] = settings.gains.as_dict()
-    report(0.7, "writing the report")
-    runs = recorded_runs(fitted, [] if validated is fitted else (validated or ()), arm)
-    page = write_result(identified, validation, directory, further, runs)
+        identified = with_provenance(identified, _origin(fitted, validated or fitted[-1:], command, settings, asked))
+        found = cache(checked)
+        further = partial(_further, identified, settings, found)
+        report(0.7, "writing the report")
+        runs = recorded_runs(fitted, [] if validated is fitted else (validated or ()), arm)
+        page = write_result(identified, validation, directory, further, runs)
+        conventions = found()
     report(1.0, "done")
     return Session(identified, validation, page, conventions)
+
+
+def _further(identified: Identified, settings: Settings, checked: Callable[[], ConventionReport]) -> dict[str, Any]:
+    """What `validation.json` has beside the validation."""
+    tried = identified.coupling
+    further: dict[str, Any] = {
+        "conventions": checked().as_dict(),
+        "coupling_tried": tried and tried.as_dict(),
+    }
+    if settings.gains is not None:
+        further["torque_gains"] = settings.gains.as_dict()
+    return further
 
 
 def _origin(
