@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from planted_arm import Friction, Link, incommensurate, plant
 
 from spacearm_ident.conventions.change import Change, Kind
@@ -201,6 +203,20 @@ def test_the_base_is_found_mounted_otherwise(truth, arm):
     assert found @ truth > 0.97 * np.linalg.norm(found) * np.linalg.norm(truth)
     # Directions that the search leads to one are one hypothesis.
     assert finding.probability > 0.9
+
+
+@pytest.mark.parametrize("rated", [0.4, 1.6])
+def test_a_share_of_rated_torques_that_no_file_tells_is_named_and_its_remedy_mends_it(rated, run, arm):
+    """As CiA 402's object 0x6077 in per cent: rated torques follow the limits, by an unknown factor."""
+    wrong = scaled(run, "effort", slice(None), 100.0 / (rated * LIMITS))
+    (finding,) = check_conventions([wrong], arm).findings
+    assert (finding.kind, finding.joints, finding.level) == ("effort_unit", NAMES, Level.UNFIT)
+    said = re.search(r"share of each joint's torque limit, 1 for ([\d.]+)% of it", finding.statement)
+    assert said is not None and float(said[1]) == pytest.approx(rated, rel=0.05)
+    np.testing.assert_allclose(finding.values["value"], rated * LIMITS / 100.0, rtol=0.05)
+    data = yaml.safe_load(finding.remedy.partition("in the arm YAML: ")[2])["corrections"]
+    mended = read_corrections(data, NAMES, "arm.yaml").applied(wrong)
+    np.testing.assert_allclose(mended.effort, run.effort, rtol=0.05)
 
 
 def test_a_corrected_mistake_is_none(run, arm):

@@ -26,6 +26,7 @@ class Kind(StrEnum):
     JOINTS_EXCHANGED = "joints_exchanged"
     EFFORT_GAIN = "effort_gain"
     EFFORT_UNIT = "effort_unit"
+    EFFORT_RATED = "effort_rated"
     GRAVITY = "gravity"
     ENCODER_ZERO = "encoder_zero"
     DELAY = "delay"
@@ -36,6 +37,8 @@ FREE_GAIN_SD = 1.0
 """Standard deviation of the logarithm of a gain that is wrong: a factor of 1/e to e."""
 FREE_UNIT_SD = 3.4
 """The same of a torque in another unit: a factor of 30 either way."""
+UNIT_FACTOR = 4.0
+"""Gain from which a torque is in another unit: no published motor constant or CAD mass is off by so much."""
 PRIOR = 0.02
 """Probability of each kind of mistake before any data, shared by the joints it may be at."""
 
@@ -48,7 +51,7 @@ class Change:
         kind: What is wrong.
         joints: Numbers of the joints it is at, in the arm's order.
         value: Gravity (3,), m/s^2; delay, s; zero, rad; order of an exchange (n,); factors (n,) of a torque unit
-            that the arm tells; else empty.
+            that the arm tells, or up to one factor for all; else empty.
         log_prior: Logarithm of its probability before the data.
     """
 
@@ -66,6 +69,8 @@ class Change:
             return replace(setup, time_sign=-setup.time_sign)
         if self.kind is Kind.EFFORT_UNIT and self.value:
             return replace(setup, effort_sign=setup.effort_sign * np.array(self.value))
+        if self.kind is Kind.EFFORT_RATED:
+            return replace(setup, effort_sign=setup.effort_sign * np.array(self.value), common_gain_sd=FREE_UNIT_SD)
         if self.kind is Kind.EFFORT_GAIN and len(joints) > 1:
             return replace(setup, common_gain_sd=FREE_GAIN_SD)
         if self.kind in _ORDERS:
@@ -120,6 +125,7 @@ def discrete_changes(arm: Arm) -> list[Change]:
     if n > 1:
         found += [(Kind.EFFORT_GAIN, tuple(range(n)), ())]
     found += [(Kind.EFFORT_UNIT, tuple(range(n)), factors) for factors in ((), *unit_factors(arm).values())]
+    found += [(Kind.EFFORT_RATED, tuple(range(n)), shares) for shares in rated_shares(arm)]
     found += [(Kind.TIME_REVERSED, (), ())]
     number = {kind: sum(one[0] is kind for one in found) for kind in Kind}
     return [Change(kind, joints, value, float(np.log(PRIOR / number[kind]))) for kind, joints, value in found]
@@ -137,6 +143,18 @@ def unit_factors(arm: Arm) -> dict[str, tuple[float, ...]]:
         units["A"] = tuple(constants)
         units["mA"] = tuple(constants / 1000)
     return units
+
+
+def rated_shares(arm: Arm) -> list[tuple[float, ...]]:
+    """(n,) the joints' torque limits over their geometric mean; none where a gain of all joints says the same.
+
+    Drives report torque as a share of the rated torque (CiA 402, object 0x6077), which is not in a URDF; it goes up
+    and down with the limit from joint to joint.
+    """
+    limits = np.array([joint.effort_limit for joint in arm.joints])
+    if not np.isfinite(limits).all() or not limits.min() > 0.0 or limits.max() < UNIT_FACTOR * limits.min():
+        return []
+    return [tuple((limits / np.exp(np.mean(np.log(limits)))).tolist())]
 
 
 def _moved(order: tuple[int, ...]) -> tuple[int, ...]:

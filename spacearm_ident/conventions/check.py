@@ -21,7 +21,7 @@ from ..forks import each
 from ..recording.recording import Recording
 from ..signals.bandwidth import BOUNDS_HZ
 from ..signals.prepare import prepare, require_joints, reversal_cutoff_hz
-from .change import PRIOR, Change, Kind
+from .change import PRIOR, UNIT_FACTOR, Change, Kind
 from .description import compare_description
 from .evidence import MASS_SD, log_mass
 from .finding import Alternative, ConventionReport, Finding, Level, merged
@@ -30,7 +30,7 @@ from .plausible import EFFORT_SLACK
 from .rows import rows_of
 from .search import SUSPECTED, Scored, Scorer, Step, carried, loaded_joints, search, zero_error
 from .setup import Setup
-from .words import UNIT_FACTOR, is_unit, joint_names, remedy, statement
+from .words import is_unit, joint_names, rated_factors, remedy, statement
 
 SURE_PROBABILITY = 0.99
 """What a change at the limit of certainty is called; log odds are scaled to it."""
@@ -222,7 +222,9 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
     alternatives, probability = _alternatives(scorer, step)
     if not sure and probability < SUSPECTED_PROBABILITY:
         return None
-    kind, joints = change.kind, joint_names(arm, change)
+    kind, joints, value = change.kind, joint_names(arm, change), change.value
+    if kind is Kind.EFFORT_RATED:
+        kind, value = Kind.EFFORT_UNIT, rated_factors(change, evidence)
     if kind is Kind.EFFORT_GAIN and len(change.joints) > 1:
         if is_unit(change, evidence):
             kind = Kind.EFFORT_UNIT
@@ -237,7 +239,7 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
         remedy=remedy(arm, change, evidence),
         probability=probability,
         log_odds=step.gain,
-        values={"value": [float(v) for v in change.value]} if change.value else {},
+        values={"value": [float(v) for v in value]} if value else {},
         alternatives=alternatives,
     )
 
@@ -268,7 +270,7 @@ def _undecided(scorer: Scorer, last: Step, plain: Plain) -> list[str]:
     words = []
     for one in (*last.rivals, *last.screened):
         change = one.changes[-1]
-        zero_or_gain = (Kind.ENCODER_ZERO, Kind.DELAY, Kind.EFFORT_GAIN, Kind.EFFORT_UNIT)
+        zero_or_gain = (Kind.ENCODER_ZERO, Kind.DELAY, Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED)
         if change.kind not in zero_or_gain and one.score - start.score > -scorer.sure and change.joints:
             words.append(f"{str(change.kind).replace('_', ' ')} of {', '.join(joint_names(arm, change))}")
     open_zeros = [

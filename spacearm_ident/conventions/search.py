@@ -268,7 +268,7 @@ def compete(scorer: Scorer, start: Scored, again: Sequence[Scored] | None = None
     return Step(start, best, tuple(one for one in short if one is not best), tuple(rest))
 
 
-_SECOND_LOOK = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.GRAVITY)
+_SECOND_LOOK = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED, Kind.GRAVITY)
 """What masses add up to, and the direction of gravity, are looked at there only."""
 
 
@@ -334,7 +334,7 @@ def is_testable(scorer: Scorer, start: Scored, change: Change) -> bool:
         start: The scored setup that the change would be made to.
         change: The hypothesis.
     """
-    if change.kind in (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT):
+    if change.kind in (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED):
         if scorer.frame.rough:
             return False
         return len(change.joints) != 1 or change.joints[0] in loaded_joints(scorer, start)

@@ -8,11 +8,8 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
-from .change import Change, Kind, unit_factors
+from .change import UNIT_FACTOR, Change, Kind, unit_factors
 from .evidence import Evidence
-
-UNIT_FACTOR = 4.0
-"""Gain from which a torque is in another unit: no published motor constant or CAD mass is off by so much."""
 
 
 def joint_names(arm: Arm, change: Change) -> tuple[str, ...]:
@@ -85,6 +82,9 @@ def _gravity(arm: Arm, change: Change) -> str:
 
 def _gain(arm: Arm, change: Change, evidence: Evidence) -> str:
     gains, names = evidence.gains, arm.joint_names
+    if change.kind is Kind.EFFORT_RATED:
+        share = rated_factors(change, evidence)[0] / arm.joints[0].effort_limit
+        return f"the torque is recorded in a share of each joint's torque limit, 1 for {share:.2%} of it, not in N·m"
     if change.kind is Kind.EFFORT_UNIT:
         if change.value:
             return f"the torque is recorded in {_unit(arm, change)}, not N·m"
@@ -108,10 +108,20 @@ def is_unit(change: Change, evidence: Evidence) -> bool:
         change: Of the effort.
         evidence: The posterior with it; gains (n,).
     """
-    if change.kind is Kind.EFFORT_UNIT and change.value:
+    if change.kind is Kind.EFFORT_RATED or (change.kind is Kind.EFFORT_UNIT and change.value):
         return True
     logs = np.abs(np.log(evidence.gains[list(change.joints)]))
     return bool(np.median(logs) > np.log(UNIT_FACTOR))
+
+
+def rated_factors(change: Change, evidence: Evidence) -> tuple[float, ...]:
+    """(n,) N·m a unit of a torque recorded in shares of rated torques.
+
+    Args:
+        change: Of that kind.
+        evidence: The posterior with it; its gains have the factor that the joints share.
+    """
+    return tuple((np.array(change.value) / evidence.gains).tolist())
 
 
 def _unit(arm: Arm, change: Change) -> str:
@@ -144,7 +154,7 @@ def remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
             return "--gravity " + " ".join(f"{g:.3g}" for g in change.value) + ", or gravity_m_s2 in the arm YAML"
         case Kind.TIME_REVERSED:
             return "in the arm YAML: corrections: {clock: reversed}"
-        case Kind.EFFORT_GAIN | Kind.EFFORT_UNIT:
+        case Kind.EFFORT_GAIN | Kind.EFFORT_UNIT | Kind.EFFORT_RATED:
             return _gain_remedy(arm, change, evidence)
         case Kind.DELAY:
             return _yaml(_each(arm, names, f"effort_delay_s: {change.value[0]:.4g}"))
@@ -180,6 +190,8 @@ def _exchange(arm: Arm, change: Change) -> list[tuple[str, str]]:
 def _gain_remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
     if change.kind is Kind.EFFORT_UNIT and change.value:
         factors = np.array(change.value)
+    elif change.kind is Kind.EFFORT_RATED:
+        factors = np.array(rated_factors(change, evidence))
     else:
         factors = 1.0 / evidence.gains[list(change.joints)]
     if change.kind is Kind.EFFORT_GAIN:
