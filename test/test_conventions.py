@@ -17,7 +17,8 @@ from spacearm_ident.conventions.change import Change, Kind
 from spacearm_ident.conventions.check import check_conventions
 from spacearm_ident.conventions.finding import ConventionReport, Level
 from spacearm_ident.conventions.rows import rows_of
-from spacearm_ident.conventions.search import Scorer, is_testable
+from spacearm_ident.conventions.scorer import Scorer
+from spacearm_ident.conventions.search import is_testable
 from spacearm_ident.conventions.setup import Setup
 from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.recording import Recording, read_recording

@@ -28,8 +28,10 @@ from .finding import Alternative, ConventionReport, Finding, Level, merged
 from .plain import STUCK_RAD, Plain, hardly_moving, read_off
 from .plausible import EFFORT_SLACK
 from .rows import rows_of
-from .search import SUSPECTED, Scored, Scorer, Step, carried, loaded_joints, search, zero_error
+from .scorer import Scored, Scorer, carried, loaded_joints
+from .search import SUSPECTED, Step, search
 from .setup import Setup
+from .values import zero_error
 from .words import is_unit, joint_names, rated_factors, remedy, statement
 
 SURE_PROBABILITY = 0.99

@@ -17,7 +17,8 @@ import numpy as np
 from ..arrays import FloatArray
 from ..conventions.change import Change, Kind
 from ..conventions.rows import MOST_ROWS, rows_of
-from ..conventions.search import Scorer, search
+from ..conventions.scorer import Scorer
+from ..conventions.search import search
 from ..conventions.setup import Setup
 from ..conventions.words import joint_names, statement
 from ..dynamics.arm import Arm
