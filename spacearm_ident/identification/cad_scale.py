@@ -23,7 +23,8 @@ from ..solvers.separable import system
 
 CAD_SCALES = (1.0, 0.5, 0.25, 0.1)
 """Factors on the prior's width to choose from. The narrowest, times `regression/prior.WIDENING`, is 20 % of a link's
-mass: cables, grease and screws are not in CAD. Recordings of a UR10e, a Panda, an AIRBOT and a TX40 choose it."""
+mass: cables, grease and screws are not in CAD. Recordings of a UR10e, a Panda, an AIRBOT and a TX40 choose it, or the
+next wider one."""
 
 
 def with_cad_scale(regression: Regression, prior: Prior, constants: FloatArray) -> Prior:
