@@ -90,8 +90,8 @@ def searched(regression: Regression, prior: Prior, search: Search) -> Solution:
     regression.update_background(first.parameters, first.constants)
     reweight(regression, residuals_of(regression, first))
     # What a model leaves out makes its residual loud and slow, and a test under its weights blind. So the search is
-    # first free to take what helps, and what then is left weighs the rows of the search that counts. Weights need no
-    # refined constants: those of the grid do (0.45 of 1.9 s on two recordings of a UR10e, and the same predictions).
+    # first free to take what helps, and what then is left weighs the rows of the search that counts. For weights the
+    # grid's constants are near enough: to refine them took 0.45 of 1.9 s on two recordings of a UR10e.
     flexible = exact(regression, prior, search(regression, prior, 0.0))
     for _ in range(REWEIGHTINGS):
         reweight(regression, residuals_of(regression, flexible))
