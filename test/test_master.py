@@ -11,6 +11,7 @@ import can
 import numpy as np
 import pytest
 from four_axes import ARM
+from live_nodes import LIVE
 from simulated_bus import SCALE, simulated_drives
 
 from spacearm_ident.canbus.arm_bus import ArmBus, Axis
@@ -23,7 +24,7 @@ from spacearm_ident.canbus.realtime import Pacer
 from spacearm_ident.errors import UserError
 
 FREEZE, EMERGENCY, CORRUPT = 1, 2, 3
-pytestmark = [pytest.mark.live, pytest.mark.usefixtures("own_buses")]
+pytestmark = [*LIVE, pytest.mark.usefixtures("own_buses")]
 
 
 @pytest.fixture
@@ -267,12 +268,11 @@ def test_feedback_of_a_wrong_length_is_reported_once_and_not_used(run):
     run.enable()
     run.run(5, np.full(4, 0.01))
     run.inject(0, CORRUPT, 1)
+    run.until(lambda: run.seen(EventKind.BAD_FRAME, 0))
     before = run.cycle.feedback.position[0]
-    run.run(20, np.full(4, 0.02))
+    run.until(lambda: run.cycle.malformed >= 20 and run.seen(EventKind.STALE_FEEDBACK, 0), np.full(4, 0.02))
     assert run.cycle.feedback.position[0] == before
     assert len(run.seen(EventKind.BAD_FRAME, 0)) == 1
-    assert run.cycle.malformed >= 20
-    assert run.seen(EventKind.STALE_FEEDBACK, 0)
 
 
 def test_nonsense_feedback_shows_in_the_state(run):
