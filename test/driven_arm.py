@@ -171,7 +171,7 @@ class DrivenArm:
 
     def home(self, seconds=2.5):
         """Back to where the tests begin, if one before this has failed on its way: they count on a pose near zero,
-        where the servo, which has no integrator, stands where it is told to."""
+        where the servo's position error is small: it has no integrator."""
         away = self.position()
         if np.abs(away).max() < 0.08:
             return

@@ -51,7 +51,7 @@ class Change:
         kind: What is wrong.
         joints: Numbers of the joints it is at, in the arm's order.
         value: Gravity (3,), m/s^2; delay, s; zero, rad; order of an exchange (n,); factors (n,) of a torque unit
-            that the arm tells, or up to one factor for all; else empty.
+            that the arm's files give, or give up to a factor that all joints share; else empty.
         log_prior: Logarithm of its probability before the data.
     """
 

@@ -72,7 +72,15 @@ def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: 
 
 
 def allowed(regression: Regression, constants: FloatArray) -> FloatArray:
-    """Constants of another structure of the same terms: zero where this one does not have them."""
+    """Constants of another structure of the same terms: zero where this one does not have them.
+
+    Args:
+        regression: Of the structure that has fewer.
+        constants: (c,) of the other one.
+
+    Returns:
+        (c,) for this one.
+    """
     absent = np.array([grid[-1] <= 0.0 for grid in regression.grids], dtype=bool)
     return np.where(absent, 0.0, constants)
 
@@ -145,7 +153,15 @@ def fit_as_published(model: TorqueModel, motions: list[Motion], seed: int) -> Fi
 
 
 def refitted(known: Fit, motions: list[Motion]) -> tuple[Regression, Prior, Solution, list[list[Noise]]]:
-    """Least squares on the same recordings made ready in another way, from the constants that are known."""
+    """Least squares on the same recordings prepared in another way, from the constants that are known.
+
+    Args:
+        known: Fit of the model to the recordings; its CAD scale is kept.
+        motions: The recordings, prepared anew.
+
+    Returns:
+        Weighted rows, prior, solution, and the noise of its residual by joint and motion.
+    """
     regression = Regression(known.regression.model, motions)
     prior = make_prior(known.regression.model, motions, known.prior.cad_scale)
     _first_weights(regression)
@@ -173,7 +189,12 @@ def covariance_of(fit: Fit, further: Sequence[FloatArray] = ()) -> FloatArray:
 
     Of the residual, and of what differs between recordings (`between.py`).
 
-    `further`: per joint, columns (M, d) of unknowns numbered last, gravity's, believed within `GRAVITY_SCALE`.
+    Args:
+        fit: With p parameters and c constants.
+        further: Per joint, columns (M, d) of unknowns numbered last, gravity's, with a prior of `GRAVITY_SCALE`.
+
+    Returns:
+        (p + c + d, p + c + d) in the units of the parameters and constants.
     """
     regression, solution = fit.regression, fit.solution
     count = len(regression.model.parameters)

@@ -154,6 +154,10 @@ def _alone(directory: Path) -> Iterator[None]:
 def refuse_to_replace(source: Path | None, directory: Path) -> None:
     """Refuse a result folder that holds a file the result is made from: it would be replaced.
 
+    Args:
+        source: A file that is read; None: none.
+        directory: Result folder.
+
     Raises:
         UserError: It does.
     """

@@ -147,6 +147,10 @@ def _origin(
 def corrected(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:
     """Recordings with the arm's `corrections` applied.
 
+    Args:
+        recordings: As recorded.
+        arm: With corrections by joint.
+
     Raises:
         UserError: A joint that is to be corrected is not in one of them.
     """
@@ -267,6 +271,10 @@ def settings_for(
 
 def structure_of_file(path: Path, arm: Arm) -> Structure:
     """The terms of a model file, for an arm.
+
+    Args:
+        path: A `model.yaml`.
+        arm: The arm that is to have them.
 
     Raises:
         UserError: It cannot be read, or names joints that the arm does not have.

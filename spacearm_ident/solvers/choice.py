@@ -40,7 +40,12 @@ def require_solver(name: str) -> str:
 
 
 def search_of(solver: str, seed: int) -> Search:
-    """How a solver of the separable kind searches the constants."""
+    """How a solver of the separable kind searches the constants.
+
+    Args:
+        solver: `PSO_SEPARABLE`; any other name: the grid.
+        seed: Of the particle swarm.
+    """
     if solver != PSO_SEPARABLE:
         return lambda regression, prior, gate: grid_search(regression, gate)
     rng = np.random.default_rng(seed)

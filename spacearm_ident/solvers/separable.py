@@ -85,6 +85,13 @@ def grid_search(regression: Regression, gate: float = PRESENCE_GATE) -> FloatArr
     """Constants at the best point of their grids, coordinate by coordinate, each joint by itself.
 
     One that may be absent is there if that gains `gate` weighted squares, beside the others as they then are.
+
+    Args:
+        regression: Weighted rows; with a background where terms depend on the rest of the model.
+        gate: Weighted squares.
+
+    Returns:
+        (c,) constants.
     """
     constants = np.array([_first_value(grid) for grid in regression.grids])
     for term, first, count in regression.shaped_terms():
@@ -109,14 +116,26 @@ def grid_search(regression: Regression, gate: float = PRESENCE_GATE) -> FloatArr
 
 
 def without_constants(regression: Regression, prior: Prior) -> Solution:
-    """The linear problem with every constant absent, or in the middle of its grid where it cannot be."""
+    """The linear problem with every constant absent, or in the middle of its grid where it cannot be.
+
+    Args:
+        regression: Weighted rows; the background is neither needed nor updated.
+        prior: Of the parameters.
+    """
     constants = np.array([_first_value(grid) for grid in regression.grids])
     parameters, cost = solve_linear(regression, prior, constants)
     return Solution(parameters, constants, cost, 0, "linear")
 
 
 def exact(regression: Regression, prior: Prior, constants: FloatArray) -> Solution:
-    """The parameters at given constants (c,), under a background that follows them; it is updated."""
+    """The exact parameters at given constants.
+
+    Args:
+        regression: Weighted rows; where terms depend on the rest of the model, its background is updated to these
+            parameters, which are then solved for once more.
+        prior: Of the parameters.
+        constants: (c,) in the model's order.
+    """
     parameters, cost = solve_linear(regression, prior, constants)
     if regression.model.depends:
         regression.update_background(parameters, constants)
