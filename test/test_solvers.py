@@ -30,7 +30,7 @@ from spacearm_ident.solvers import separable
 from spacearm_ident.solvers.choice import SOLVERS
 from spacearm_ident.solvers.pso import SwarmSettings
 from spacearm_ident.solvers.pso_separable import search
-from spacearm_ident.solvers.separable import AT_ENDS, CONVERGED, STUCK, levenberg_marquardt, solve, solve_linear
+from spacearm_ident.solvers.separable import AT_ENDS, CONVERGED, STUCK, grid_search, solve, solve_linear
 
 ARM = arm_from_urdf(small_arm.URDF)
 PLANTED = two_link_run((Friction(f_c=5.0, f_b=8.0, v_b=0.1), Friction(f_c=3.0, J_m=0.2)))
@@ -48,9 +48,9 @@ def planted_problem() -> Regression:
 def test_a_swarm_over_the_constants_ends_where_the_grid_does():
     regression = planted_problem()
     prior = make_prior(regression.model, regression.motions)
-    by_grid = solve(regression, prior)
+    by_grid = solve(regression, prior, grid_search(regression))
     start = search(regression, prior, 10.0, np.random.default_rng(0))
-    by_swarm = levenberg_marquardt(regression, prior, start)
+    by_swarm = solve(regression, prior, start)
     assert by_swarm.cost < by_grid.cost + 20.0  # a gate or two; the wrong minimum is thousands above
     names = [constant.name for constant in regression.model.constants]
     assert by_swarm.constants[names.index("v_b[shoulder]")] == pytest.approx(0.1, rel=0.03)
@@ -59,8 +59,8 @@ def test_a_swarm_over_the_constants_ends_where_the_grid_does():
 def test_converged_is_said_only_where_an_undamped_step_is_small(monkeypatch):
     regression = planted_problem()
     prior = make_prior(regression.model, regression.motions)
-    best = solve(regression, prior)
-    assert best.status == CONVERGED == levenberg_marquardt(regression, prior, best.constants).status
+    best = solve(regression, prior, grid_search(regression))
+    assert best.status == CONVERGED == solve(regression, prior, best.constants).status
     away = np.where(best.constants > 0, 1.3 * best.constants, 0.0)
     costs = itertools.count()
 
@@ -68,7 +68,7 @@ def test_converged_is_said_only_where_an_undamped_step_is_small(monkeypatch):
         return solve_linear(*problem)[0], float(next(costs))
 
     monkeypatch.setattr(separable, "solve_linear", ever_worse)
-    found = levenberg_marquardt(regression, prior, away)
+    found = solve(regression, prior, away)
     assert found.status == STUCK
     np.testing.assert_array_equal(found.constants, away)
 
@@ -77,7 +77,7 @@ def test_constants_at_the_ends_of_their_ranges_stay_and_are_not_called_converged
     regression = planted_problem()
     prior = make_prior(regression.model, regression.motions)
     ends = np.array([grid[-1] for grid in regression.grids])
-    found = levenberg_marquardt(regression, prior, ends)
+    found = solve(regression, prior, ends)
     assert found.status == AT_ENDS and found.iterations == 0
     np.testing.assert_array_equal(found.constants, ends)
 

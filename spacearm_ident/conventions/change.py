@@ -33,6 +33,8 @@ class Kind(StrEnum):
     TIME_REVERSED = "time_reversed"
 
 
+TORQUE_SCALES = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED)
+"""Mistakes that multiply torques by positive factors."""
 FREE_GAIN_SD = 1.0
 """Standard deviation of the logarithm of a gain that is wrong: a factor of 1/e to e."""
 FREE_UNIT_SD = 3.4

@@ -21,7 +21,7 @@ from ..forks import each
 from ..recording.recording import Recording
 from ..signals.bandwidth import BOUNDS_HZ
 from ..signals.prepare import prepare, require_joints, reversal_cutoff_hz
-from .change import PRIOR, UNIT_FACTOR, Change, Kind
+from .change import PRIOR, TORQUE_SCALES, UNIT_FACTOR, Change, Kind
 from .description import compare_description
 from .evidence import MASS_SD, log_mass
 from .finding import Alternative, ConventionReport, Finding, Level, merged
@@ -219,7 +219,7 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
         if abs(change.value[0]) < ZERO_SMALL:
             return None
         level = level if abs(change.value[0]) > ZERO_LARGE else Level.NOTE
-    elif change.kind in (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT) and not is_unit(change, evidence):
+    elif change.kind in TORQUE_SCALES and not is_unit(change, evidence):
         level = Level.NOTE
     alternatives, probability = _alternatives(scorer, step)
     if not sure and probability < SUSPECTED_PROBABILITY:
@@ -272,7 +272,7 @@ def _undecided(scorer: Scorer, last: Step, plain: Plain) -> list[str]:
     words = []
     for one in (*last.rivals, *last.screened):
         change = one.changes[-1]
-        zero_or_gain = (Kind.ENCODER_ZERO, Kind.DELAY, Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED)
+        zero_or_gain = (Kind.ENCODER_ZERO, Kind.DELAY, *TORQUE_SCALES)
         if change.kind not in zero_or_gain and one.score - start.score > -scorer.sure and change.joints:
             words.append(f"{str(change.kind).replace('_', ' ')} of {', '.join(joint_names(arm, change))}")
     open_zeros = [

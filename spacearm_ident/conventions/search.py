@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..forks import each
-from .change import Change, Kind, discrete_changes
+from .change import TORQUE_SCALES, Change, Kind, discrete_changes
 from .evidence import CAD_SCALES, GAIN_SD
 from .plain import REST_RAD
 from .scorer import SCREEN_ITERATIONS, Scored, Scorer, loaded_joints
@@ -90,7 +90,7 @@ def compete(scorer: Scorer, start: Scored, again: Sequence[Scored] | None = None
     return Step(start, best, tuple(one for one in short if one is not best), tuple(rest))
 
 
-_SECOND_LOOK = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED, Kind.GRAVITY)
+_SECOND_LOOK = (*TORQUE_SCALES, Kind.GRAVITY)
 """What masses add up to, and the direction of gravity, are looked at there only."""
 
 
@@ -145,7 +145,7 @@ def is_testable(scorer: Scorer, start: Scored, change: Change) -> bool:
         start: The scored setup that the change would be made to.
         change: The hypothesis.
     """
-    if change.kind in (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED):
+    if change.kind in TORQUE_SCALES:
         if scorer.frame.rough:
             return False
         return len(change.joints) != 1 or change.joints[0] in loaded_joints(scorer, start)

@@ -248,10 +248,10 @@ def delays(scorer: Scorer, start: Scored) -> list[Scored]:
         if n > 1 and abs(own) > 0.5 * least[joint] and joint not in silent:
             found.append(_best_delay(scorer, start, (joint,), own))
     # At the end of what is looked for it is no maximum: something else is wrong.
-    told = [one for one in found if SHORTEST_DELAY_S < abs(one.changes[-1].value[0]) < LONGEST_DELAY_S]
+    inside = [one for one in found if SHORTEST_DELAY_S < abs(one.changes[-1].value[0]) < LONGEST_DELAY_S]
     return [
         one
-        for one in told
+        for one in inside
         if len(one.changes[-1].joints) > 1 or abs(one.changes[-1].value[0]) > least[one.changes[-1].joints[0]]
     ]
 

@@ -157,7 +157,7 @@ def refitted(known: Fit, motions: list[Motion]) -> tuple[Regression, Prior, Solu
 
     Args:
         known: Fit of the model to the recordings; its CAD scale is kept.
-        motions: The recordings, prepared anew.
+        motions: The recordings, prepared in that way.
 
     Returns:
         Weighted rows, prior, solution, and the noise of its residual by joint and motion.

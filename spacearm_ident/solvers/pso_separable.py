@@ -19,7 +19,7 @@ from ..arrays import FloatArray
 from ..regression.prior import Prior
 from ..regression.regression import Regression
 from . import pso
-from .separable import solve_linear, without_constants
+from .separable import solve_linear
 
 SWARM = pso.SwarmSettings(particles=30, iterations=30)
 ABSENT_SHARE = 0.25
@@ -31,7 +31,7 @@ def search(
     """(c,) constants at the best place that a swarm finds.
 
     Args:
-        regression: Weighted rows.
+        regression: Weighted rows; with a background where terms depend on the rest of the model.
         prior: Beliefs that keep the problem regular.
         gate: Weighted squares that a constant which may be absent must gain to be there.
         rng: Source of all chance.
@@ -40,10 +40,6 @@ def search(
     axes = [_Axis.of(number, grid) for number, grid in enumerate(regression.grids) if (grid > 0).any()]
     if not axes:
         return np.zeros(len(regression.grids))
-
-    if regression.model.depends and regression.background[0] is None:
-        first = without_constants(regression, prior)
-        regression.update_background(first.parameters, first.constants)
 
     def constants_at(place: FloatArray) -> FloatArray:
         constants = np.zeros(len(regression.grids))

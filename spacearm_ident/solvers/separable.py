@@ -62,25 +62,6 @@ class Solution:
     status: str
 
 
-def solve(
-    regression: Regression, prior: Prior, start: FloatArray | None = None, gate: float = PRESENCE_GATE
-) -> Solution:
-    """Least squares over all parameters and constants.
-
-    Args:
-        regression: Weighted rows.
-        prior: Beliefs that keep the problem regular.
-        start: (c,) constants to begin from; a grid search where None.
-        gate: What a constant that may be absent must gain in that search.
-    """
-    if start is None and regression.model.depends and regression.background[0] is None:
-        # What follows from the rest of the torque can be searched for only once there is a rest.
-        first = without_constants(regression, prior)
-        regression.update_background(first.parameters, first.constants)
-    constants = grid_search(regression, gate) if start is None else start.copy()
-    return levenberg_marquardt(regression, prior, constants)
-
-
 def grid_search(regression: Regression, gate: float = PRESENCE_GATE) -> FloatArray:
     """Constants at the best point of their grids, coordinate by coordinate, each joint by itself.
 
@@ -265,8 +246,8 @@ def system(
     return np.concatenate(blocks), np.concatenate(sides)
 
 
-def levenberg_marquardt(regression: Regression, prior: Prior, start: FloatArray) -> Solution:
-    """Refine constants and parameters together from `start`.
+def solve(regression: Regression, prior: Prior, start: FloatArray) -> Solution:
+    """Least squares over all parameters and constants, refined together from `start` by Levenberg-Marquardt.
 
     Args:
         regression: Weighted rows; their background is updated where terms depend on the rest of the model.
