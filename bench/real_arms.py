@@ -1,14 +1,15 @@
 """Identification on real arms beside a plain model and a black box, judged on held-out recordings.
 
     .venv/bin/python -m pip install -c constraints.txt scikit-learn
-    .venv/bin/python bench/real_arms.py [--recordings DIR] [--only ARM] [--json FILE]
+    .venv/bin/python bench/real_arms.py [--halves] [--recordings DIR] [--only ARM] [--json FILE]
     .venv/bin/python bench/real_arms.py --arm URDF --fit BAG... --validate BAG... [--json FILE]
 
 Plain: base parameters, rotor inertia, Coulomb, viscous, offset; least squares weighted by joint, no prior. Black box:
 the plain model and, by joint, the better in cross-validation of gradient boosting and kernel ridge, fitted to what the
 plain model leaves. Ours: `identify` with its defaults; the black box fitted to what that leaves shows what there still
 is to find. All are fitted on the moving rows of the same motions and judged on the moving rows of the held-out
-recordings, at the bandwidth that `identify` chose. See docs/real_arms.md.
+recordings, at the bandwidth that `identify` chose. With `--halves` half a recording at a time is fitted. See
+docs/real_arms.md.
 """
 
 from __future__ import annotations
@@ -152,11 +153,22 @@ def part(root: Path, arm: str, word: str) -> Recording:
     return recording.between(start + first * duration, start + last * duration)
 
 
-def cases(root: Path, only: Sequence[str]) -> Iterator[Case]:
-    """The splits of `SPLITS`, of the arms in `only` where it names any."""
+def halves(arm: str) -> Iterator[str]:
+    """Splits in which half a recording is fitted, or its middle: short data, and many of them."""
+    for letter in NAMES[arm]:
+        others = " ".join(other for other in NAMES[arm] if other != letter)
+        for half, rest in (("0-0.5", "0.5-1"), ("0.5-1", "0-0.5")):
+            yield f"{letter}:{half} > {letter}:{rest}"
+            if others:
+                yield f"{letter}:{half} > {others}"
+        yield f"{letter}:0.2-0.8 > {letter}:0-0.2 {letter}:0.8-1"
+
+
+def cases(root: Path, only: Sequence[str], of_halves: bool = False) -> Iterator[Case]:
+    """The splits of `SPLITS`, or of `halves`, of the arms in `only` where it names any."""
     for name in only or SPLITS:
         arm = load_arm(root / name / "arm.urdf")
-        for split in SPLITS[name]:
+        for split in halves(name) if of_halves else SPLITS[name]:
             fit, held_out = ([part(root, name, word) for word in side.split()] for side in split.split(">"))
             yield Case(f"{name} {split.replace('>', '→')}", arm, fit, held_out)
 
@@ -185,6 +197,7 @@ def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings/real"))
     parser.add_argument("--only", nargs="+", choices=SPLITS, default=[], help="these arms alone")
+    parser.add_argument("--halves", action="store_true", help="fit half a recording at a time")
     parser.add_argument("--arm", type=Path, help="URDF (or arm YAML) of recordings of your own")
     parser.add_argument("--fit", nargs="+", type=Path, default=[], metavar="BAG")
     parser.add_argument("--validate", nargs="+", type=Path, default=[], metavar="BAG", help="held-out recordings")
@@ -201,7 +214,7 @@ def run(chosen: argparse.Namespace) -> list[Line]:
         bags = [[read_recording(path) for path in paths] for paths in (chosen.fit, chosen.validate)]
         posed: Iterator[Case] = iter([Case(chosen.arm.stem, load_arm(chosen.arm), *bags)])
     else:
-        posed = cases(chosen.recordings, chosen.only)
+        posed = cases(chosen.recordings, chosen.only, chosen.halves)
     print("| case | joint | plain | black box | ours | removed by black box | removed by ours | left to find | |")
     print("|---|---|---|---|---|---|---|---|---|")
     lines = []

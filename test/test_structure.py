@@ -11,7 +11,6 @@ from planted_arm import Friction, two_link_run
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import structure_of
 from spacearm_ident.estimate.identified import Determination, Identified, OptionalTerm
-from spacearm_ident.identification import structure
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.joint_terms import JointTerms, structure_with
 
@@ -35,7 +34,7 @@ def run(shoulder: Friction, elbow: Friction, seed: int = 0, speed: float = 2.0, 
 
 
 def test_plain_friction_gets_at_most_one_further_term_in_four_arms():
-    # The level is 5 % a joint: one of eight joints at most by chance in 94 of 100 such tests.
+    # The level is 5 % a change. Of 80 joints of forty such arms two got three terms in all.
     assert sum(len(found(run(*PLAIN, seed=seed))) for seed in SEEDS) <= 1
 
 
@@ -144,35 +143,3 @@ def test_settings_with_a_structure_choose_nothing():
     arm = arm_from_urdf(planted.urdf)
     result = identify([planted.recording(noise=0.2, seed=0)], arm, Settings(structure=structure_of(arm)))
     assert result.choices == ()
-
-
-class HeldOut:
-    """Squares in held-out blocks of joints that gain by Stribeck friction by so much, and by chance by more or less."""
-
-    blocks = 12
-
-    def __init__(self, gains):
-        chance = np.random.default_rng(3).uniform(-1.0, 1.0, (self.blocks, len(gains)))
-        self.with_it = np.exp(-np.array(gains) + 1.4 * (chance - chance.mean(axis=0)))
-
-    def held_out(self, laws):
-        return np.where([law.stribeck for law in laws], self.with_it, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("gains", "joints"),
-    [((0.5, 0.5, 0.5, 0.5), [0, 1, 2, 3]), ((0.5, -0.3, -0.3, 0.1), []), ((0.5, 0.5, -0.1, 0.5), [0, 1, 3])],
-)
-def test_stribeck_friction_that_no_joint_shows_alone_is_found_at_those_that_show_it_together(
-    gains, joints, monkeypatch
-):
-    monkeypatch.setattr(structure, "_possible", lambda *_: True)
-    trials, laws = HeldOut(gains), [JointTerms() for _ in gains]
-    alone = structure.bound(structure.LEVEL / 6, trials.blocks)
-    steps = [
-        structure._step(trials, laws, trials.held_out(laws), joint, JointTerms(stribeck=True))
-        for joint in range(len(gains))
-    ]
-    assert all(step.t < alone for step in steps)
-    found = structure._with_stribeck(trials, laws, [frozenset({"stribeck"})] * len(gains), np.ones(len(gains)))
-    assert [joint for joint, law in enumerate(found) if law.stribeck] == joints

@@ -20,8 +20,7 @@ BEYOND = 1.0
 """Standard errors by which held-out squares must drop for the less simple of two models to stay (Breiman et al. 1984,
 "Classification and regression trees", section 3.4.3)."""
 LEVEL = 0.05
-"""Probability with which a joint's model changes by chance: shared out among all that is tried there, and between the
-two tests of each (Bonferroni)."""
+"""Probability with which a change that brings nothing is made, shared out between the two tests of it (Bonferroni)."""
 BLOCK_S = 0.5
 """Shortest block, s: a few correlation times of the residuals of the five real arms (0.05 to 0.4 s)."""
 BLOCKS = 12
@@ -34,14 +33,18 @@ _LEAST = 1e-300
 """Squares below are none: keeps ratios and logarithms finite."""
 
 
-def time_blocks(motions: Sequence[Motion]) -> tuple[list[np.ndarray], np.ndarray]:
+def time_blocks(motions: Sequence[Motion], most: int = BLOCKS) -> tuple[list[np.ndarray], np.ndarray]:
     """Blocks of time of the motions' rows.
+
+    Args:
+        motions: What is cut, each into parts of one length.
+        most: Number of blocks in all, unless they were shorter than `BLOCK_S`.
 
     Returns:
         Per motion, (M,) the block of every row, counted over all motions; and per block the recording it belongs to.
     """
     seconds = [len(motion.torque_rows) / motion.row_rate_hz for motion in motions]
-    length = max(sum(seconds) / BLOCKS, BLOCK_S)
+    length = max(sum(seconds) / most, BLOCK_S)
     block_of, recording, first = [], [], 0
     for motion, duration in zip(motions, seconds):
         rows, count = len(motion.torque_rows), max(1, round(duration / length))
