@@ -12,8 +12,7 @@ Two searches, for joints share their inertials, and what is missing at one spoil
 Both end in a law whose terms have all been shown to help. The second counts where its values are possible, too, and it
 predicts held-out blocks better than the first. So the result is the plain model wherever nothing else is shown to
 predict better. A level shared out among all that is tried would hold for each joint as a whole, but it leaves out what
-predicts: on halves of the real recordings of five arms one joint in ten was then more than 2 % worse than the plain
-model, and is one in sixteen.
+predicts (docs/real_arms.md).
 """
 
 from __future__ import annotations
