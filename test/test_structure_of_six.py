@@ -9,6 +9,7 @@ import pytest
 
 from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import load_arm
+from spacearm_ident.estimate.identified import OptionalTerm
 from spacearm_ident.identification.identify import identify
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
@@ -23,3 +24,13 @@ def test_quadratic_and_cubic_friction_missing_at_every_joint_is_found(seed):
     found = {choice.term for choice in identify([recording], arm).choices if choice.accepted}
     curved = [joint for joint in arm.joint_names if any("cubic" in term and term.endswith(joint) for term in found)]
     assert len(curved) == 6
+
+
+@pytest.mark.parametrize("seed", [4, 10])
+def test_stribeck_friction_at_every_joint_is_found_at_half_of_them_through_the_noise(seed):
+    """Its peaks act below 0.03 to 0.08 rad/s, in few blocks of time: with half as many blocks none or one is found."""
+    arm = load_arm(config_path("paper_arm.yaml"))
+    recording = peers.record(arm, peers.series(seed, peers.SAMPLES), peers.STRIBECK, peers.TORQUE_NOISE, seed + 5)
+    found = [choice for choice in identify([recording], arm).choices if choice.accepted]
+    assert sum(choice.kind is OptionalTerm.STRIBECK for choice in found) >= 3
+    assert not any(choice.kind in (OptionalTerm.LOAD, OptionalTerm.SPRING) for choice in found)
