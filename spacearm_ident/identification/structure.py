@@ -139,8 +139,8 @@ def _searched(
 def _needed(before: JointTerms, after: JointTerms, trials: Trials) -> float:
     """The t that a change of a joint's law must exceed.
 
-    Zero where presliding is added: friction jumps in no joint as it turns round, so that held-out data need only not
-    speak against it, and it acts in too few blocks to show more.
+    Zero where presliding is added: in no joint is friction discontinuous at a reversal. It acts in few blocks, so that
+    held-out data need only not contradict it.
     """
     return 0.0 if after.presliding > before.presliding else bound(LEVEL, trials.blocks)
 
