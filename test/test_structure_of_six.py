@@ -27,7 +27,10 @@ def test_quadratic_and_cubic_friction_missing_at_every_joint_is_found(seed):
 
 
 def test_stribeck_friction_at_every_joint_is_found_at_half_of_them_through_the_noise():
-    """Its peaks act below 0.03 to 0.08 rad/s, in few blocks of time: with half as many blocks a fifth are found."""
+    """Its peaks act below 0.03 to 0.08 rad/s, in few blocks of time.
+
+    With half as many blocks, and one level shared out among all terms of a joint, a fifth of them were found.
+    """
     arm, found = load_arm(config_path("paper_arm.yaml")), 0
     for seed in (4, 8, 10):
         recording = peers.record(arm, peers.series(seed, peers.SAMPLES), peers.STRIBECK, peers.TORQUE_NOISE, seed + 5)

@@ -9,10 +9,10 @@ Two searches, for joints share their inertials, and what is missing at one spoil
   all others, is taken out, the least helpful first. The offset, which the plain law has, goes where the joint is
   predicted better without it.
 
-Both end in a law whose terms have all been shown to help. The second counts where its values are possible, too, and it
-predicts held-out blocks better than the first. So the result is the plain model wherever nothing else is shown to
-predict better. A level shared out among all that is tried would hold for each joint as a whole, but it leaves out what
-predicts (docs/real_arms.md).
+Both end in a law whose terms have all been shown to help; presliding alone has only not been contradicted (`_needed`).
+The second counts where its values are possible, too, and it predicts held-out blocks better than the first. So the
+result is the plain model wherever nothing else predicts better. A level shared out among all that is tried would hold
+for each joint as a whole, but it leaves out what predicts (docs/real_arms.md).
 """
 
 from __future__ import annotations
