@@ -20,7 +20,6 @@ from spacearm_ident.regression.prior import Prior
 from spacearm_ident.regression.regression import Regression
 from spacearm_ident.signals.motion import Motion
 from spacearm_ident.solvers import pso, pso_lm, separable
-from spacearm_ident.solvers.choice import SEPARABLE, search_of
 from spacearm_ident.solvers.separable import Solution
 from spacearm_ident.solvers.solution_columns import residuals_of
 from spacearm_ident.solvers.swarm_cost import SwarmCost, Unknowns
@@ -145,7 +144,7 @@ def weighted_least_squares(problem: Problem) -> Answer:
 def ours(problem: Problem) -> Answer:
     """What `spacearm identify` does by default, but for a choice of structure: separable, reweighted, consistent."""
     regression, prior = problem.regression(), problem.prior
-    first = searched(regression, prior, search_of(SEPARABLE, 0))
+    first = searched(regression, prior)
     solution, _ = reweighted(regression, prior, first)
     matrix, _ = separable.system(regression, prior, solution.constants)
     consistent = make_consistent(problem.model, matrix, solution.parameters, prior.scale)

@@ -20,7 +20,6 @@ from spacearm_ident.identification.plain import plain_fit, plain_structure
 from spacearm_ident.identification.validation import validate
 from spacearm_ident.recording import Recording
 from spacearm_ident.signals.prepare import prepare
-from spacearm_ident.solvers.choice import SEPARABLE, search_of
 from spacearm_ident.solvers.solution_columns import residuals_of
 
 LAWS = (Friction(k_v2=0.0, k_v3=0.0, f_b=1.0, f_c=1.0), Friction(k_v2=0.0, k_v3=0.0, f_b=1.0, f_c=1.0))
@@ -121,7 +120,7 @@ def test_plain_fit_recovers_the_parameters_of_a_plain_arm():
     planted = two_link_run(LAWS, seconds=20.0, seed=2, speed=2.0)
     arm = arm_from_urdf(planted.urdf)
     motions, _ = prepare([planted.recording(noise=0.0, seed=2)], arm.joint_names)
-    fit = fit_model(TorqueModel(arm, structure_of(arm)), motions, search_of(SEPARABLE, 0))
+    fit = fit_model(TorqueModel(arm, structure_of(arm)), motions)
     regression, _, solution = plain_fit(fit)
     values = {p.name: value for p, value in zip(regression.model.parameters, solution.parameters)}
     for joint, law in zip(arm.joint_names, LAWS):

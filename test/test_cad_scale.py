@@ -19,7 +19,6 @@ from spacearm_ident.recording import Recording
 from spacearm_ident.regression.prior import make_prior
 from spacearm_ident.regression.regression import Regression
 from spacearm_ident.signals.prepare import prepare
-from spacearm_ident.solvers.choice import SEPARABLE, search_of
 from spacearm_ident.solvers.separable import system
 
 LAWS = (Friction(k_v2=0.0, k_v3=0.0),) * 3
@@ -37,7 +36,7 @@ def recorded(true_links: tuple[Link, ...], seed: int = 0, seconds: float = 15.0,
 def fitted(recording: Recording) -> Fit:
     arm = arm_from_urdf(recording.urdf)
     motions, _ = prepare([recording], arm.joint_names)
-    return fit_model(TorqueModel(arm, structure_of(arm)), motions, search_of(SEPARABLE, 0))
+    return fit_model(TorqueModel(arm, structure_of(arm)), motions)
 
 
 def off(links: tuple[Link, ...], factor: float) -> tuple[Link, ...]:
@@ -90,7 +89,7 @@ def test_right_cad_is_believed_most_and_wrong_cad_least(seed):
 def test_second_fit_of_the_same_motions_keeps_the_scale():
     first = fitted(recorded(THREE_LINKS))
     regression = first.regression
-    again = fit_model(regression.model, regression.motions, search_of(SEPARABLE, 0), first)
+    again = fit_model(regression.model, regression.motions, first)
     assert again.prior.cad_scale == first.prior.cad_scale < 1.0
 
 

@@ -28,8 +28,6 @@ from spacearm_ident.sessions.identification import settings_for
 from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.solvers import separable
 from spacearm_ident.solvers.choice import SOLVERS
-from spacearm_ident.solvers.pso import SwarmSettings
-from spacearm_ident.solvers.pso_separable import search
 from spacearm_ident.solvers.separable import AT_ENDS, CONVERGED, STUCK, grid_search, solve, solve_linear
 
 ARM = arm_from_urdf(small_arm.URDF)
@@ -43,17 +41,6 @@ def planted_problem() -> Regression:
     for rows in regression.rows:
         rows.set_weight(np.full(len(rows.torque), 20.0))
     return regression
-
-
-def test_a_swarm_over_the_constants_ends_where_the_grid_does():
-    regression = planted_problem()
-    prior = make_prior(regression.model, regression.motions)
-    by_grid = solve(regression, prior, grid_search(regression))
-    start = search(regression, prior, 10.0, np.random.default_rng(0))
-    by_swarm = solve(regression, prior, start)
-    assert by_swarm.cost < by_grid.cost + 20.0  # a gate or two; the wrong minimum is thousands above
-    names = [constant.name for constant in regression.model.constants]
-    assert by_swarm.constants[names.index("v_b[shoulder]")] == pytest.approx(0.1, rel=0.03)
 
 
 def test_converged_is_said_only_where_an_undamped_step_is_small(monkeypatch):
@@ -82,14 +69,6 @@ def test_constants_at_the_ends_of_their_ranges_stay_and_are_not_called_converged
     np.testing.assert_array_equal(found.constants, ends)
 
 
-def test_the_swarm_s_best_place_is_kept_however_few_it_sees():
-    regression = planted_problem()
-    prior = make_prior(regression.model, regression.motions)
-    # One particle that never moves stands where all that may be absent is.
-    found = search(regression, prior, 10.0, np.random.default_rng(0), SwarmSettings(1, 0))
-    assert np.array_equal(found, np.zeros(len(regression.grids)))
-
-
 @pytest.fixture(scope="module")
 def results() -> dict[str, Identified]:
     recording = small_arm.recording()
@@ -116,10 +95,6 @@ def test_each_solver_identifies_a_small_arm(results, solver):
     assert any(estimate.determination is Determination.COMBINED for estimate in result.estimates)
 
 
-def test_without_a_constant_to_search_the_separable_ones_are_the_same(results):
-    assert np.array_equal(results["separable"].base_values, results["pso-separable"].base_values)
-
-
 def test_pso_lm_takes_the_paper_s_unknowns_and_tells_both_stages(results):
     result = results["pso-lm"]
     assert any(estimate.name == "k_1[elbow]" and estimate.value != 0.0 for estimate in result.estimates)
@@ -135,9 +110,7 @@ def test_the_same_seed_gives_the_same_result_and_another_another(results):
 
 
 def test_an_unknown_solver_is_refused_with_those_there_are():
-    with pytest.raises(
-        UserError, match=r"no solver 'magic': choose one of separable, pso-lm, pso-separable, idim-iv, cloe"
-    ):
+    with pytest.raises(UserError, match=r"no solver 'magic': choose one of separable, pso-lm, idim-iv, cloe"):
         settings_for(ARM, solver="magic")
     with pytest.raises(UserError, match="no solver 'magic'"):
         identify([small_arm.recording(duration_s=4.0)], ARM, Settings(solver="magic"))
@@ -161,8 +134,8 @@ def test_the_command_passes_solver_and_seed_on(tmp_path, capsys):
 
 
 def test_the_job_of_the_node_says_which_command_does_the_same(tmp_path):
-    job = IdentifyJob((tmp_path / "a.mcap",), (), tmp_path, Options(solver="pso-separable", seed=3))
-    assert "--solver pso-separable --seed 3" in job.command
+    job = IdentifyJob((tmp_path / "a.mcap",), (), tmp_path, Options(solver="pso-lm", seed=3))
+    assert "--solver pso-lm --seed 3" in job.command
     assert "--solver" not in IdentifyJob((tmp_path / "a.mcap",), (), tmp_path).command
 
 

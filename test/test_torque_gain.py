@@ -19,7 +19,6 @@ from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.torque_gain import gain_shifts
 from spacearm_ident.results.tables import parameters_csv
 from spacearm_ident.signals.prepare import prepare
-from spacearm_ident.solvers.choice import SEPARABLE, search_of
 from spacearm_ident.solvers.separable import system
 
 LAW = Friction(f_c=5.0, k_v1=4.0, k_v2=0.0, k_v3=0.0)
@@ -35,7 +34,7 @@ def fitted(planted: Planted, gain=(1.0, 1.0)):
     recording = replace(recording, effort=recording.effort * np.array(gain))
     arm = arm_from_urdf(planted.urdf)
     motions, _ = prepare([recording], arm.joint_names, 20.0)
-    return fit_model(TorqueModel(arm, structure_of(arm, "coulomb-viscous")), motions, search_of(SEPARABLE, 0))
+    return fit_model(TorqueModel(arm, structure_of(arm, "coulomb-viscous")), motions)
 
 
 def shifts_of(fit) -> np.ndarray:

@@ -74,12 +74,11 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--solver",
         choices=SOLVERS,
         default=SEPARABLE,
-        help="separable (default): grid, then Levenberg-Marquardt; pso-separable: a particle swarm in place of the "
-        "grid; pso-lm: the paper's, over all its parameters, to compare with; idim-iv: instrumental variables, and "
-        "cloe: closed-loop output error (columns of a simulated arm, best with /joint_command recorded), to see "
-        "whether noise in the positions biases least squares",
+        help="separable (default): grid, then Levenberg-Marquardt; pso-lm: the paper's, over all its parameters, "
+        "to compare with; idim-iv: instrumental variables, and cloe: closed-loop output error (columns of a simulated "
+        "arm, best with /joint_command recorded), to see whether noise in the positions biases least squares",
     )
-    command.add_argument("--seed", type=int, default=0, metavar="N", help="of the particle swarms (default 0)")
+    command.add_argument("--seed", type=int, default=0, metavar="N", help="of the particle swarm (default 0)")
 
 
 def _add_surroundings(command: argparse.ArgumentParser) -> None:

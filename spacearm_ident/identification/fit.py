@@ -22,8 +22,7 @@ from ..regression.regression import Regression
 from ..signals.motion import Motion
 from ..signals.prepare import require_torque
 from ..solvers import pso_lm
-from ..solvers.choice import Search
-from ..solvers.separable import PRESENCE_GATE, Solution, exact, solve, system, without_constants
+from ..solvers.separable import PRESENCE_GATE, Solution, exact, grid_search, solve, system, without_constants
 from ..solvers.solution_columns import all_columns, residuals_of
 from .cad_scale import with_cad_scale
 
@@ -42,13 +41,12 @@ class Fit:
     stages: tuple[str, ...] = ()
 
 
-def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: Fit | None = None) -> Fit:
+def fit_model(model: TorqueModel, motions: list[Motion], start: Fit | None = None) -> Fit:
     """Solve, weight the rows by what the residual shows, solve again.
 
     Args:
         model: Terms whose parameters and constants are fitted.
         motions: One or more, with the arm's joints in its order.
-        search: How constants are searched; not used where `start` is given.
         start: A fit of a model of the same terms to the same motions. Its row weights and constants are where the
             solver begins, and its CAD scale is kept.
 
@@ -60,13 +58,13 @@ def fit_model(model: TorqueModel, motions: list[Motion], search: Search, start: 
     regression = Regression(model, motions, shared)
     prior = make_prior(model, motions, 1.0 if start is None else start.prior.cad_scale)
     if start is None:
-        solution = searched(regression, prior, search)
+        solution = searched(regression, prior)
         prior = with_cad_scale(regression, prior, solution.constants)
-        solution = solve(regression, prior, solution.constants)
+        solution = exact(regression, prior, solution.constants)
     else:
         for rows, known in zip(regression.rows, start.regression.rows):
             rows.set_weight(known.weight)
-        solution = solve(regression, prior, allowed(regression, start.solution.constants))
+        solution = exact(regression, prior, allowed(regression, start.solution.constants))
     solution, noise = reweighted(regression, prior, solution)
     return Fit(regression, prior, solution, residuals_of(regression, solution), noise)
 
@@ -85,13 +83,12 @@ def allowed(regression: Regression, constants: FloatArray) -> FloatArray:
     return np.where(absent, 0.0, constants)
 
 
-def searched(regression: Regression, prior: Prior, search: Search) -> Solution:
-    """What a search over the constants finds, under weights that a more flexible one's residual shows.
+def searched(regression: Regression, prior: Prior) -> Solution:
+    """Constants that a search finds under weights that a more flexible one's residual shows, and exact parameters.
 
     Args:
         regression: Rows; their weights are set.
         prior: Of the parameters.
-        search: How constants are searched.
     """
     _first_weights(regression)
     first = without_constants(regression, prior)
@@ -100,16 +97,16 @@ def searched(regression: Regression, prior: Prior, search: Search) -> Solution:
     # What a model leaves out makes its residual loud and slow, and a test under its weights blind. So the search is
     # first free to take what helps, and what then is left weighs the rows of the search that counts. For weights the
     # grid's constants are near enough: to refine them took 0.45 of 1.9 s on two recordings of a UR10e.
-    flexible = exact(regression, prior, search(regression, prior, 0.0))
+    flexible = exact(regression, prior, grid_search(regression, gate=0.0))
     for _ in range(REWEIGHTINGS):
         reweight(regression, residuals_of(regression, flexible))
         flexible = exact(regression, prior, flexible.constants)
     reweight(regression, residuals_of(regression, flexible))
-    return solve(regression, prior, search(regression, prior, PRESENCE_GATE))
+    return exact(regression, prior, grid_search(regression, PRESENCE_GATE))
 
 
 def reweighted(regression: Regression, prior: Prior, solution: Solution) -> tuple[Solution, list[list[Noise]]]:
-    """A solution refined under the weights that its own residual shows, and that noise.
+    """A solution under the weights that its own residual shows, its constants refined under the last, and that noise.
 
     Args:
         regression: Rows; their weights are set `REWEIGHTINGS` times.
@@ -119,11 +116,11 @@ def reweighted(regression: Regression, prior: Prior, solution: Solution) -> tupl
     Returns:
         The solution, and the noise of its residual by joint and motion.
     """
-    noise: list[list[Noise]] = []
-    for _ in range(REWEIGHTINGS):
-        noise = reweight(regression, residuals_of(regression, solution))
-        solution = solve(regression, prior, solution.constants)
-    return solution, noise
+    for _ in range(REWEIGHTINGS - 1):
+        reweight(regression, residuals_of(regression, solution))
+        solution = exact(regression, prior, solution.constants)
+    noise = reweight(regression, residuals_of(regression, solution))
+    return solve(regression, prior, solution.constants), noise
 
 
 def fit_as_published(model: TorqueModel, motions: list[Motion], seed: int) -> Fit:

@@ -39,7 +39,7 @@ from ..recording.recording import Recording
 from ..signals.motion import Motion
 from ..signals.prepare import prepare, require_joints
 from ..solvers import pso_lm
-from ..solvers.choice import CLOE, IDIM_IV, LEAST_SQUARES, PSO_LM, SEEDED, SEPARABLE, require_solver, search_of
+from ..solvers.choice import CLOE, IDIM_IV, PSO_LM, SEPARABLE, require_solver
 from ..solvers.separable import Solution, system
 from . import output_error
 from .blend import blend_notes, blended
@@ -142,7 +142,7 @@ def identify(
     words = _solver_words(settings, fit.solution)
     result = _conclude(fit, provenance or {}, choices, bandwidth, words, gravity, further, settings.gains)
     body, on_body = base_body(motions, result.model, result.covariance)
-    if settings.blend and settings.solver in LEAST_SQUARES and result.consistency_shift > 0.0:
+    if settings.blend and settings.solver == SEPARABLE and result.consistency_shift > 0.0:
         result = replace(result, model=blended(result.model, fit, settings.structure is None))
     weighed = () if settings.gains is None else (settings.gains.words,)
     coupled = () if coupling is None else (coupling.words,)
@@ -159,8 +159,7 @@ def _fitted(
     if settings.solver == PSO_LM:
         published = TorqueModel(model.arm, pso_lm.as_published(model.structure))
         return fit_as_published(published, motions, settings.seed), (), None
-    search = search_of(settings.solver, settings.seed)
-    fit = gravity_loop.settle(fit_model(model, motions, search))
+    fit = gravity_loop.settle(fit_model(model, motions))
     coupling = try_coupling(fit) if settings.couple else None
     if settings.structure is not None:
         return fit, (), coupling
@@ -168,10 +167,10 @@ def _fitted(
         coupling = replace(coupling, adopted=True)
         arm = replace(fit.regression.model.arm, couplings=(coupling.coupling,))
         model = TorqueModel(arm, {**model.structure, CoupledMotor.kind: {}})
-        fit = gravity_loop.settle(fit_model(model, motions, search))
+        fit = gravity_loop.settle(fit_model(model, motions))
     report(0.5, "choosing the terms that predict held-out data better")
     structure, choices = settings.choose(fit)
-    fit = gravity_loop.settle(fit_model(TorqueModel(fit.regression.model.arm, structure), motions, search, fit))
+    fit = gravity_loop.settle(fit_model(TorqueModel(fit.regression.model.arm, structure), motions, fit))
     return fit, choices, coupling
 
 
@@ -189,11 +188,10 @@ def _gravity_loop(settings: Settings, arm: Arm, motions: list[Motion]) -> Gravit
             raise UserError("gravity cannot be estimated under a moving base: its IMU measures what is felt of it")
         if settings.solver == CLOE:
             raise UserError(f"the solver {CLOE} simulates a fixed base, and this one moves: take {SEPARABLE}")
-    search = search_of(settings.solver, settings.seed)
     return GravityLoop(
         require_gravity_choice(settings.gravity, arm.gravity),
         arm.gravity,
-        lambda model, start: fit_model(model, motions, search, start),
+        lambda model, start: fit_model(model, motions, start),
         covariance_of,
         lambda fit: max(sum(freedom(fit).values()), 1.0),
     )
@@ -214,7 +212,7 @@ def _check(recordings: Sequence[Recording], arm: Arm) -> None:
 def _solver_words(settings: Settings, solution: Solution) -> str:
     if settings.solver == CLOE:
         return f"{CLOE}, {solution.status} after {solution.iterations} simulations"
-    seed = f" (seed {settings.seed})" if settings.solver in SEEDED else ""
+    seed = f" (seed {settings.seed})" if settings.solver == PSO_LM else ""
     return f"{settings.solver}{seed}, Levenberg-Marquardt on all: {solution.status} after {solution.iterations} steps"
 
 

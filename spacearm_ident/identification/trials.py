@@ -19,7 +19,7 @@ from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..dynamics.rigid_body import JointSpring
 from ..noise.weights import common_correlation
 from ..regression.held_out import folds_of, time_blocks
-from ..regression.prior import make_prior
+from ..regression.prior import Prior, make_prior
 from ..regression.regression import Regression
 from .fit import Fit
 from .joint_terms import JointTerms
@@ -31,6 +31,9 @@ SETTLING = 3
 """Rounds in which the weights of the joints follow their residuals."""
 RIDGE = 1e-9
 """Relative, on the diagonal: keeps an elimination regular where a joint has two equal columns."""
+SEEN = 1e-14
+"""Information that the data have of a combination of shared parameters, relative to the best known one, below which it
+is rounding."""
 
 
 COLUMN_OF = {
@@ -65,6 +68,16 @@ class _Joint:
     rest: FloatArray
     ridge: FloatArray
     rows: int
+
+    def combine(self, basis: FloatArray) -> None:
+        """Put r combinations of the s shared columns in their place: (s, r)."""
+        before, after = basis.shape
+        new = after + self.gram.shape[1] - before
+        way = np.zeros((self.gram.shape[1], new))
+        way[:before, :after], way[before:, after:] = basis, np.eye(new - after)
+        self.gram, self.rest = way.T @ self.gram @ way, way.T @ self.rest @ way
+        self.own = {name: place + after - before for name, place in self.own.items()}
+        self.ridge = np.r_[np.zeros(after), self.ridge[before:]]
 
     def scale(self, factor: float) -> None:
         """Weigh all rows by the root of a factor."""
@@ -107,11 +120,6 @@ class Trials:
         prior = make_prior(regression.model, regression.motions)
         owners = _owners(regression)
         shared = np.array(sorted(k for k, rows in owners.items() if len(rows) > 1), dtype=int)
-        self._shared = len(shared)
-        width = prior.rows[:, shared]
-        concerned = np.abs(width).sum(axis=1) > 0
-        self._information = width[concerned].T @ width[concerned] + RIDGE * np.eye(self._shared)
-        self._pull = width[concerned].T @ prior.target[concerned]
         block_of, recording = time_blocks(regression.motions, BLOCKS)
         self.blocks = len(recording)
         folds = folds_of(recording)
@@ -128,7 +136,31 @@ class Trials:
             frozenset(name for name, column in COLUMN_OF.items() if one.rows and column in one.own)
             for one in self._joints
         ]
+        self._expected = self._reduce_shared(prior, shared)
+        self._shared = len(self._expected)
         self._known: dict[tuple[int, JointTerms], _Eliminated] = {}
+
+    def _reduce_shared(self, prior: Prior, shared: np.ndarray) -> FloatArray:
+        """Keep of the shared columns the combinations that move any torque: the prior alone decides on the others.
+
+        Their unknowns are independent and of variance 1 under the prior.
+
+        Args:
+            prior: Of all parameters.
+            shared: (s,) numbers of the shared ones.
+
+        Returns:
+            Their mean under the prior (r,).
+        """
+        rows = prior.rows[:, shared]
+        root = np.linalg.cholesky(rows.T @ rows + RIDGE * np.eye(len(shared)))
+        white = np.linalg.inv(root).T
+        total = np.sum([joint.rest[-1, : len(shared), : len(shared)] for joint in self._joints], axis=0)
+        sizes, directions = np.linalg.eigh(white.T @ total @ white)
+        basis = white @ directions[:, sizes > SEEN * sizes[-1]]
+        for joint in self._joints:
+            joint.combine(basis)
+        return np.asarray(basis.T @ (rows.T @ prior.target))
 
     def settle(self, laws: Sequence[JointTerms]) -> None:
         """Weight each joint by what these laws leave of it."""
@@ -157,11 +189,11 @@ class Trials:
             (folds + 1, s) shared parameters, and per joint the places (o,) and values (folds + 1, o) of its own.
         """
         joints = [self._eliminated(number, law) for number, law in enumerate(laws)]
-        normal = np.sum([joint.normal for joint in joints], axis=0)
-        matrix = normal[:, :-1, :-1] + self._information
-        diagonal = np.arange(self._shared)
-        matrix[:, diagonal, diagonal] *= 1.0 + RIDGE
-        shared = np.linalg.solve(matrix, (normal[:, :-1, -1] + self._pull)[..., None])
+        normal = joints[0].normal.copy()
+        for joint in joints[1:]:  # faster than the sum of a stack of them
+            normal += joint.normal
+        matrix = normal[:, :-1, :-1] + np.eye(self._shared)
+        shared = np.asarray(np.linalg.solve(matrix, (normal[:, :-1, -1] + self._expected)[..., None]), dtype=float)
         return shared[..., 0], [
             (joint.own, joint.back[..., -1] - (joint.back[..., :-1] @ shared)[..., 0]) for joint in joints
         ]

@@ -9,6 +9,7 @@ decides (`structure.py`, `correction.py`) is made here, at one level.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from scipy.stats import t as student
@@ -88,6 +89,7 @@ def t_of_drop(before: FloatArray, after: FloatArray) -> float:
     return max(_t_value(before - after), _t_value(np.log(before / after)))
 
 
+@cache
 def bound(level: float, blocks: int) -> float:
     """Value of t that the clearer of the two tests exceeds by chance with a probability of `level`.
 

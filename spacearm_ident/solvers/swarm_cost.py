@@ -145,7 +145,7 @@ class SwarmCost:
             name = self._regression.model.arm.joint_names[joint]
             raise UserError(
                 f"pso-lm takes the paper's model, one nonlinear constant a joint, and {name} has more here: "
-                "leave out the structure, or use the solver separable or pso-separable"
+                "leave out the structure, or use the solver separable"
             )
         numbers = self._shaped(terms[0])[joint][0]
         shaped = np.array([self._place[number] for number in numbers if number in self._place], dtype=int)
