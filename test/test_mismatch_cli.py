@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from changed_arm import ARM
+import yaml
 from planted_arm import TWO_LINKS, Friction, two_link_run
 
 from spacearm_ident.cli.main import main
@@ -16,6 +16,7 @@ from spacearm_ident.cli.mismatch import sort_bags, summary
 from spacearm_ident.conventions.change import Kind
 from spacearm_ident.conventions.finding import ConventionReport, Level
 from spacearm_ident.conventions.finding import Finding as Mistake
+from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
@@ -24,9 +25,11 @@ from spacearm_ident.excitation.trajectory_file import load_trajectory
 from spacearm_ident.mismatch.finding import NO_MISMATCH, Explanation, unfit
 from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.recording import read_recording, write_recording
+from spacearm_ident.recording.corrections import Corrections, JointCorrection
 from spacearm_ident.report.mismatch_folder import write_mismatch
 from spacearm_ident.sessions.identification import find_arm
-from spacearm_ident.sessions.mismatch import mistakes, next_run
+from spacearm_ident.sessions.mismatch import next_run
+from spacearm_ident.sessions.mistakes import mistakes
 from spacearm_ident.signals.prepare import prepare
 
 LAWS = (Friction(k_v2=0.0, k_v3=0.0), Friction(f_c=1.5, k_v1=0.8, k_v2=0.0, k_v3=0.0, J_m=0.1))
@@ -214,34 +217,77 @@ def test_a_joint_in_degrees_is_unfit_data_with_its_remedy(bags, tmp_path, capsys
     assert "degrees" in (tmp_path / "why" / "report.html").read_text()
 
 
-def told(kind, log_odds, joints=("elbow",), level=Level.UNFIT):
-    return Mistake(str(kind), level, joints, f"{kind} found", "mend it", log_odds=log_odds, recordings=("bag",))
+def told(kind, log_odds, joints=("elbow",), level=Level.UNFIT, **undo):
+    corrections = Corrections({joint: JointCorrection(**undo) for joint in joints} if undo else {})
+    return Mistake(
+        str(kind), level, joints, f"{kind} found", "mend it", log_odds=log_odds, recordings=("recording",),
+        corrections=corrections,
+    )  # fmt: skip
+
+
+def said(monkeypatch, field, in_field, in_reference):
+    """Reasons of `mistakes` where the check says this of field and reference (None: there is no reference)."""
+
+    def check(recordings, arm, progress):
+        return ConventionReport(tuple(in_field if recordings[0] is field else in_reference), (), ("recording",))
+
+    monkeypatch.setattr("spacearm_ident.sessions.mistakes.check_conventions", check)
+    return mistakes(RunSet([field], [] if in_reference is None else [recording(1)]), arm_from_urdf(field.urdf))
 
 
 @pytest.mark.parametrize(
     ("in_field", "in_reference", "refused"),
     [
-        ([told(Kind.JOINTS_EXCHANGED, 22.0)], [], 1),
         ([told(Kind.JOINTS_EXCHANGED, 22.0)], [told(Kind.JOINTS_EXCHANGED, 22.0)], 0),
         ([told(Kind.JOINTS_EXCHANGED, 22.0)], None, 0),
         ([told(Kind.JOINTS_EXCHANGED, 60.0)], None, 1),
         ([told(Kind.JOINTS_EXCHANGED, 60.0)], [told(Kind.JOINTS_EXCHANGED, 60.0)], 1),
         ([], [told(Kind.EFFORT_SIGN, 60.0)], 1),
         ([told("robot_description", None)], None, 1),
+        ([told("robot_description", None)], [], 1),
         ([told(Kind.EFFORT_SIGN, 60.0, level=Level.NOTE)], [], 0),
         ([told(kind, 200.0) for kind in (Kind.EFFORT_GAIN, Kind.GRAVITY, Kind.ENCODER_ZERO, Kind.DELAY)], [], 0),
     ],
 )
 def test_a_mistake_counts_where_it_is_certain_or_the_reference_has_it_not(monkeypatch, in_field, in_reference, refused):
     """What the catalogue names itself, a gain or a tilt, is never a mistake of convention here."""
-    field, healthy = ["field"], [] if in_reference is None else ["reference"]
+    reasons = said(monkeypatch, recording(2), in_field, in_reference)
+    assert len(reasons) == refused
+    assert all(text.startswith("recording: ") and text.endswith("-> mend it") for text in reasons)
 
-    def check(recordings, arm, progress):
-        return ConventionReport(tuple(in_field if recordings == field else in_reference), (), ("bag",))
 
-    monkeypatch.setattr("spacearm_ident.sessions.mismatch.check_conventions", check)
-    reasons = mistakes(RunSet(field, healthy), ARM)
-    assert len(reasons) == refused and all(text.startswith("bag: ") and "-> mend it" in text for text in reasons)
+EXCHANGED = replace(recording(2), position=recording(2).position[:, ::-1], effort=recording(2).effort[:, ::-1])
+AMPERES = replace(recording(2), effort=recording(2).effort / 20.0)
+BOTH = ("shoulder", "elbow")
+
+
+@pytest.mark.parametrize(
+    ("field", "in_field", "refused"),
+    [
+        (EXCHANGED, [replace(told(Kind.JOINTS_EXCHANGED, 22.0, BOTH), corrections=Corrections({
+            "shoulder": JointCorrection(position_from="elbow", effort_from="elbow"),
+            "elbow": JointCorrection(position_from="shoulder", effort_from="shoulder"),
+        }))], True),
+        (recording(2), [told(Kind.EFFORT_SIGN, 22.0, effort_scale=-1.0)], False),
+        (recording(2), [told(Kind.EFFORT_UNIT, 200.0, BOTH, effort_scale=20.0)], False),
+        (AMPERES, [told(Kind.EFFORT_UNIT, 200.0, BOTH, effort_scale=9.0)], True),
+    ],
+    ids=["exchanged", "sound, called a sign", "sound, called amperes", "amperes, by another factor"],
+)  # fmt: skip
+def test_what_cad_makes_look_like_a_mistake_is_tested_on_the_healthy_arm(monkeypatch, field, in_field, refused):
+    reasons = said(monkeypatch, field, in_field, [])
+    assert len(reasons) == refused
+    assert all("mend it; the reference does not need it" in reason for reason in reasons)
+
+
+def test_torque_in_another_unit_than_the_reference_s_is_told_whatever_cad_says(monkeypatch):
+    (reason,) = said(monkeypatch, AMPERES, [], [])
+    data = yaml.safe_load(reason.partition("arm YAML: corrections: ")[2].partition("; the reference")[0])
+    assert {name: one["effort_scale"] for name, one in data["joints"].items()} == pytest.approx(
+        {"shoulder": 20.0, "elbow": 20.0}, rel=0.1
+    )
+    # A heavier arm is no other unit.
+    assert not said(monkeypatch, replace(recording(2), effort=recording(2).effort * 1.9), [], [])
 
 
 # --- what goes wrong ------------------------------------------------------------------------------------------------

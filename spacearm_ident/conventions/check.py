@@ -32,7 +32,7 @@ from .scorer import Scored, Scorer, carried, loaded_joints
 from .search import SUSPECTED, Step, search
 from .setup import Setup
 from .values import zero_error
-from .words import is_unit, joint_names, rated_factors, remedy, statement
+from .words import corrections, is_unit, joint_names, rated_factors, remedy, statement
 
 SURE_PROBABILITY = 0.99
 """What a change at the limit of certainty is called; log odds are scaled to it."""
@@ -163,6 +163,7 @@ def _far_from_cad(scorer: Scorer, final: Scored) -> list[Finding]:
             joints=joint_names(scorer.arm, everywhere),
             statement=f"{statement(scorer.arm, everywhere, evidence)}, or the URDF's masses are not the arm's",
             remedy=remedy(scorer.arm, everywhere, evidence),
+            corrections=corrections(scorer.arm, everywhere, evidence),
             probability=float(expit(log_odds / _temperature(scorer))),
             log_odds=log_odds,
         )
@@ -239,6 +240,7 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
         joints=joints,
         statement=suspected + statement(arm, change, evidence),
         remedy=remedy(arm, change, evidence),
+        corrections=corrections(arm, change, evidence),
         probability=probability,
         log_odds=step.gain,
         values={"value": [float(v) for v in value]} if value else {},

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
+from ..recording.corrections import Corrections
+
 SCHEMA = "spacearm_ident/conventions/1"
 DECISIVE = 50.0
 """Log odds from which `identify` calls data unfit for an inferred mistake; `check` names it from less. From
@@ -46,6 +48,7 @@ class Finding:
         values: Numbers behind it, by name.
         alternatives: Other causes the data cannot exclude.
         recordings: Names of the recordings it was found in.
+        corrections: What undoes it in the recordings; none where that is not known, or not in the recordings.
     """
 
     kind: str
@@ -58,6 +61,7 @@ class Finding:
     values: Mapping[str, Any] = field(default_factory=dict)
     alternatives: tuple[Alternative, ...] = ()
     recordings: tuple[str, ...] = ()
+    corrections: Corrections = field(default_factory=Corrections)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data."""

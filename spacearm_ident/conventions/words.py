@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
-from .change import UNIT_FACTOR, Change, Kind, unit_factors
+from ..recording.corrections import Corrections, JointCorrection
+from .change import TORQUE_SCALES, UNIT_FACTOR, Change, Kind, unit_factors
 from .evidence import Evidence
 
 
@@ -140,8 +139,8 @@ def _guess(gains: FloatArray) -> str:
     return " (A?)" if size < 1 / UNIT_FACTOR else ""
 
 
-def remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
-    """The command-line option or arm YAML entry that corrects it.
+def corrections(arm: Arm, change: Change, evidence: Evidence) -> Corrections:
+    """What undoes a change in the recording; nothing for gravity, which is the arm's.
 
     Args:
         arm: The arm, for names of joints.
@@ -151,56 +150,59 @@ def remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
     names = joint_names(arm, change)
     match change.kind:
         case Kind.GRAVITY:
-            return "--gravity " + " ".join(f"{g:.3g}" for g in change.value) + ", or gravity_m_s2 in the arm YAML"
+            return Corrections()
         case Kind.TIME_REVERSED:
-            return "in the arm YAML: corrections: {clock: reversed}"
+            return Corrections(clock="reversed")
         case Kind.EFFORT_GAIN | Kind.EFFORT_UNIT | Kind.EFFORT_RATED:
-            return _gain_remedy(arm, change, evidence)
+            factors = _torque_factors(change, evidence)
+            return Corrections({name: JointCorrection(effort_scale=scale) for name, scale in zip(names, factors)})
         case Kind.DELAY:
-            return _yaml(_each(arm, names, f"effort_delay_s: {change.value[0]:.4g}"))
+            each = JointCorrection(effort_delay_s=change.value[0])
         case Kind.ENCODER_ZERO:
-            return _yaml([(names[0], f"position_offset_rad: {change.value[0]:.4g}")])
+            each = JointCorrection(position_offset_rad=change.value[0])
         case Kind.DEGREES:
-            return _yaml(_each(arm, names, "position_scale: 0.01745329252"))
+            each = JointCorrection(position_scale=0.01745329252)
         case Kind.EFFORT_SIGN:
-            return _yaml([(names[0], "effort_scale: -1")])
+            each = JointCorrection(effort_scale=-1.0)
         case Kind.POSITION_SIGN:
-            return _yaml([(names[0], "position_scale: -1")])
+            each = JointCorrection(position_scale=-1.0)
         case Kind.AXIS_REVERSED:
-            return _yaml([(names[0], "position_scale: -1, effort_scale: -1")]) + "; or reverse the axis in the URDF"
+            each = JointCorrection(position_scale=-1.0, effort_scale=-1.0)
         case _:
-            return _yaml(_exchange(arm, change))
+            return _exchange(arm, change)
+    return Corrections(dict.fromkeys(names, each))
 
 
-def _each(arm: Arm, names: Sequence[str], text: str) -> list[tuple[str, str]]:
-    """The same for several joints, or once for all."""
-    return [("all", text)] if len(names) == len(arm.joints) > 1 else [(name, text) for name in names]
+def remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
+    """The command-line option or arm YAML entry that corrects it; arguments as of `corrections`."""
+    if change.kind is Kind.GRAVITY:
+        return "--gravity " + " ".join(f"{g:.3g}" for g in change.value) + ", or gravity_m_s2 in the arm YAML"
+    text = f"in the arm YAML: corrections: {corrections(arm, change, evidence).as_yaml(arm.joint_names)}"
+    if change.kind in TORQUE_SCALES:
+        return f"find torque constant, gear ratio and unit of the effort; until then {text}"
+    return f"{text}; or reverse the axis in the URDF" if change.kind is Kind.AXIS_REVERSED else text
 
 
-def _exchange(arm: Arm, change: Change) -> list[tuple[str, str]]:
-    keys = {
-        Kind.POSITIONS_EXCHANGED: ("position_from",),
-        Kind.EFFORTS_EXCHANGED: ("effort_from",),
-        Kind.JOINTS_EXCHANGED: ("position_from", "effort_from"),
-    }[change.kind]
-    names = arm.joint_names
-    return [(names[k], ", ".join(f"{key}: {names[int(change.value[k])]}" for key in keys)) for k in change.joints]
+def _exchange(arm: Arm, change: Change) -> Corrections:
+    names, order = arm.joint_names, [int(k) for k in change.value]
+    position, effort = change.kind is not Kind.EFFORTS_EXCHANGED, change.kind is not Kind.POSITIONS_EXCHANGED
+    return Corrections(
+        {
+            names[k]: JointCorrection(
+                position_from=names[order[k]] if position else "", effort_from=names[order[k]] if effort else ""
+            )
+            for k in change.joints
+        }
+    )
 
 
-def _gain_remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
+def _torque_factors(change: Change, evidence: Evidence) -> list[float]:
+    """N·m a recorded unit, of each of the change's joints."""
     if change.kind is Kind.EFFORT_UNIT and change.value:
-        factors = np.array(change.value)
-    elif change.kind is Kind.EFFORT_RATED:
-        factors = np.array(rated_factors(change, evidence))
-    else:
-        factors = 1.0 / evidence.gains[list(change.joints)]
+        return list(change.value)
+    if change.kind is Kind.EFFORT_RATED:
+        return list(rated_factors(change, evidence))
+    factors = 1.0 / evidence.gains[list(change.joints)]
     if change.kind is Kind.EFFORT_GAIN:
-        scales = _each(arm, joint_names(arm, change), f"effort_scale: {factors[0]:.4g}")
-    else:
-        scales = [(name, f"effort_scale: {factor:.4g}") for name, factor in zip(joint_names(arm, change), factors)]
-    return f"find torque constant, gear ratio and unit of the effort; until then {_yaml(scales)}"
-
-
-def _yaml(entries: Sequence[tuple[str, str]]) -> str:
-    inner = ", ".join(f"{name}: {{{text}}}" for name, text in entries)
-    return f"in the arm YAML: corrections: {{joints: {{{inner}}}}}"
+        factors[:] = factors[0]
+    return [float(factor) for factor in factors]

@@ -7,7 +7,7 @@ computed: position = position_scale * recorded + position_offset_rad; effort = e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -43,6 +43,15 @@ class JointCorrection:
     effort_from: str = ""
     effort_delay_s: float = 0.0
 
+    def as_yaml(self) -> str:
+        """`key: value` of everything that is not as recorded, to four digits; a scale of positions to ten."""
+        digits = {"position_scale": ".10g"}
+        changed = {one.name: getattr(self, one.name) for one in fields(self) if getattr(self, one.name) != one.default}
+        return ", ".join(
+            f"{key}: {value if isinstance(value, str) else format(value, digits.get(key, '.4g'))}"
+            for key, value in changed.items()
+        )
+
 
 @dataclass(frozen=True)
 class Corrections:
@@ -55,6 +64,19 @@ class Corrections:
     def none(self) -> bool:
         """Whether there is nothing to correct."""
         return not self.joints and self.clock == CLOCKS[0]
+
+    def as_yaml(self, joints: Sequence[str]) -> str:
+        """What an arm YAML says under `corrections`, on one line; once where every joint needs the same.
+
+        Args:
+            joints: All joints of the arm.
+        """
+        alike = len(joints) > 1 and len({self.joints.get(name, JointCorrection()) for name in joints}) == 1
+        named = {ALL: self.joints[joints[0]]} if alike and self.joints else self.joints
+        parts = [] if self.clock == CLOCKS[0] else [f"clock: {self.clock}"]
+        if named:
+            parts.append("joints: {" + ", ".join(f"{name}: {{{one.as_yaml()}}}" for name, one in named.items()) + "}")
+        return "{" + ", ".join(parts) + "}"
 
     def applied(self, recording: Recording) -> Recording:
         """The recording as it would have been with the conventions kept.

@@ -9,10 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..conventions.change import Kind
-from ..conventions.check import check_conventions
-from ..conventions.finding import DECISIVE, ConventionReport, Level
-from ..conventions.finding import Finding as Mistake
 from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
@@ -29,24 +25,10 @@ from ..recording import Recording
 from ..report.folder import refuse_to_replace
 from ..report.mismatch_folder import write_mismatch
 from .identification import corrected, find_arm, within
+from .mistakes import mistakes
 from .reading import Comparing, Reading
 
 MODEL_SUFFIXES = (".yaml", ".yml")
-MISTAKES = frozenset(
-    {
-        Kind.EFFORT_SIGN,
-        Kind.POSITION_SIGN,
-        Kind.AXIS_REVERSED,
-        Kind.DEGREES,
-        Kind.POSITIONS_EXCHANGED,
-        Kind.EFFORTS_EXCHANGED,
-        Kind.JOINTS_EXCHANGED,
-        Kind.EFFORT_UNIT,
-        Kind.TIME_REVERSED,
-        "robot_description",
-    }
-)
-"""Mistakes of convention that no physics looks like: a gain, a zero, gravity, a delay are effects."""
 
 
 @dataclass(frozen=True)
@@ -99,37 +81,6 @@ def explain_session(
     planned = next_run(explanation, arm, runs.field[0])
     page = write_mismatch(explanation, arm, runs, planned, directory, command)
     return MismatchSession(explanation, page, tuple(runs.every), arm)
-
-
-def mistakes(runs: RunSet, arm: Arm, progress: Progress | None = None) -> tuple[str, ...]:
-    """Mistakes of convention that make recordings unfit to be compared, as reasons with what to do.
-
-    A mistake counts if `identify` calls it certain; in the field already if `check` calls the data unfit and the
-    reference does not show it: an arm's own CAD errors, for which `identify` leaves room, would show in both.
-
-    Args:
-        runs: What is to be compared with what; field and validation are examined alike.
-        arm: What is known before.
-        progress: Called with a share done in 0..1 and what is being done.
-
-    Raises:
-        UserError: A recording lacks a joint of the arm.
-    """
-    field, reference = [*runs.field, *runs.validation], runs.healthy
-    share = len(field) / (len(field) + len(reference))
-    report = progress or (lambda share, what: None)
-    examined = check_conventions(field, arm, progress=within(report, 0.0, share))
-    healthy = check_conventions(reference, arm, progress=within(report, share, 1.0)) if reference else None
-    known = {(one.kind, one.joints) for one in healthy.findings} if healthy else set()
-    found = [] if healthy is None else _wrong(healthy, DECISIVE)
-    found += [one for one in _wrong(examined, 0.0 if healthy else DECISIVE) if (one.kind, one.joints) not in known]
-    return tuple(f"{', '.join(one.recordings)}: {one.statement} -> {one.remedy}" for one in found)
-
-
-def _wrong(report: ConventionReport, least: float) -> list[Mistake]:
-    """Unfit findings that no physics looks like: read off, or inferred with these log odds or more."""
-    unfit_ones = (one for one in report.findings if one.kind in MISTAKES and one.level is Level.UNFIT)
-    return [one for one in unfit_ones if one.log_odds is None or one.log_odds >= least]
 
 
 def _reference(paths: Sequence[Path], reading: Reading, progress: Progress) -> list[Recording] | IdentifiedModel:
