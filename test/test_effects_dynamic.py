@@ -159,6 +159,22 @@ def test_a_rotor_couples_by_how_far_axes_point_the_same_way_and_symmetrically():
     np.testing.assert_allclose(torque(pair, motion, [1.0], (), background), want, atol=1e-9)
 
 
+def test_neighbours_at_right_angles_couple_through_bevel_gears():
+    links = (
+        THREE_LINKS[0],
+        replace(THREE_LINKS[1], rpy=(np.pi / 2, 0.0, 0.0)),
+        replace(THREE_LINKS[2], rpy=(1.57, 0.0, 0.0)),
+    )
+    arm = arm_of(links)
+    motion = wave(arm.joint_names, seed=5)
+    background, qdd = background_of(arm, motion), motion.acceleration
+    pair = one("rotor_coupling", arm, joint="elbow", **{"with": "shoulder"})
+    want = np.stack([np.zeros(len(qdd)), qdd[:, 2], qdd[:, 1]], axis=1)
+    np.testing.assert_allclose(torque(pair, motion, [1.0], (), background), want, atol=1e-9)
+    # A rotor about the elbow's own axis does not feel the shoulder.
+    assert not torque(one("rotor_coupling", arm, joint="elbow"), motion, [1.0], (), background)[:, 1].any()
+
+
 SKEW = (THREE_LINKS[0], replace(THREE_LINKS[1], rpy=(0.4, 0.2, 0.1)), replace(THREE_LINKS[2], rpy=(-0.5, 0.3, 0.2)))
 
 

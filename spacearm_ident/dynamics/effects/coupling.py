@@ -17,17 +17,23 @@ from ..term import Columns, Parameter, Values
 from .effect import Effect, Options, each, nothing
 from .linearised import rigid_torque
 
+RIGHT_ANGLE = 1e-3
+"""Cosine below which two axes are at right angles: 1.57 in place of half of pi leaves 8e-4 of it."""
 DRY = 0.3
 """Gears rub dry by as much, at least, as their viscous friction is at this speed, rad/s."""
 
 
 @dataclass(frozen=True)
 class RotorCoupling(Effect):
-    """A rotor turns with its gear ratio about an axis that other joints carry around."""
+    """A rotor turns with its gear ratio about an axis that other joints carry around.
+
+    That axis is the joint's own. Where the joint's neighbour is at right angles to it always, the two alone couple if
+    bevel gears turn the motor's: J is then of what turns about the neighbour's axis.
+    """
 
     kind: ClassVar[str] = "rotor_coupling"
     words: ClassVar[str] = "the spinning rotor couples joints"
-    equation: ClassVar[str] = "J (z_i . z_j) qdd_j at joint i, and i, j exchanged"
+    equation: ClassVar[str] = "J (z_i . z_j) qdd_j at joint i, and i, j exchanged; J qdd_j by bevel gears"
     source: ClassVar[str] = "Murphy, Wen and Saridis 1991"
     confused_with: ClassVar[tuple[str, ...]] = ("wrist_coupling", "joint_elasticity", "payload")
     experiment: ClassVar[str] = "quick moves of the outer joint alone, with the inner joint held"
@@ -66,13 +72,15 @@ class RotorCoupling(Effect):
         if "with" in self.place:
             carriers = (motion.joints.index(self.place["with"]),)
         aligned = background.keep(("aligned", number), lambda: _alignment(arm, motion, number))
+        if "with" in self.place and carriers == (arm.joints[number].parent,) and not aligned[:, carriers].any():
+            aligned = np.ones_like(aligned)
         columns = {row: (aligned[:, row] * motion.acceleration[:, number])[:, None] for row in carriers}
         mine = sum(aligned[:, row] * motion.acceleration[:, row] for row in carriers)
         return each({**columns, number: np.asarray(mine)[:, None]})
 
 
 def _alignment(arm: Arm, motion: Motion, joint: int) -> FloatArray:
-    """(N, n) cosine between the axis of a joint and every joint's."""
+    """(N, n) cosine between the axis of a joint and every joint's; zero where they are at right angles always."""
     # A body with inertia about the joint's axis alone, spun about it: each joint feels its share.
     axis = arm.joints[joint].axis
     body = np.zeros((len(arm.joints), 10))
@@ -80,7 +88,8 @@ def _alignment(arm: Arm, motion: Motion, joint: int) -> FloatArray:
     body[joint, 4:] = x * x, x * y, y * y, x * z, y * z, z * z
     unit = np.zeros_like(motion.position)
     unit[:, joint] = 1.0
-    return rigid_torque(arm.with_gravity(np.zeros(3)), body, motion.position, None, unit)
+    cosines = rigid_torque(arm.with_gravity(np.zeros(3)), body, motion.position, None, unit)
+    return np.where(np.abs(cosines).max(axis=0) < RIGHT_ANGLE, 0.0, cosines)
 
 
 @dataclass(frozen=True)
