@@ -86,7 +86,12 @@ def is_bag(path: Path) -> bool:
 
 
 def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:
-    """Test recordings against their conventions; returns 1 where they are unfit."""
+    """Test recordings against their conventions; returns 1 where they are unfit.
+
+    Args:
+        options: Of the command line.
+        bags: To read.
+    """
     with common.progress(options) as report:
         recordings = common.reading_of(options).read(bags, within(report, 0.0, 0.2))
         arm = common.arm_of(options, recordings)
@@ -119,7 +124,12 @@ def show_findings(report: ConventionReport) -> None:
 
 
 def check_files(options: argparse.Namespace, path: Path | None) -> int:
-    """Check this machine and an arm's files; returns 1 where something fails."""
+    """Check this machine and an arm's files; returns 1 where something fails.
+
+    Args:
+        options: Of the command line.
+        path: URDF or arm YAML; None: the machine alone.
+    """
     arm, can, params = files(path, options.can, options.params)
     results = check_machine(Path.cwd(), os.environ)
     if arm is not None:
@@ -165,7 +175,12 @@ def _if_there(path: Path) -> Path | None:
 
 
 def show(results: Sequence[CheckResult], arm: Path | None = None) -> None:
-    """How many are right, what to do next, then a line each with its remedy."""
+    """How many are right, what to do next, then a line each with its remedy.
+
+    Args:
+        results: Of every check.
+        arm: The file that was checked; None: none was.
+    """
     console = Console(highlight=False, soft_wrap=True)
     counts = {level: sum(result.level is level for result in results) for level in Level}
     console.print(", ".join(f"{count} {level}" for level, count in counts.items()))

@@ -92,7 +92,12 @@ class Playback:
         return now_ns < self._bridged_ns or self._beside is not None or self.rate < 1.0
 
     def target(self, stream: SetPointStream, now_ns: int) -> FloatArray | None:
-        """What the drives shall follow now, (n,) rad; None where nothing has been played yet. Once a cycle."""
+        """What the drives shall follow now, (n,) rad; None where nothing has been played yet. Once a cycle.
+
+        Args:
+            stream: Set-points that have arrived.
+            now_ns: The driver's clock, ns.
+        """
         if self._last is not None:
             step_ns = now_ns - self._last[0]
             if step_ns > self._stall_ns:
@@ -108,7 +113,12 @@ class Playback:
         return played
 
     def starved(self, stream: SetPointStream, now_ns: int) -> Fault | None:
-        """Whether the stream has ended while the arm should move, or the cycle was held up for too long."""
+        """Whether the stream has ended while the arm should move, or the cycle was held up for too long.
+
+        Args:
+            stream: Set-points that have arrived.
+            now_ns: The driver's clock, ns.
+        """
         return self._too_late or stream.starved(now_ns - self.lag_ns)
 
     def _bridge(self, stream: SetPointStream, now_ns: int, last_ns: int, last: FloatArray) -> None:

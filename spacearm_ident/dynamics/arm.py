@@ -166,6 +166,10 @@ class Arm:
 def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     """Read an arm from the text of a URDF; joints that mimic others are locked: they are payload.
 
+    Args:
+        urdf: The text.
+        gravity: (3,) m/s² in the base frame; None: the standard one, downwards.
+
     Raises:
         UserError: Not a URDF (`check_urdf`), no actuated joint, a joint that is neither revolute nor prismatic, or one
             without axis.
@@ -209,6 +213,10 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
 
 def without_joints(arm: Arm, names: Collection[str]) -> Arm:
     """The arm with some of its joints fixed: at its posture of rest where its file states one, else near zero.
+
+    Args:
+        arm: With at least one joint more.
+        names: Joints to fix.
 
     Raises:
         UserError: A coupled motor turns with one of them, or they are all it has.

@@ -45,6 +45,10 @@ STEP = 1e-3
 def require_gravity_choice(choice: str, gravity: FloatArray) -> str:
     """`choice`, if gravity (3,) can be estimated so; empty: not at all.
 
+    Args:
+        choice: Of the user.
+        gravity: As the arm's description has it, m/s².
+
     Raises:
         UserError: There is no such choice, or no direction to begin from.
     """
@@ -115,7 +119,12 @@ def weight_columns(
 
 
 def tangents(gravity: FloatArray, choice: str) -> FloatArray:
-    """(3, d) ways in which gravity may change: all, or those that keep its size."""
+    """(3, d) ways in which gravity may change: all, or those that keep its size.
+
+    Args:
+        gravity: (3,) m/s².
+        choice: Which of its numbers are estimated.
+    """
     if choice == VECTOR:
         return np.eye(3)
     return np.asarray(np.linalg.svd(gravity[None, :])[2][1:].T)

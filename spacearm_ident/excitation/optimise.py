@@ -346,7 +346,12 @@ def known_point(
 
 
 def exact_value(problem: Problem, series: FourierTrajectory) -> float:
-    """The criterion of a series as a logarithm, from exact columns on a fine grid."""
+    """The criterion of a series as a logarithm, from exact columns on a fine grid.
+
+    Args:
+        problem: Arm, limits and criterion.
+        series: A periodic trajectory.
+    """
     times = np.arange(0.0, series.period_s, 1.0 / INFORMATION_HZ)
     return _value(problem, problem.question.information(series.evaluate(times), INFORMATION_HZ))
 
@@ -362,6 +367,10 @@ def _value(problem: Problem, information: Information) -> float:
 
 def finish(problem: Problem, point: FloatArray) -> Excitation:
     """Judge a point exactly, shrink it where a limit is broken between samples, and join it to the start posture.
+
+    Args:
+        problem: Arm, limits and criterion.
+        point: (n, 1 + 2 N_h) of the series space.
 
     Raises:
         UserError: It cannot be joined within the limits.
@@ -402,6 +411,10 @@ def gentle(excitation: Excitation) -> Excitation:
 
 def join(problem: Problem, series: FourierTrajectory) -> tuple[FourierTrajectory, Trajectory]:
     """The series begun at a phase from which approach and return keep every limit, and the whole run.
+
+    Args:
+        problem: With the start posture and the limits.
+        series: Within the limits by itself.
 
     Raises:
         UserError: There is no such phase: the limit broken least.

@@ -74,12 +74,22 @@ class SeriesSpace:
         )
 
     def motion(self, z: FloatArray, basis: Basis) -> Motion:
-        """Motion (T, n) of a point, on the times of a basis."""
+        """Motion (T, n) of a point, on the times of a basis.
+
+        Args:
+            z: (n, 1 + 2 N_h) point.
+            basis: Of T times.
+        """
         q, qd, qdd = (part @ (self._scale * z).T for part in basis[:3])
         return Motion(self._middle + q, qd, qdd)
 
     def gradient(self, by_motion: Motion, basis: Basis) -> FloatArray:
-        """(n, 1 + 2 N_h) derivative by z from that by the motion."""
+        """(n, 1 + 2 N_h) derivative by z from that by the motion.
+
+        Args:
+            by_motion: Derivative by position, velocity and acceleration, (T, n) each.
+            basis: Of the same times.
+        """
         by_q, by_qd, by_qdd, _ = (part.T for part in basis)
         unscaled = by_q @ by_motion.q + by_qd @ by_motion.qd + by_qdd @ by_motion.qdd
         return np.asarray(unscaled.T * self._scale)
@@ -89,7 +99,12 @@ class SeriesSpace:
         return np.array([np.abs(rows @ own).max() for rows, own in zip(self.rows, z)])
 
     def series(self, z: FloatArray, periods: int) -> FourierTrajectory:
-        """The trajectory of a point."""
+        """The trajectory of a point.
+
+        Args:
+            z: (n, 1 + 2 N_h) point.
+            periods: How often the trajectory repeats itself.
+        """
         mean, a, b = np.split(self._scale * z, [1, 1 + self.harmonics], axis=1)
         return FourierTrajectory(self.joints, self._middle + mean[:, 0], a, b, self.fundamental_hz, periods)
 

@@ -71,7 +71,12 @@ class Wiring:
 
     @classmethod
     def of_columns(cls, joints: Sequence[str], values: Mapping[str, float]) -> Wiring:
-        """From `by_column`."""
+        """From `by_column`.
+
+        Args:
+            joints: In the arm's order.
+            values: Value of every column.
+        """
         gains, zeros = (np.array([values[f"{kind}[{joint}]"] for joint in joints]) for kind in (GAIN, ZERO))
         tilt = np.array([values[f"{TILT}[{axis}]"] for axis in AXES])
         return cls(np.exp(gains), zeros, values[DELAY], tilt)
@@ -104,7 +109,12 @@ class Wiring:
         return replace(right, torque=torque / self.gain - self.by_tilt(right, model))
 
     def by_tilt(self, motion: Motion, model: IdentifiedModel) -> FloatArray:
-        """(N, n) what the tilt adds to the torque of a model's bodies; zero where the base's motion is known."""
+        """(N, n) what the tilt adds to the torque of a model's bodies; zero where the base's motion is known.
+
+        Args:
+            motion: N samples.
+            model: With the bodies.
+        """
         if motion.base is not None:
             return np.zeros_like(motion.torque)
         return self._by_tilt(motion.position, model)

@@ -25,7 +25,12 @@ HIGHEST = 0.45
 
 
 def unwhitened(base: IdentifiedModel, scene: Scene) -> Scene:
-    """The scene with rows in N·m, every row of every joint."""
+    """The scene with rows in N·m, every row of every joint.
+
+    Args:
+        base: The base model.
+        scene: With weighted rows.
+    """
     count = len(base.model.arm.joints)
     return Scene(base, scene.motions, [Whitener(np.zeros(0), 1.0)] * count, scene.backgrounds)
 
@@ -110,7 +115,12 @@ class Residuals:
             return np.asarray(np.sqrt(squares / information))
 
     def without_band(self, residual: FloatArray, bands: Sequence[tuple[float, float] | None]) -> FloatArray:
-        """(V,) the residual less what it has between two frequencies, Hz, of each motion."""
+        """(V,) the residual less what it has between two frequencies, Hz, of each motion.
+
+        Args:
+            residual: (V,) N·m, rows of all motions.
+            bands: Lowest and highest frequency of each motion, Hz; None: nothing is taken away.
+        """
         kept = residual.copy()
         for m, (motion, band) in enumerate(zip(self.scene.motions, bands)):
             rate = motion.row_rate_hz
@@ -126,7 +136,12 @@ class Residuals:
         return kept
 
     def traces(self, before: FloatArray, after: FloatArray) -> tuple[Trace, ...]:
-        """Signals of each motion."""
+        """Signals of each motion.
+
+        Args:
+            before: (V,) residual of the base, N·m.
+            after: (V,) with the findings, N·m.
+        """
         made = []
         for m, motion in enumerate(self.scene.motions):
             shape = motion.torque_rows.shape

@@ -99,7 +99,12 @@ class MessageBuffer:
         return len(self._blocks) * (self._room + 16 * BLOCK_MESSAGES)
 
     def append(self, time_ns: int, payload: builtins.bytes) -> None:
-        """Keep a message that arrived at `time_ns`; a clock that went back stands still until it has caught up."""
+        """Keep a message that arrived at `time_ns`; a clock that went back stands still until it has caught up.
+
+        Args:
+            time_ns: When it arrived, ns of the ROS clock.
+            payload: The message as serialised.
+        """
         size = len(payload)
         block = self._blocks[-1] if self._blocks else None
         if block is None or block.count == BLOCK_MESSAGES or block.used + size > self._room:
@@ -148,7 +153,12 @@ class MessageBuffer:
         return payloads
 
     def between(self, start_ns: int, stop_ns: int) -> Capture:
-        """The messages that arrived in [start_ns, stop_ns], copied."""
+        """The messages that arrived in [start_ns, stop_ns], copied.
+
+        Args:
+            start_ns: First arrival, ns.
+            stop_ns: Last arrival, ns.
+        """
         times, sizes, data = [], [], []
         for block in self._blocks:
             arrived = block.times_ns[: block.count]
@@ -170,6 +180,10 @@ class MessageBuffer:
 
 def write_captures(path: Path, captures: Sequence[Capture]) -> None:
     """Write captures of the joint topics as a bag.
+
+    Args:
+        path: The new bag.
+        captures: One a topic.
 
     Raises:
         UserError: The place cannot be written.

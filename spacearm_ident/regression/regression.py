@@ -60,7 +60,12 @@ class Rows:
         return np.concatenate([group_of[k][self.place[self.owner == k]] for k in range(len(group_of))])
 
     def set_weight(self, weight: FloatArray, trust: FloatArray | None = None) -> None:
-        """Weight the rows; `trust` is in the weight already."""
+        """Weight the rows; `trust` is in the weight already.
+
+        Args:
+            weight: (M,) as the attribute.
+            trust: (M,) as the attribute; None: every row is trusted.
+        """
         self.weight = weight
         self.trust = np.ones(len(weight)) if trust is None else trust
         self._factors = None
@@ -153,6 +158,10 @@ class Regression:
         """Columns of one term that has constants, at given values of them.
 
         The last ones computed are kept, where there is room all of a grid's: it is searched under several weights.
+
+        Args:
+            term_number: Number of the term in the model.
+            constants: Values of all constants of that term, in its order.
         """
         values = tuple(float(value) for value in constants)
         key = term_number, values
@@ -224,7 +233,12 @@ class Regression:
         }
 
     def update_background(self, parameters: FloatArray, constants: FloatArray) -> None:
-        """Take what the model says under `parameters` for what terms need to know of the others."""
+        """Take what the model says under `parameters` for what terms need to know of the others.
+
+        Args:
+            parameters: (p,) of the whole model.
+            constants: (c,) of the whole model.
+        """
         if self.model.depends:
             self._kept.clear()
             self.background = [self.model.background(motion, parameters, constants) for motion in self.motions]

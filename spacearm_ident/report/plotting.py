@@ -122,7 +122,12 @@ def grid(
 
 @contextmanager
 def stacked(heights_in: Sequence[float], titled: bool = False) -> Iterator[tuple[Figure, list[Axes]]]:
-    """Axes above each other that share the horizontal axis, with room for a title each; used as `grid` is."""
+    """Axes above each other that share the horizontal axis, with room for a title each; used as `grid` is.
+
+    Args:
+        heights_in: Height of each, inches, from the top.
+        titled: Whether there is a title above each.
+    """
     gap_in, below_in, above_in, left_in = (0.3, 0.42, 0.24, 0.62) if titled else (0.1, 0.42, 0.08, 0.62)
     with _drawing():
         total = sum(heights_in) + gap_in * (len(heights_in) - 1) + below_in + above_in
@@ -169,7 +174,12 @@ def gapped_line(axes: Axes, x: FloatArray, y: FloatArray, most: int, **style: An
 
 
 def to_svg(figure: Figure, described: str) -> Markup:
-    """A figure as an inline `<svg>` with no size, fonts, namespaces or colours of its own."""
+    """A figure as an inline `<svg>` with no size, fonts, namespaces or colours of its own.
+
+    Args:
+        figure: Drawn in the report's style.
+        described: What a screen reader says of it.
+    """
     buffer = io.StringIO()
     with warnings.catch_warnings():
         # The reader's browser draws the text, with fonts of its own.
@@ -208,7 +218,12 @@ def decimated(*signals: FloatArray, most: int = MOST_POINTS) -> np.ndarray:
 
 
 def thinned(count: int, most: int = MOST_POINTS) -> np.ndarray:
-    """At most `most` of `count` samples for a point cloud, evenly over all, always the same ones."""
+    """At most `most` of `count` samples for a point cloud, evenly over all, always the same ones.
+
+    Args:
+        count: Number of samples.
+        most: So many are kept.
+    """
     if count <= most:
         return np.arange(count)
     return np.unique(np.random.default_rng(0).choice(count, most, replace=False))

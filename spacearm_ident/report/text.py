@@ -9,7 +9,12 @@ NOTHING = "\N{EN DASH}"
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, a real minus, and a dash for NaN."""
+    """A number with so many significant digits, a real minus, and a dash for NaN.
+
+    Args:
+        value: To print.
+        digits: Significant digits.
+    """
     if not math.isfinite(value):
         return NOTHING
     if value == 0.0:
@@ -28,6 +33,10 @@ def measured(value: float, error: float) -> str:
     """A value to the digits its standard error allows, `14.879 ± 0.021`; four digits without one.
 
     The error has one digit, or two where it begins below 3.5: the rule of the Particle Data Group.
+
+    Args:
+        value: To print.
+        error: Its standard error, in the same unit; NaN where there is none.
     """
     if not (math.isfinite(error) and error > 0.0 and math.isfinite(value)):
         return number(value, 4)
@@ -52,12 +61,23 @@ def whole_percent(share: float) -> str:
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
-    """A number with its unit, `1.23 N·m`; without one where the unit is `1` or empty."""
+    """A number with its unit, `1.23 N·m`; without one where the unit is `1` or empty.
+
+    Args:
+        value: To print.
+        unit: As in results, `N m`.
+        digits: Significant digits.
+    """
     return f"{number(value, digits)} {unit_text(unit)}".rstrip()
 
 
 def interval(ends: tuple[float, float], between: str = "to") -> str:
-    """The ends of an interval to four digits, `0.9700 to 1.030`; a dash where an end is not known."""
+    """The ends of an interval to four digits, `0.9700 to 1.030`; a dash where an end is not known.
+
+    Args:
+        ends: Lower and upper; infinite or NaN where not known.
+        between: Word between them.
+    """
     low, high = ends
     known = math.isfinite(low) and math.isfinite(high)
     return f"{number(low, 4)} {between} {number(high, 4)}" if known else NOTHING
@@ -94,6 +114,11 @@ def unit_text(unit: str) -> str:
 
 
 def listed(names: list[str] | tuple[str, ...], most: int = 8) -> str:
-    """Names for a sentence: `a, b and c`, or `a, b and 9 more`."""
+    """Names for a sentence: `a, b and c`, or `a, b and 9 more`.
+
+    Args:
+        names: At least one.
+        most: So many are named, the others counted.
+    """
     shown = list(names) if len(names) <= most else [*names[: most - 1], f"{len(names) - most + 1} more"]
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}" if shown else ""

@@ -38,6 +38,10 @@ def by_joint(identified: Identified, with_base: bool = True) -> dict[str, list[E
 
     A joint always has the paper's 18; one that the model leaves out, such as k_v2 in vacuum, is zero and fixed. The
     base link is there where it was weighed, unless `with_base` is false.
+
+    Args:
+        identified: The result.
+        with_base: Whether a base link that was weighed is listed.
     """
     known: dict[str, dict[str, Estimate]] = {joint: {} for joint in identified.model.model.arm.joint_names}
     arm_joints = set(known)
@@ -111,6 +115,10 @@ def torque_csv(identified: Identified, validation: Validation) -> str:
 
     Signals are low-passed at the bandwidth of the fit. A joint has five columns: position, velocity, measured and
     predicted torque in the units their heads name, and 1 where it moves.
+
+    Args:
+        identified: The result, for names and units.
+        validation: With the traces.
     """
     joints = identified.model.model.arm.joints
     heads = ["recording", "time_s"]
@@ -131,7 +139,12 @@ def torque_csv(identified: Identified, validation: Validation) -> str:
 
 
 def validation_dict(identified: Identified, validation: Validation) -> dict[str, Any]:
-    """The content of `validation.json`; a figure that does not exist (NaN) is None."""
+    """The content of `validation.json`; a figure that does not exist (NaN) is None.
+
+    Args:
+        identified: The result.
+        validation: Of its model.
+    """
     joints = {}
     verdict = judge_result(identified, validation)
     for name, joint in validation.joints.items():

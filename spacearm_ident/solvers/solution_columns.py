@@ -10,7 +10,12 @@ from .separable import Solution
 
 
 def residuals_of(regression: Regression, solution: Solution) -> list[FloatArray]:
-    """Per joint, (M,) measured minus predicted torque on the regression's rows, N·m."""
+    """Per joint, (M,) measured minus predicted torque on the regression's rows, N·m.
+
+    Args:
+        regression: With the motions.
+        solution: Of its model.
+    """
     columns, numbers = all_columns(regression, solution)
     return [
         rows.torque - block @ solution.parameters[number]
@@ -19,12 +24,22 @@ def residuals_of(regression: Regression, solution: Solution) -> list[FloatArray]
 
 
 def all_columns(regression: Regression, solution: Solution) -> tuple[list[FloatArray], list[list[int]]]:
-    """Per joint, all unweighted columns (M, k) at the solution, and the parameters they belong to."""
+    """Per joint, all unweighted columns (M, k) at the solution, and the parameters they belong to.
+
+    Args:
+        regression: With the motions.
+        solution: Whose constants shape columns.
+    """
     return columns_at(regression, solution.constants)
 
 
 def columns_at(regression: Regression, constants: FloatArray) -> tuple[list[FloatArray], list[list[int]]]:
-    """The same at any constants (c,)."""
+    """The same at any constants (c,).
+
+    Args:
+        regression: With the motions.
+        constants: (c,) in the model's order.
+    """
     columns = [[rows.fixed] for rows in regression.rows]
     numbers = [list(rows.indices) for rows in regression.rows]
     for term, first, count in regression.shaped_terms():

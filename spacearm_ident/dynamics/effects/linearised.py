@@ -95,7 +95,12 @@ def by_virtual_joint(
 
 
 def least_inertia(background: Background, joint: int) -> float:
-    """Kg m² about a joint's own axis in the posture where that is least, of many."""
+    """Kg m² about a joint's own axis in the posture where that is least, of many.
+
+    Args:
+        background: With the healthy arm.
+        joint: Its number.
+    """
     arm, inertials = background.arm, background.inertials
     assert arm is not None and inertials is not None
     still = arm.with_gravity(np.zeros(3))
@@ -110,7 +115,12 @@ def least_inertia(background: Background, joint: int) -> float:
 
 
 def next_joint(arm: Arm, link: int) -> FloatArray:
-    """(3,) m, where in the frame of a link the next joint is; zero where none follows."""
+    """(3,) m, where in the frame of a link the next joint is; zero where none follows.
+
+    Args:
+        arm: The arm.
+        link: Its number, that of the joint that moves it.
+    """
     return next((joint.translation for joint in arm.joints if joint.parent == link), np.zeros(3))
 
 
@@ -205,7 +215,12 @@ def _sensitivity(
 
 
 def interpolate(signal: FloatArray, at: FloatArray) -> FloatArray:
-    """(N, ...) signal at fractional rows, linear."""
+    """(N, ...) signal at fractional rows, linear.
+
+    Args:
+        signal: (N, ...).
+        at: (M,) rows, fractions included.
+    """
     low = np.minimum(at.astype(int), len(signal) - 1)
     high = np.minimum(low + 1, len(signal) - 1)
     part = (at - low).reshape(-1, *(1,) * (signal.ndim - 1))

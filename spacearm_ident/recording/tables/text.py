@@ -44,6 +44,10 @@ class Dialect:
 def read_text_table(path: Path, source: Source) -> Table:
     """The columns of a text.
 
+    Args:
+        path: The file.
+        source: What is known of it, for messages.
+
     Raises:
         UserError: Not text, or no table of numbers in it.
     """
@@ -79,6 +83,10 @@ def _decoded(data: bytes, path: Path) -> str:
 
 def find_dialect(text: str, where: str) -> Dialect:
     """The layout of a text by its first lines.
+
+    Args:
+        text: The beginning of a file, some lines at least.
+        where: The file, for messages.
 
     Raises:
         UserError: Under no separator do rows of numbers follow each other.
@@ -118,7 +126,12 @@ def _as_laid_out(lines: list[str], separator: str, decimal: str) -> tuple[int, i
 
 
 def cells(line: str, separator: str) -> list[str]:
-    """The cells of a line; quotes hold a cell together."""
+    """The cells of a line; quotes hold a cell together.
+
+    Args:
+        line: One line of a table.
+        separator: Between cells; empty: white space.
+    """
     if separator == " ":
         return line.split()
     if '"' in line:

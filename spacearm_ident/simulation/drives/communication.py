@@ -89,7 +89,12 @@ class Communication(ABC):
 
     @abstractmethod
     def fault(self, code: int, register: int = 0x01) -> None:
-        """Detect a fault."""
+        """Detect a fault.
+
+        Args:
+            code: Emergency error code (CiA 402, 0x603F).
+            register: Bits of the error register (CiA 301, 0x1001).
+        """
 
     # Frames ---------------------------------------------------------------------------------------------
 
@@ -205,7 +210,12 @@ class Communication(ABC):
             self.connection_lost(HEARTBEAT_ERROR)
 
     def emergency(self, code: int, register: int) -> None:
-        """Send an EMCY and set bits of the error register."""
+        """Send an EMCY and set bits of the error register.
+
+        Args:
+            code: Emergency error code (CiA 301).
+            register: Bits of the error register (0x1001) to set.
+        """
         self.values[_ERROR_REGISTER] |= register
         if self.nmt is not NmtState.STOPPED:
             self.send_message(EMERGENCY + self.node_id, _EMCY.pack(code, self.values[_ERROR_REGISTER]))

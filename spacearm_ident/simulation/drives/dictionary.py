@@ -73,13 +73,23 @@ class DriveDictionary:
         self._server._index = self._server._subindex = 0
 
     def restore(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
-        """Put the objects with an index from `first` to `last` back to their defaults."""
+        """Put the objects with an index from `first` to `last` back to their defaults.
+
+        Args:
+            first: Index.
+            last: Index, included.
+        """
         for place, variable in self._variables.items():
             if first <= variable.index <= last and variable.data_type in INTEGER_TYPES:
                 self.values[place] = int(variable.default or 0)
 
     def variable(self, index: int, sub: int) -> ODVariable | None:
-        """The description of an object; None if there is no such object."""
+        """The description of an object; None if there is no such object.
+
+        Args:
+            index: Of the object.
+            sub: Its sub-index.
+        """
         return self._variables.get(key(index, sub))
 
     def on_sdo(self, data: bytes | bytearray) -> None:
