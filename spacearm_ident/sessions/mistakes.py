@@ -82,10 +82,10 @@ def mistakes(runs: RunSet, arm: Arm, progress: Progress | None = None) -> tuple[
     if found:
         found += new
     else:
-        beside = _Healthy(runs, arm)
-        found = [one for one in new if one.log_odds is None or beside.explained_by(one, new, field)]
+        known_arm = _Healthy(runs, arm)
+        found = [one for one in new if one.log_odds is None or known_arm.explained_by(one, new, field)]
         named = {name for one in found for name in one.recordings}
-        found += [unit for one in field if recording_name(one) not in named and (unit := beside.other_unit(one))]
+        found += [unit for one in field if recording_name(one) not in named and (unit := known_arm.other_unit(one))]
         if reference:
             found = [one if one.corrections.none else replace(one, remedy=one.remedy + ALONE) for one in found]
     return tuple(f"{', '.join(one.recordings)}: {one.statement} -> {one.remedy}" for one in found)
