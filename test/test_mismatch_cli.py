@@ -286,8 +286,8 @@ def test_torque_in_another_unit_than_the_reference_s_is_told_whatever_cad_says(m
     assert {name: one["effort_scale"] for name, one in data["joints"].items()} == pytest.approx(
         {"shoulder": 20.0, "elbow": 20.0}, rel=0.1
     )
-    # A heavier arm is no other unit.
-    assert not said(monkeypatch, replace(recording(2), effort=recording(2).effort * 1.9), [], [])
+    # Three times the torque is a heavier arm, or a torque constant.
+    assert not said(monkeypatch, replace(recording(2), effort=recording(2).effort * 3.0), [], [])
 
 
 # --- what goes wrong ------------------------------------------------------------------------------------------------
