@@ -63,7 +63,7 @@ class Settings:
         structure: Terms and options; None: what `choose` makes of the paper's.
         choose: Chooses the structure from a fit of the paper's; by default by held-out prediction (`structure.py`).
         solver: One of `solvers.SOLVERS`. `pso-lm` takes the paper's unknowns, and nothing the data might demand.
-        seed: Of the particle swarms: the same seed gives the same result.
+        seed: Of the particle swarm: the same seed gives the same result.
         temperature: What of friction follows the joints' temperatures, some of `model.OVER_TEMPERATURE`; beside
             `structure`, which has none of it.
         gravity: How gravity is estimated, one of `gravity.GRAVITY_CHOICES`; empty: it is the arm's.
