@@ -33,6 +33,19 @@ class Kind(StrEnum):
     TIME_REVERSED = "time_reversed"
 
 
+RIGHT_OR_WRONG = frozenset(
+    {
+        Kind.EFFORT_SIGN,
+        Kind.POSITION_SIGN,
+        Kind.AXIS_REVERSED,
+        Kind.DEGREES,
+        Kind.POSITIONS_EXCHANGED,
+        Kind.EFFORTS_EXCHANGED,
+        Kind.JOINTS_EXCHANGED,
+        Kind.TIME_REVERSED,
+    }
+)
+"""Kinds without a size: signs, units of angle, order, the direction of time."""
 TORQUE_SCALES = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED)
 """Mistakes that multiply torques by positive factors."""
 FREE_GAIN_SD = 1.0

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from ..arrays import FloatArray
-from ..conventions.change import Change, Kind
+from ..conventions.change import RIGHT_OR_WRONG, Change, Kind
 from ..conventions.rows import MOST_ROWS, rows_of
 from ..conventions.scorer import Scorer
 from ..conventions.search import search
@@ -27,19 +27,7 @@ from ..recording.recording import Recording
 from ..signals.prepare import prepare
 from ..simulations.simulation import ARMATURE, DAMPING, FRICTION, Simulation
 
-DISCRETE = frozenset(
-    {
-        Kind.EFFORT_SIGN,
-        Kind.POSITION_SIGN,
-        Kind.AXIS_REVERSED,
-        Kind.DEGREES,
-        Kind.POSITIONS_EXCHANGED,
-        Kind.EFFORTS_EXCHANGED,
-        Kind.JOINTS_EXCHANGED,
-        Kind.TIME_REVERSED,
-        Kind.GRAVITY,
-    }
-)
+DISCRETE = RIGHT_OR_WRONG | {Kind.GRAVITY}
 
 
 MOST_PARTS: Final = 3

@@ -14,7 +14,7 @@ from functools import cached_property, reduce
 import numpy as np
 
 from ..arrays import FloatArray
-from ..conventions.change import TORQUE_SCALES, UNIT_FACTOR, Kind
+from ..conventions.change import RIGHT_OR_WRONG, TORQUE_SCALES, UNIT_FACTOR, Kind
 from ..conventions.check import check_conventions, recording_name
 from ..conventions.finding import DECISIVE, ConventionReport, Level
 from ..conventions.finding import Finding as Mistake
@@ -28,20 +28,7 @@ from ..recording.corrections import Corrections, JointCorrection
 from ..recording.recording import Recording
 from .identification import within
 
-MISTAKES = frozenset(
-    {
-        Kind.EFFORT_SIGN,
-        Kind.POSITION_SIGN,
-        Kind.AXIS_REVERSED,
-        Kind.DEGREES,
-        Kind.POSITIONS_EXCHANGED,
-        Kind.EFFORTS_EXCHANGED,
-        Kind.JOINTS_EXCHANGED,
-        Kind.EFFORT_UNIT,
-        Kind.TIME_REVERSED,
-        "robot_description",
-    }
-)
+MISTAKES = RIGHT_OR_WRONG | {Kind.EFFORT_UNIT, "robot_description"}
 """Mistakes of convention that no physics looks like: a gain, a zero, gravity, a delay are effects."""
 LARGEST_LEFT = 0.5
 """Share of the squares by which recorded torque differs from the healthy arm's that may be left, in the median of its
