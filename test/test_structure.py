@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planted_arm import Friction, two_link_run
+from planted_arm import THREE_LINKS, Friction, incommensurate, plant, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import structure_of
@@ -143,3 +143,10 @@ def test_settings_with_a_structure_choose_nothing():
     arm = arm_from_urdf(planted.urdf)
     result = identify([planted.recording(noise=0.2, seed=0)], arm, Settings(structure=structure_of(arm)))
     assert result.choices == ()
+
+
+def test_an_arm_of_one_joint_shares_nothing_and_is_identified():
+    motion = incommensurate(np.arange(0.0, 15.0, 1 / 250.0), 1, 1, 1.0)
+    recording = plant((THREE_LINKS[0],), (Friction(),), motion, 250.0).recording(noise=0.1, seed=1)
+    result = identify([recording], arm_from_urdf(recording.urdf))
+    assert result.rows[0] > 0 and any(choice.joint == "waist" for choice in result.choices)

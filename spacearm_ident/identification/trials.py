@@ -157,7 +157,7 @@ class Trials:
         white = np.linalg.inv(root).T
         total = np.sum([joint.rest[-1, : len(shared), : len(shared)] for joint in self._joints], axis=0)
         sizes, directions = np.linalg.eigh(white.T @ total @ white)
-        basis = white @ directions[:, sizes > SEEN * sizes[-1]]
+        basis = white @ directions[:, sizes > SEEN * sizes.max(initial=0.0)]
         for joint in self._joints:
             joint.combine(basis)
         return np.asarray(basis.T @ (rows.T @ prior.target))
