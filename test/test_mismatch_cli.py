@@ -217,7 +217,7 @@ def test_a_joint_in_degrees_is_unfit_data_with_its_remedy(bags, tmp_path, capsys
     assert "degrees" in (tmp_path / "why" / "report.html").read_text()
 
 
-def told(kind, log_odds, joints=("elbow",), level=Level.UNFIT, **undo):
+def finding_of(kind, log_odds, joints=("elbow",), level=Level.UNFIT, **undo):
     corrections = Corrections({joint: JointCorrection(**undo) for joint in joints} if undo else {})
     return Mistake(
         str(kind), level, joints, f"{kind} found", "mend it", log_odds=log_odds, recordings=("recording",),
@@ -225,7 +225,7 @@ def told(kind, log_odds, joints=("elbow",), level=Level.UNFIT, **undo):
     )  # fmt: skip
 
 
-def said(monkeypatch, field, in_field, in_reference):
+def reasons_of(monkeypatch, field, in_field, in_reference):
     """Reasons of `mistakes` where the check says this of field and reference (None: there is no reference)."""
 
     def check(recordings, arm, progress):
@@ -238,20 +238,20 @@ def said(monkeypatch, field, in_field, in_reference):
 @pytest.mark.parametrize(
     ("in_field", "in_reference", "refused"),
     [
-        ([told(Kind.JOINTS_EXCHANGED, 22.0)], [told(Kind.JOINTS_EXCHANGED, 22.0)], 0),
-        ([told(Kind.JOINTS_EXCHANGED, 22.0)], None, 0),
-        ([told(Kind.JOINTS_EXCHANGED, 60.0)], None, 1),
-        ([told(Kind.JOINTS_EXCHANGED, 60.0)], [told(Kind.JOINTS_EXCHANGED, 60.0)], 1),
-        ([], [told(Kind.EFFORT_SIGN, 60.0)], 1),
-        ([told("robot_description", None)], None, 1),
-        ([told("robot_description", None)], [], 1),
-        ([told(Kind.EFFORT_SIGN, 60.0, level=Level.NOTE)], [], 0),
-        ([told(kind, 200.0) for kind in (Kind.EFFORT_GAIN, Kind.GRAVITY, Kind.ENCODER_ZERO, Kind.DELAY)], [], 0),
+        ([finding_of(Kind.JOINTS_EXCHANGED, 22.0)], [finding_of(Kind.JOINTS_EXCHANGED, 22.0)], 0),
+        ([finding_of(Kind.JOINTS_EXCHANGED, 22.0)], None, 0),
+        ([finding_of(Kind.JOINTS_EXCHANGED, 60.0)], None, 1),
+        ([finding_of(Kind.JOINTS_EXCHANGED, 60.0)], [finding_of(Kind.JOINTS_EXCHANGED, 60.0)], 1),
+        ([], [finding_of(Kind.EFFORT_SIGN, 60.0)], 1),
+        ([finding_of("robot_description", None)], None, 1),
+        ([finding_of("robot_description", None)], [], 1),
+        ([finding_of(Kind.EFFORT_SIGN, 60.0, level=Level.NOTE)], [], 0),
+        ([finding_of(kind, 200.0) for kind in (Kind.EFFORT_GAIN, Kind.GRAVITY, Kind.ENCODER_ZERO, Kind.DELAY)], [], 0),
     ],
 )
 def test_a_mistake_counts_where_it_is_certain_or_the_reference_has_it_not(monkeypatch, in_field, in_reference, refused):
     """What the catalogue names itself, a gain or a tilt, is never a mistake of convention here."""
-    reasons = said(monkeypatch, recording(2), in_field, in_reference)
+    reasons = reasons_of(monkeypatch, recording(2), in_field, in_reference)
     assert len(reasons) == refused
     assert all(text.startswith("recording: ") and text.endswith("-> mend it") for text in reasons)
 
@@ -264,30 +264,30 @@ BOTH = ("shoulder", "elbow")
 @pytest.mark.parametrize(
     ("field", "in_field", "refused"),
     [
-        (EXCHANGED, [replace(told(Kind.JOINTS_EXCHANGED, 22.0, BOTH), corrections=Corrections({
+        (EXCHANGED, [replace(finding_of(Kind.JOINTS_EXCHANGED, 22.0, BOTH), corrections=Corrections({
             "shoulder": JointCorrection(position_from="elbow", effort_from="elbow"),
             "elbow": JointCorrection(position_from="shoulder", effort_from="shoulder"),
         }))], True),
-        (recording(2), [told(Kind.EFFORT_SIGN, 22.0, effort_scale=-1.0)], False),
-        (recording(2), [told(Kind.EFFORT_UNIT, 200.0, BOTH, effort_scale=20.0)], False),
-        (AMPERES, [told(Kind.EFFORT_UNIT, 200.0, BOTH, effort_scale=9.0)], True),
+        (recording(2), [finding_of(Kind.EFFORT_SIGN, 22.0, effort_scale=-1.0)], False),
+        (recording(2), [finding_of(Kind.EFFORT_UNIT, 200.0, BOTH, effort_scale=20.0)], False),
+        (AMPERES, [finding_of(Kind.EFFORT_UNIT, 200.0, BOTH, effort_scale=9.0)], True),
     ],
     ids=["exchanged", "sound, called a sign", "sound, called amperes", "amperes, by another factor"],
 )  # fmt: skip
 def test_what_cad_makes_look_like_a_mistake_is_tested_on_the_healthy_arm(monkeypatch, field, in_field, refused):
-    reasons = said(monkeypatch, field, in_field, [])
+    reasons = reasons_of(monkeypatch, field, in_field, [])
     assert len(reasons) == refused
     assert all("mend it; the reference does not need it" in reason for reason in reasons)
 
 
 def test_torque_in_another_unit_than_the_reference_s_is_told_whatever_cad_says(monkeypatch):
-    (reason,) = said(monkeypatch, AMPERES, [], [])
+    (reason,) = reasons_of(monkeypatch, AMPERES, [], [])
     data = yaml.safe_load(reason.partition("arm YAML: corrections: ")[2].partition("; the reference")[0])
     assert {name: one["effort_scale"] for name, one in data["joints"].items()} == pytest.approx(
         {"shoulder": 20.0, "elbow": 20.0}, rel=0.1
     )
     # Three times the torque is a heavier arm, or a torque constant.
-    assert not said(monkeypatch, replace(recording(2), effort=recording(2).effort * 3.0), [], [])
+    assert not reasons_of(monkeypatch, replace(recording(2), effort=recording(2).effort * 3.0), [], [])
 
 
 # --- what goes wrong ------------------------------------------------------------------------------------------------

@@ -174,7 +174,13 @@ def corrections(arm: Arm, change: Change, evidence: Evidence) -> Corrections:
 
 
 def remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
-    """The command-line option or arm YAML entry that corrects it; arguments as of `corrections`."""
+    """The command-line option or arm YAML entry that corrects it.
+
+    Args:
+        arm: The arm, for names of joints.
+        change: The departure to correct.
+        evidence: Of the setup with this change; its gains are used where `change` is a gain.
+    """
     if change.kind is Kind.GRAVITY:
         return "--gravity " + " ".join(f"{g:.3g}" for g in change.value) + ", or gravity_m_s2 in the arm YAML"
     text = f"in the arm YAML: corrections: {corrections(arm, change, evidence).as_yaml(arm.joint_names)}"

@@ -32,8 +32,8 @@ MISTAKES = RIGHT_OR_WRONG | {Kind.EFFORT_UNIT, "robot_description"}
 """Mistakes of convention that no physics looks like: a gain, a zero, gravity, a delay are effects."""
 LARGEST_LEFT = 0.5
 """Share of the squares by which recorded torque differs from the healthy arm's that may be left, in the median of its
-joints, when a mistake is undone: what is more than half something else is not that mistake. One that is there leaves a
-hundredth."""
+joints, when a mistake is undone: what is more than half something else is not that mistake. Planted ones leave 0 to 6 %
+(UR10e, AIRBOT, Panda, xMate); a sloshing load, taken for amperes, 93 %."""
 LEAST_UNIT = UNIT_FACTOR**0.5
 """Factor between the healthy arm's torque and the recorded one, in the median of the joints, from which another unit
 is nearer than N·m."""
@@ -168,7 +168,7 @@ class _Beside:
 
     @property
     def factor(self) -> float:
-        """By which the torque fits best once the mistake is undone: how much it is was told by CAD masses alone."""
+        """Factor on the torque, the mistake undone, that fits best: its size was inferred from CAD masses alone."""
         return max(float(self.undone @ self.wanted), 0.0) / max(float(self.undone @ self.undone), TINY)
 
     @property
