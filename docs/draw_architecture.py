@@ -58,8 +58,9 @@ PLACES = {
     "config": Place(1, 1020, 1160, "where config/ is"),
     "errors": Place(0, 20, 450, "the one line a user sees"),
     "arrays": Place(0, 460, 620, "types of arrays"),
-    "forks": Place(0, 630, 900, "work on all cores"),
-    "blas_threads": Place(0, 910, 1160, "one thread for BLAS"),
+    "forks": Place(0, 630, 790, "work on all cores"),
+    "memory": Place(0, 800, 960, "freed memory"),
+    "blas_threads": Place(0, 970, 1160, "one thread for BLAS"),
 }
 FLOORS = 1 + max(place.floor for place in PLACES.values())
 STEP, HEIGHT, WIDTH = 68, 44, 1180

@@ -26,6 +26,7 @@ class Background:
         inertials: (n, 10) inertial parameters of the links in Pinocchio's order.
         values: Parameters and constants of the model by name, such as `k_v1[joint_1]`.
         kept: Results of further computations on this motion, by what they are of.
+        grids: Those at all points of a law's grid, for all joints, which are large and of use to one kind of effect.
     """
 
     arm: Arm | None
@@ -35,6 +36,7 @@ class Background:
     _torque: Callable[[], FloatArray]
     _high_orders: Callable[[], FloatArray]
     kept: dict[object, Any] = field(default_factory=dict)
+    grids: dict[object, Any] = field(default_factory=dict)
 
     @classmethod
     def known(cls, load: FloatArray) -> Background:

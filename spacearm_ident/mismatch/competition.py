@@ -291,11 +291,20 @@ class Competition:
         for key, grid in self._grids.items():
             self._grids[key] = evidence.reweighted(grid, before) if grid else []
 
+    def end(self) -> None:
+        """Search no more: forget the columns that only a further search would ask for."""
+        asked = {id(effect) for effect in self._named_lasting()}
+        self._grids = {key: grid for key, grid in self._grids.items() if key in asked}
+        self._inner.clear()
+
     def tried(self) -> Iterator[list[Candidate]]:
-        """Named effects that are not accepted, each at the points of its constants' grids."""
-        for effect in self._pool:
-            if effect.kind != UNKNOWN:
-                yield self._grids.get(id(effect)) or self._at_every_point(effect)
+        """Named lasting effects that are not accepted, each at the points of its constants' grids."""
+        for effect in self._named_lasting():
+            yield self._grids.get(id(effect)) or self._at_every_point(effect)
+
+    def _named_lasting(self) -> Iterator[Effect]:
+        """What is in the pool but unknown causes and events in time."""
+        return (effect for effect in self._pool if effect.kind != UNKNOWN and not effect.event)
 
     def _choose(self, ranked: Sequence[Scored]) -> Scored | None:
         """The winner; None below the gate.
@@ -555,10 +564,17 @@ class Competition:
         for effect in self._pool:
             if id(effect) not in self._grids:
                 alike.setdefault(id(effect) if effect.kind == UNKNOWN else effect.kind, []).append(effect)
-        made = each(lambda effects: [self._at_every_point(one) for one in effects], [*alike.values()])
+        made = each(self._at_all_points, [*alike.values()])
         for effects, grids in zip(alike.values(), made):
             for effect, grid in zip(effects, grids):
                 self._grids[id(effect)] = [replace(candidate, effect=effect) for candidate in grid]
+
+    def _at_all_points(self, effects: Sequence[Effect]) -> list[list[Candidate]]:
+        """Effects of one kind at every point of their constants' grids."""
+        made = [self._at_every_point(effect) for effect in effects]
+        for background in self.evidence.field.backgrounds:
+            background.grids.clear()
+        return made
 
     def _at_every_point(self, effect: Effect) -> list[Candidate]:
         """An effect at every point of its constants' grids."""

@@ -137,9 +137,11 @@ class Evidence:
         stacks, torques = [*stacks, belief], [*torques, near]
         self._used = np.flatnonzero(np.any([columns.any(axis=0) for columns in stacks], axis=0))
         self._triangle = _triangle_of(stacks, self._used)
-        # Of the field's rows alone: of the reference's, which are more, nothing else is needed.
-        self._basis = solve_triangular(self._triangle, stacks[0][:, self._used].T, trans="T").T
         slope = np.sum([columns.T @ torque for columns, torque in zip(stacks, torques)], axis=0)
+        # Of the field's rows alone: of the reference's, which are more, nothing else is needed.
+        in_field = stacks[0][:, self._used].T
+        del stacks
+        self._basis = solve_triangular(self._triangle, in_field, trans="T", overwrite_b=True).T
         self._inside = solve_triangular(self._triangle, slope[self._used], trans="T")
         self._squares = float(sum(torque @ torque for torque in torques))
         self.residual: FloatArray = torques[0] - self._basis @ self._inside
@@ -398,7 +400,12 @@ class Evidence:
         Args:
             columns: (V, p) of what is predicted, nuisance and common effects last (`stacked.base_columns`), N·m.
         """
-        return np.asarray(np.linalg.norm(solve_triangular(self._triangle, columns[:, self._used].T, trans="T"), axis=0))
+        error = np.empty(len(columns))
+        for first in range(0, len(columns), AT_ONCE):
+            some = columns[first : first + AT_ONCE, self._used]
+            within = solve_triangular(self._triangle, some.T, trans="T", overwrite_b=True)
+            error[first : first + AT_ONCE] = np.linalg.norm(within, axis=0)
+        return error
 
     def base_parameters_without(self, rows: np.ndarray) -> FloatArray:
         """Parameters of the base as fitted to all rows but some of the field's: (F,) true where left out.

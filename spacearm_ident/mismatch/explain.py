@@ -16,6 +16,7 @@ from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from ..errors import UnfitDataError
+from ..memory import give_back
 from ..recording.recording import Recording
 from ..signals.moving_span import cut_by_motion
 from .base_structure import choose_base
@@ -100,6 +101,7 @@ def explain(
         prepared = quieter
         competition.reweigh(prepared.evidence, prepared.held_out)
         outcome = competition.run(lambda share, what: report(0.75 + 0.15 * share, what))
+    competition.end()
     report(0.92, "writing the result")
     answer = _answer(prepared, competition, outcome, is_finding)
     report(1.0, "done")
@@ -117,6 +119,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
     assert held_out is not None
     joints = evidence.base.model.arm.joint_names
     residuals, in_field = (Residuals(evidence, scene, prepared.plain) for scene in (held_out.scene, evidence.field))
+    give_back()  # From here on a few large arrays are asked for, which the many small ones of the search left no room.
     healthy, healthy_field = healthy_levels(evidence, prepared, (residuals, in_field))
     floor = healthy.floor_Nm
     before = residuals.of(healthy.parameters, [], np.zeros(0))

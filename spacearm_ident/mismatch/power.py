@@ -52,7 +52,7 @@ def would_have_seen(
 
     def is_asked(grid: Sequence[Candidate]) -> bool:
         effect = grid[0].effect
-        return not effect.event and not any((effect.kind, joint) in seen for joint in effect.joints)
+        return not any((effect.kind, joint) in seen for joint in effect.joints)
 
     def smallest(grid: Sequence[Candidate]) -> Detectable | None:
         return power.of_constant(grid) if grid[0].held.all() else power.of_parameter(grid)

@@ -324,12 +324,16 @@ class Scene:
             count: Number of all columns.
         """
         stacked = np.zeros((len(self), count))
+        self.fill(stacked, columns)
+        return stacked
+
+    def fill(self, stacked: FloatArray, columns: Sequence[Columns]) -> None:
+        """Add the rows of full-rate columns, as `stack` has them, to those of a stack (R, count)."""
         for m, (motion, rows) in enumerate(zip(self.motions, columns)):
             for j, (indices, values) in rows.items():
                 if values.any():
                     block = stacked[self.slot(j, m)]
                     block[:, indices] += self.whiten(j, m, motion.reduce(values))
-        return stacked
 
 
 def fit_whitener(residuals: Sequence[FloatArray], moving: Sequence[np.ndarray], order: int, floor: float) -> Whitener:

@@ -186,18 +186,22 @@ def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Eff
         scene: The R rows to compute the columns in.
         common: Effects that belong to the base, of c parameters in all, each with values of its constants.
     """
-    blocks = []
-    for term, _, first in base.model.numbered():
+    ends = len(base.model.parameters) + np.cumsum(
+        [NUISANCE * len(base.model.arm.joints), *(len(effect.parameters) for effect, _ in common)]
+    )
+    # Filled in place: every block twice would be most of the memory that a fit of the base takes.
+    whole = np.zeros((len(scene), ends[-1]))
+    for term, first_parameter, first in base.model.numbered():
         constants = base.constants[first : first + len(term.constants)]
         columns = [term.columns(motion, constants, b) for motion, b in zip(scene.motions, scene.backgrounds)]
-        block = scene.stack(columns, len(term.parameters))
+        block = whole[:, first_parameter : first_parameter + len(term.parameters)]
+        scene.fill(block, columns)
         block[:, [parameter.held for parameter in term.parameters]] = 0.0
-        blocks.append(block)
-    nuisance = [sharpness(motion) for motion in scene.motions]
-    blocks.append(scene.stack(nuisance, NUISANCE * len(base.model.arm.joints)))
-    for effect, values in common:
-        blocks.append(stacked_effect(scene, effect, values).whole(len(scene)))
-    return np.concatenate(blocks, axis=1)
+    scene.fill(whole[:, len(base.model.parameters) : ends[0]], [sharpness(motion) for motion in scene.motions])
+    for (effect, values), start, end in zip(common, ends, ends[1:]):
+        shared = stacked_effect(scene, effect, values)
+        whole[shared.rows, start:end] = shared.columns
+    return whole
 
 
 def nuisance_scale(base: IdentifiedModel) -> FloatArray:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from typing import Any, ClassVar
 
@@ -100,8 +99,8 @@ class Compliance(Effect):
         if background is None or background.arm is None or not self.at_once:
             return
         for constants in points:
-            if self._is_on_grid(constants):
-                background.keep(self._of_grid(motion, constants), partial(self._grid, motion, constants, background))
+            if self._is_on_grid(constants) and (key := self._of_grid(motion, constants)) not in background.grids:
+                background.grids[key] = self._grid(motion, constants, background)
 
     def deflection(self, motion: Motion, constants: Values, background: Background) -> FloatArrays:
         """(N,) d and d'' of what gives way; others say what is different."""
@@ -110,9 +109,9 @@ class Compliance(Effect):
             deflection, acceleration = self.swing([self.sensitivity(motion, constants, background)], *swung)
             return deflection[:, 0, 0], acceleration[:, 0, 0]
         key, row = self._of_grid(motion, constants), motion.joints.index(self.place["joint"])
-        if key in background.kept:
+        if key in background.grids:
             at = np.s_[:, key[2].index(row), self._points.index(tuple(constants[: key[1]]))]
-            deflection, acceleration = (of_grid[at] for of_grid in background.kept[key])
+            deflection, acceleration = (of_grid[at] for of_grid in background.grids[key])
         else:
             alone = self._rounded(motion, constants, background, [row], [constants[: key[1]]])
             deflection, acceleration = (of_one[:, 0, 0] for of_one in alone)
