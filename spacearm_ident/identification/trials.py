@@ -21,6 +21,7 @@ from ..noise.weights import common_correlation
 from ..regression.held_out import folds_of, time_blocks
 from ..regression.prior import Prior, make_prior
 from ..regression.regression import Regression
+from ..solvers.separable import Solution
 from .fit import Fit
 from .joint_terms import JointTerms
 
@@ -115,7 +116,8 @@ class Trials:
         Args:
             fit: Fitted with all terms of the paper's law; its constants shape the columns.
         """
-        regression, constants = _with_everything(fit)
+        constants = fit.solution.constants
+        regression = with_optional_terms(fit.regression, fit.solution, {JointSpring.kind: {"free": True}})
         self._model, self.joints = regression.model, regression.model.arm.joint_names
         prior = make_prior(regression.model, regression.motions)
         owners = _owners(regression)
@@ -222,21 +224,27 @@ class Trials:
         return np.maximum(left, 0.0)
 
 
-def _with_everything(fit: Fit) -> tuple[Regression, FloatArray]:
-    """The fitted model's regression with the columns of every optional term, and the constants that shape them."""
-    fitted, solution = fit.regression.model, fit.solution
+def with_optional_terms(regression: Regression, solution: Solution, beside: Structure) -> Regression:
+    """The regression of a fitted model with the columns of every optional friction term and of an offset.
+
+    Args:
+        regression: Of the fitted model.
+        solution: Its parameters and constants, which shape the columns.
+        beside: Further terms of the structure.
+    """
+    fitted = regression.model
     structure: Structure = {
         **fitted.structure,
         "stribeck_friction": {**fitted.structure["stribeck_friction"], "load": True},
         "viscous_friction": {"quadratic": "both"},
         "torque_offset": {},
-        JointSpring.kind: {"free": True},
+        **beside,
     }
     model = TorqueModel(fitted.arm, structure)
-    regression = Regression(model, fit.regression.motions, fit.regression)
+    full = Regression(model, regression.motions, regression)
     start = IdentifiedModel(fitted, solution.parameters, solution.constants).carried_to(model).parameters
-    regression.update_background(start, solution.constants)
-    return regression, solution.constants
+    full.update_background(start, solution.constants)
+    return full
 
 
 def _owners(regression: Regression) -> dict[int, set[int]]:

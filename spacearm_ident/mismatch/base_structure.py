@@ -17,9 +17,10 @@ from scipy.linalg import lstsq
 
 from ..arrays import FloatArray
 from ..dynamics.friction import ViscousFriction
-from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
+from ..dynamics.model import Structure, TorqueModel
 from ..estimate.identified import Choice, OptionalTerm
 from ..identification.fit import Fit
+from ..identification.trials import with_optional_terms
 from ..regression.prior import make_prior
 from ..regression.regression import Regression
 from ..solvers.separable import Solution, system
@@ -135,18 +136,8 @@ def _joint_adder(kind: str, option: str, joint: str) -> Callable[[Structure], St
 
 def _everything(regression: Regression, solution: Solution) -> tuple[TorqueModel, FloatArray, FloatArray]:
     """The model with every option, and its compressed system under the weights and constants of the fitted one."""
-    fitted = regression.model
-    structure: Structure = {
-        **fitted.structure,
-        "stribeck_friction": {**fitted.structure["stribeck_friction"], "load": True},
-        "viscous_friction": {"quadratic": "both"},
-        "torque_offset": {},
-    }
-    model = TorqueModel(fitted.arm, structure)
-    full = Regression(model, regression.motions, regression)
+    full = with_optional_terms(regression, solution, {})
     for rows, known in zip(full.rows, regression.rows):
         rows.set_weight(known.weight)
-    start = IdentifiedModel(fitted, solution.parameters, solution.constants).carried_to(model).parameters
-    full.update_background(start, solution.constants)
-    matrix, vector = system(full, make_prior(model, regression.motions), solution.constants)
-    return model, matrix, vector
+    matrix, vector = system(full, make_prior(full.model, regression.motions), solution.constants)
+    return full.model, matrix, vector
