@@ -293,6 +293,29 @@ class Plain:
 
 
 @dataclass(frozen=True)
+class OwnRecordings:
+    """What a model leaves of the recordings it was identified from (`identification/own_recordings.py`).
+
+    A part is a whole recording, or one of several parts of the only one; f of them were left out of a fit in turn.
+
+    Attributes:
+        recordings: How many there were.
+        acceleration: (n,) RMS while a joint moves, rad/s² (m/s²).
+        rows: (f, n) so many rows of full weight a part is worth.
+        left_out_Nm: (f, n) RMS that the fit without a part leaves of it, N·m; 0 where a joint has no rows.
+        fitted_Nm: (f, n) RMS that the fit to all leaves of it, N·m.
+        parameters: (f, p) of the fits, physically consistent.
+    """
+
+    recordings: int
+    acceleration: FloatArray
+    rows: FloatArray
+    left_out_Nm: FloatArray
+    fitted_Nm: FloatArray
+    parameters: FloatArray
+
+
+@dataclass(frozen=True)
 class IdentifiedModel:
     """A torque model with values: everything needed to predict torque again.
 
@@ -304,6 +327,7 @@ class IdentifiedModel:
         provenance: Where it comes from (sources with checksums, versions, configuration).
         unbounded: Unbounded parameters blended into predicted torque; None: none. Bodies are those of `parameters`.
         plain: A plain model blended into predicted torque; None: none.
+        own: What it leaves of its own recordings; None: not known.
     """
 
     model: TorqueModel
@@ -313,6 +337,7 @@ class IdentifiedModel:
     provenance: Mapping[str, Any] | None = None
     unbounded: Unbounded | None = None
     plain: Plain | None = None
+    own: OwnRecordings | None = None
 
     @property
     def possible(self) -> IdentifiedModel:
@@ -350,7 +375,7 @@ class IdentifiedModel:
         known = self.by_term
         parameters = [known.get((term.kind, item.name), 0.0) for term in model.terms for item in term.parameters]
         constants = [known.get((term.kind, item.name), 0.0) for term in model.terms for item in term.constants]
-        return replace(self, model=model, parameters=np.array(parameters), constants=np.array(constants))
+        return replace(self, model=model, parameters=np.array(parameters), constants=np.array(constants), own=None)
 
     def value(self, symbol: str, joint: str) -> float:
         """A parameter or constant by name.

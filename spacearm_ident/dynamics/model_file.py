@@ -13,7 +13,7 @@ from ..arrays import FloatArray
 from ..documents import read_text, read_yaml
 from ..errors import UserError
 from .arm import JOINT_KEYS, Arm, arm_from_description
-from .model import IdentifiedModel, Plain, Structure, TorqueModel, Unbounded
+from .model import IdentifiedModel, OwnRecordings, Plain, Structure, TorqueModel, Unbounded
 
 MODEL_SCHEMA = "spacearm_ident/model/1"
 
@@ -40,6 +40,7 @@ def model_to_dict(identified: IdentifiedModel) -> dict[str, Any]:
         "terms": _terms(identified.model, identified.parameters, identified.constants),
         **_unbounded(identified),
         **_plain(identified),
+        **_own(identified),
         "provenance": dict(identified.provenance or {}),
         "urdf": arm.urdf,
     }
@@ -83,6 +84,26 @@ def _plain(identified: IdentifiedModel) -> dict[str, Any]:
     model, names = identified.plain.model, identified.model.arm.joint_names
     terms = _terms(model, identified.plain.parameters, identified.plain.constants)
     return {"plain": {"share": dict(zip(names, identified.plain.share.tolist())), "terms": terms}}
+
+
+def _own(identified: IdentifiedModel) -> dict[str, Any]:
+    """What the model leaves of its own recordings; empty where that is not known.
+
+    Parameters of a fit stand in the order of the values of `terms`, which nobody need read.
+    """
+    own, names = identified.own, identified.model.arm.joint_names
+    if own is None:
+        return {}
+    figures = {"rows": own.rows, "left_out_Nm": own.left_out_Nm, "fitted_Nm": own.fitted_Nm}
+    parts = [
+        {
+            **{key: dict(zip(names, values[k].tolist())) for key, values in figures.items()},
+            "parameters": _Row(own.parameters[k].tolist()),
+        }
+        for k in range(len(own.rows))
+    ]
+    acceleration = dict(zip(names, own.acceleration.tolist()))
+    return {"own_recordings": {"count": own.recordings, "acceleration": acceleration, "parts": parts}}
 
 
 def _effort(arm: Arm) -> dict[str, Any]:
@@ -136,6 +157,7 @@ def _model_from_dict(data: Mapping[str, Any], path: Path) -> IdentifiedModel:
         data.get("provenance") or {},
         _read_unbounded(model, data.get("unbounded")),
         _read_plain(arm, data.get("plain")),
+        _read_own(model, data.get("own_recordings")),
     )
 
 
@@ -157,6 +179,31 @@ def _read_plain(arm: Arm, data: Mapping[str, Any] | None) -> Plain | None:
     model, values = _read_terms(arm, data["terms"])
     parameters, constants = _values(model, values, "parameters"), _values(model, values, "constants")
     return Plain(model, parameters, constants, _share(arm, data))
+
+
+def _read_own(model: TorqueModel, data: Mapping[str, Any] | None) -> OwnRecordings | None:
+    if data is None:
+        return None
+    parts = data["parts"]
+    rows, left, fitted = (
+        np.array([_by_joint(model.arm, part[key]) for part in parts]) for key in ("rows", "left_out_Nm", "fitted_Nm")
+    )
+    parameters = np.array([[float(value) for value in part["parameters"]] for part in parts])
+    if parameters.shape != (len(parts), len(model.parameters)) or not np.isfinite(parameters).all():
+        raise UserError(f"every part of own_recordings needs {len(model.parameters)} finite parameters")
+    return OwnRecordings(int(data["count"]), _by_joint(model.arm, data["acceleration"]), rows, left, fitted, parameters)
+
+
+def _by_joint(arm: Arm, values: Mapping[str, Any]) -> FloatArray:
+    """(n,) figures that are not negative, by joint.
+
+    Raises:
+        UserError: One that is, or is not finite.
+    """
+    found = np.array([float(values[joint]) for joint in arm.joint_names])
+    if not (np.isfinite(found) & (found >= 0.0)).all():
+        raise UserError("the figures of own_recordings must be finite and not negative")
+    return found
 
 
 def _share(arm: Arm, data: Mapping[str, Any]) -> FloatArray:
@@ -195,4 +242,13 @@ def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
 
+class _Row(list):  # type: ignore[type-arg]
+    """Numbers that stand side by side."""
+
+
+def _row(dumper: yaml.SafeDumper, row: _Row) -> yaml.SequenceNode:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", row, flow_style=True)
+
+
 _Dumper.add_representer(str, _text)
+_Dumper.add_representer(_Row, _row)

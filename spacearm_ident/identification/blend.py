@@ -13,19 +13,20 @@ the combination nearest to them is taken. Bodies, simulations and the URDF keep 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, Plain, Unbounded
-from ..estimate.consistency import make_consistent
-from ..regression.held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, folds_of, t_of_drop, time_blocks
+from ..regression.held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, t_of_drop, time_blocks
 from ..regression.prior import Prior
 from ..regression.regression import Regression
 from ..solvers.solution_columns import columns_at
 from .block_grams import BlockGrams
 from .fit import Fit
+from .own_recordings import PartLeftOut
 from .plain import plain_fit
 
 CONSISTENT, UNBOUNDED, PLAIN = range(3)
@@ -36,23 +37,25 @@ MIXTURES = np.array([(STEPS - k - m, k, m) for k in range(STEPS + 1) for m in ra
 """(66, 3) shares of the candidates that are compared; each sums to one."""
 
 
-def blended(model: IdentifiedModel, fit: Fit, allow_plain: bool = True) -> IdentifiedModel:
+def blended(
+    model: IdentifiedModel, fit: Fit, parts: Sequence[PartLeftOut], allow_plain: bool = True
+) -> IdentifiedModel:
     """The model with what predicts held-out data best blended into its torque.
 
     Args:
         model: Physically consistent parameters of `fit`, and nothing blended.
         fit: Least squares without bounds, which gave parameters that are not physically consistent.
+        parts: Fits of it that leave out a part each (`own_recordings.py`).
         allow_plain: Whether the plain model is a candidate; not where the user asked for a structure. The combination
             nearest to the consistent parameters is then taken.
 
     Returns:
         `model` itself where nothing else is part of the prediction, or too little was recorded to decide.
     """
-    _, recording = time_blocks(fit.regression.motions)
-    if len(recording) < FEWEST_BLOCKS:
+    if not parts:
         return model
     plain, prior, solution = plain_fit(fit)
-    products = _products(fit, plain, prior, solution.constants)
+    products = _products(fit, parts, plain, prior, solution.constants)
     shares = np.stack([_share(products[:, joint], allow_plain) for joint in range(products.shape[1])])
     if shares[:, UNBOUNDED].any():
         model = replace(model, unbounded=Unbounded(fit.solution.parameters, shares[:, UNBOUNDED]))
@@ -81,11 +84,14 @@ def blend_notes(model: IdentifiedModel) -> tuple[str, ...]:
     )
 
 
-def _products(fit: Fit, plain: Regression, plain_prior: Prior, constants: FloatArray) -> FloatArray:
+def _products(
+    fit: Fit, parts: Sequence[PartLeftOut], plain: Regression, plain_prior: Prior, constants: FloatArray
+) -> FloatArray:
     """Squares and products of the candidates' residuals in held-out blocks.
 
     Args:
         fit: Least squares without bounds.
+        parts: Fits of it that leave out a part each.
         plain: Weighted rows of the plain model on the same motions.
         plain_prior: Its prior.
         constants: (c,) its constants in a prediction; zero in its fit.
@@ -93,25 +99,23 @@ def _products(fit: Fit, plain: Regression, plain_prior: Prior, constants: FloatA
     Returns:
         (blocks, n, 3, 3) sums over a block's rows, N²·m²; each candidate fitted to the other folds.
     """
-    model, prior = fit.regression.model, fit.prior
-    grams, plain_grams = BlockGrams(fit.regression, fit.solution.constants), BlockGrams(plain, np.zeros_like(constants))
+    plain_grams = BlockGrams(plain, np.zeros_like(constants))
     columns, numbers = columns_at(fit.regression, fit.solution.constants)
     plain_columns, plain_numbers = columns_at(plain, constants)
     block_of, recording = time_blocks(fit.regression.motions)
     blocks = [rows.group(block_of) for rows in fit.regression.rows]
     products = np.zeros((len(recording), len(blocks), 3, 3))
-    for fold in folds_of(recording):
-        matrix, free = grams.solve(grams.rest(fold), prior)
-        possible = make_consistent(model, matrix, free, prior.scale)
+    for part in parts:
+        fold = part.fold
         _, simple = plain_grams.solve(plain_grams.rest(fold), plain_prior)
         for joint, (rows, block) in enumerate(zip(fit.regression.rows, blocks)):
             inside = np.isin(block, fold)
-            own = columns[joint][inside] @ np.column_stack([possible, free])[numbers[joint]]
+            own = columns[joint][inside] @ np.column_stack([part.possible, part.free])[numbers[joint]]
             other = plain_columns[joint][inside] @ simple[plain_numbers[joint]]
             left = rows.torque[inside, None] - np.column_stack([own, other])
             for number in fold:
-                part = left[block[inside] == number]
-                products[number, joint] = part.T @ part
+                own_rows = left[block[inside] == number]
+                products[number, joint] = own_rows.T @ own_rows
     return products
 
 

@@ -27,11 +27,14 @@ class BlockGrams:
         """Build the columns at some constants (c,), and cut them into blocks."""
         block_of, self.recording = time_blocks(regression.motions)
         self._parts: list[tuple[list[int], FloatArray]] = []
+        information = []
         for rows, columns, numbers in zip(regression.rows, *columns_at(regression, constants)):
             stacked = np.column_stack([columns, rows.torque]) * rows.weight[:, None]
             block = rows.group(block_of)
             own = [stacked[block == number] for number in range(len(self.recording))]
             self._parts.append((numbers, np.stack([part.T @ part for part in own])))
+            information.append(np.bincount(block, rows.weight**2, len(self.recording)))
+        self._information = np.column_stack(information)
 
     def rest(self, fold: np.ndarray) -> np.ndarray:
         """Numbers of the blocks that are not in a fold."""
@@ -60,6 +63,10 @@ class BlockGrams:
         for fold in folds_of(self.recording):
             left[fold] = self.squares(fold, self.solve(self.rest(fold), prior)[1])
         return left
+
+    def information(self, blocks: np.ndarray) -> FloatArray:
+        """(n,) what some blocks' rows of each joint count for, 1/(N·m)²: the sum of their squared weights."""
+        return np.asarray(self._information[blocks].sum(axis=0))
 
     def squares(self, blocks: np.ndarray, parameters: FloatArray) -> FloatArray:
         """(len(blocks), n) weighted squares that parameters leave."""

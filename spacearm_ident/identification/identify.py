@@ -43,10 +43,12 @@ from ..solvers.choice import CLOE, IDIM_IV, PSO_LM, SEPARABLE, require_solver
 from ..solvers.separable import Solution, system
 from . import output_error
 from .blend import blend_notes, blended
+from .block_grams import BlockGrams
 from .cad_scale import prior_note
 from .coupled_wrist import try_coupling
 from .cross_check import fit_instrumental, fit_output_error
 from .fit import Fit, covariance_of, fit_as_published, fit_model, freedom, revealed
+from .own_recordings import own_recordings, parts_left_out
 from .structure import choose_structure
 from .torque_gain import assumed_covariance, gain_shifts, with_gain
 from .weighed import TorqueGains
@@ -142,14 +144,24 @@ def identify(
     words = _solver_words(settings, fit.solution)
     result = _conclude(fit, provenance or {}, choices, bandwidth, words, gravity, further, settings.gains)
     body, on_body = base_body(motions, result.model, result.covariance)
-    if settings.blend and settings.solver == SEPARABLE and result.consistency_shift > 0.0:
-        result = replace(result, model=blended(result.model, fit, settings.structure is None))
+    if settings.blend:
+        result = replace(result, model=_with_own_recordings(result, fit, settings))
     weighed = () if settings.gains is None else (settings.gains.words,)
     coupled = () if coupling is None else (coupling.words,)
     notes = (*weighed, *result.notes, *on_base, *on_body, *blend_notes(result.model), *coupled)
     result = replace(result, base_body=body, notes=notes, coupling=coupling)
     report(1.0, "done")
     return result
+
+
+def _with_own_recordings(result: Identified, fit: Fit, settings: Settings) -> IdentifiedModel:
+    """The model with what predicts held-out parts of its recordings best, and with what it leaves of them."""
+    grams = BlockGrams(fit.regression, fit.solution.constants)
+    parts = parts_left_out(fit, grams)
+    model = replace(result.model, own=own_recordings(fit, grams, parts, result.model.parameters))
+    if settings.solver == SEPARABLE and result.consistency_shift > 0.0:
+        model = blended(model, fit, parts, settings.structure is None)
+    return model
 
 
 def _fitted(

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from ..arrays import FloatArray
 from .evidence import Evidence
-from .left_out import LEVEL, LeftOut
+from .left_out import LEVEL, LeftOfOwn, LeftOut
 from .preparation import Prepared
 from .residuals import Residuals
 from .scored import BEST, PARTS
@@ -76,7 +76,8 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
     The largest has more: a faster motion leaves more (`GROWS`); parts that are alike agree on what none of them shows,
     so that error is the fit's own where it is larger; and friction ordinarily differs by something on another day with
     a probability of `LEVEL` (`Prepared.days`). The floor has not: a higher one lets findings explain a larger share.
-    Without a recorded reference: the noise as it was estimated in the field, and without any its parameters too.
+    Where a model is the reference, its file says what it leaves of its own recordings. Where it does not, and without a
+    reference: the noise as it was estimated in the field.
 
     Args:
         evidence: Field and reference, with what they share.
@@ -86,16 +87,19 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
     noise = prepared.noise_floor_Nm
     alone = evidence if evidence.reference is None else evidence.healthy
     parameters = alone.base_parameters([], np.zeros(0))
-    if evidence.reference is None or prepared.modelled:
+    if evidence.reference is None or (prepared.modelled and prepared.own is None):
         return [Healthy(parameters, noise, noise)] * len(judged)
-    residuals = Residuals(alone, evidence.reference, prepared.plain)
-    left_out = LeftOut(alone, residuals)
-    floor = residuals.rms(residuals.of(parameters, [], np.zeros(0)))
-    floor = np.where(np.isfinite(floor), floor, noise)
+    left_out: LeftOut | LeftOfOwn
+    if prepared.own is not None:
+        left_out, accelerated, floor = prepared.own, prepared.own.acceleration, noise
+    else:
+        residuals = Residuals(alone, evidence.reference, prepared.plain)
+        left_out, accelerated = LeftOut(alone, residuals), residuals.acceleration()
+        floor = residuals.rms(residuals.of(parameters, [], np.zeros(0)))
+        floor = np.where(np.isfinite(floor), floor, noise)
     largest = np.fmax(floor, left_out.largest_Nm)
     if prepared.weighted:
         floor = np.fmax(floor, left_out.rms_Nm)
-    accelerated = residuals.acceleration()
     made = []
     for rows in judged:
         error = most_error = np.zeros(len(floor))
@@ -107,7 +111,8 @@ def healthy_levels(evidence: Evidence, prepared: Prepared, judged: Sequence[Resi
         ordinary = np.nan_to_num(rows.ordinary_Nm(evidence.base.model, parameters))
         day = norm.isf(LEVEL) * prepared.days * ordinary
         most = np.sqrt((grown * largest) ** 2 + (left_out.times * most_error) ** 2 + day**2)
-        made.append(Healthy(parameters, np.hypot(floor, error), most, left_out))
+        parts = left_out if isinstance(left_out, LeftOut) else None
+        made.append(Healthy(parameters, np.hypot(floor, error), most, parts))
     return made
 
 

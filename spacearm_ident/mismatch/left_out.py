@@ -7,12 +7,14 @@ the jackknife's standard error of what is predicted on another motion (Efron and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 from scipy.stats import t as student
 
 from ..arrays import FloatArray
+from ..dynamics.model import OwnRecordings
 from ..regression.held_out import FEWEST_BLOCKS, folds_of, time_blocks
 from .evidence import Evidence
 from .residuals import Residuals
@@ -97,16 +99,74 @@ class LeftOut:
     @property
     def times(self) -> float:
         """How many times `error_Nm` an error is with a probability of `LEVEL` (Student; all joints tell its size)."""
-        freedom = max((len(self.fits) - 1) * self.squares.shape[1], 1)
-        return float(student.ppf(1.0 - LEVEL, freedom))
+        return _times(len(self.fits), self.squares.shape[1])
 
     def error_Nm(self, residuals: Residuals) -> FloatArray:
         """(n,) jackknife standard error of the predicted torque, RMS over other rows; zero if nothing was left out."""
-        count = len(self.fits)
-        if not count:
-            return np.zeros(self.squares.shape[1])
-        left = np.stack([residuals.of(fit, [], np.zeros(0)) for fit in self.fits])
-        return np.nan_to_num(residuals.rms(np.sqrt(count - 1) * left.std(axis=0)))
+        return jackknife_Nm(self.fits, residuals, self.squares.shape[1])
+
+
+class LeftOfOwn:
+    """The same of a model's own recordings, as its file has it (`dynamics.model.OwnRecordings`).
+
+    In another bandwidth more or less is left: what the file has are shares of what the fit to all leaves.
+    """
+
+    def __init__(self, own: OwnRecordings, fitted_Nm: FloatArray) -> None:
+        """Take for the (n,) RMS of the fit to all that of a fit in the bandwidth looked at, N·m."""
+        self._own, self._fitted_Nm = own, fitted_Nm
+
+    @property
+    def rms_Nm(self) -> FloatArray:
+        """(n,) RMS of the parts that were left out; NaN where a joint has no rows."""
+        return self._scaled(self._mean(self._own.left_out_Nm))
+
+    @property
+    def largest_Nm(self) -> FloatArray:
+        """(n,) RMS that the fit to all leaves of another part with a probability of `LEVEL` or less."""
+        return self._scaled(largest_rms(self._own.rows * self._own.fitted_Nm**2, self._own.rows))
+
+    def _scaled(self, rms_Nm: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(self._fitted_Nm * rms_Nm / self._mean(self._own.fitted_Nm))
+
+    def _mean(self, parts_Nm: FloatArray) -> FloatArray:
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(np.sum(self._own.rows * parts_Nm**2, axis=0) / np.sum(self._own.rows, axis=0)))
+
+    @property
+    def acceleration(self) -> FloatArray:
+        """(n,) RMS of each joint's acceleration, rad/s^2."""
+        return self._own.acceleration
+
+    @property
+    def times(self) -> float:
+        """As `LeftOut.times`."""
+        return _times(*self._own.rows.shape)
+
+    def error_Nm(self, residuals: Residuals) -> FloatArray:
+        """As `LeftOut.error_Nm`."""
+        fits = [np.pad(fit, (0, residuals.width - len(fit))) for fit in self._own.parameters]
+        return jackknife_Nm(fits, residuals, self._own.rows.shape[1])
+
+
+def jackknife_Nm(fits: Sequence[FloatArray], residuals: Residuals, joints: int) -> FloatArray:
+    """(n,) standard error of the predicted torque from fits that each leave out a part, RMS over rows; 0 without any.
+
+    Args:
+        fits: Parameters of the base.
+        residuals: The rows.
+        joints: n.
+    """
+    if not fits:
+        return np.zeros(joints)
+    left = np.stack([residuals.of(fit, [], np.zeros(0)) for fit in fits])
+    return np.nan_to_num(residuals.rms(np.sqrt(len(fits) - 1) * left.std(axis=0)))
+
+
+def _times(fits: int, joints: int) -> float:
+    """How many standard errors by so many fits an error is with a probability of `LEVEL`."""
+    return float(student.ppf(1.0 - LEVEL, max((fits - 1) * joints, 1)))
 
 
 def largest_rms(squares: FloatArray, rows: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ from ..signals.motion import Motion
 from ..signals.prepare import prepare, reversal_cutoff_hz
 from .base_structure import GATE, choose_base
 from .evidence import Candidate, Evidence, HeldOut
-from .left_out import LeftOut
+from .left_out import LeftOfOwn, LeftOut
 from .noise import Noise, NoiseModel, coloured, in_field, of_field, weighted
 from .residuals import Residuals
 from .run_set import RunSet
@@ -73,6 +73,7 @@ class Prepared:
         noise_floor_Nm: (n,) standard deviation of a reduced torque row that a right model would leave.
         cutoff_hz: Bandwidth that was looked at.
         modelled: Whether the reference's torque is a model's, without noise, not a recording's.
+        own: Where it is, what the model leaves of its own recordings; None where its file does not say.
         weighted: Whether the residual is what the base lacks, not noise (`noise.weighted`).
         days: Standard deviation of the field's friction from the reference's, of that from recording to recording.
     """
@@ -84,6 +85,7 @@ class Prepared:
     noise_floor_Nm: FloatArray
     cutoff_hz: float
     modelled: bool = False
+    own: LeftOfOwn | None = None
     weighted: bool = False
     days: float = 0.0
 
@@ -139,7 +141,7 @@ def prepare_evidence(
         if healthy:
             found = _suited(found, _identified(healthy, arm, cutoff, choose_structure, couple=True), referred)
     else:
-        found = _with_noise(_Start(_possible(known, cutoff), ()), examined, coloured)
+        found = _known(_possible(known, cutoff), examined)
     base, noise = found.start.base, found.noise
     if known is not None:
         # A model pins itself down as a recording of the healthy arm on the same motion would.
@@ -158,9 +160,10 @@ def prepare_evidence(
         if in_other_form.in_vacuum[1] < evidence.in_vacuum[1] - GATE:
             base, evidence = other, in_other_form
     held_out = HeldOut(evidence, Scene(base, judged, noise.whiteners)) if judged else None
-    days = _days(healthy, evidence)
+    days = _days(known.own.recordings if known is not None and known.own is not None else len(healthy), evidence)
     floor = noise.floor_Nm
-    return Prepared(base, evidence, held_out, noise.plain, floor, cutoff, known is not None, found.weighted, days)
+    modelled = known is not None
+    return Prepared(base, evidence, held_out, noise.plain, floor, cutoff, modelled, found.own, found.weighted, days)
 
 
 @dataclass(frozen=True)
@@ -173,12 +176,13 @@ class _Start:
 
 @dataclass(frozen=True)
 class _WithNoise:
-    """A base with a model of its noise, fitted to motions."""
+    """A base with a model of its noise, fitted to motions; of a model that is known, what it leaves of its own."""
 
     start: _Start
     noise: Noise
     motions: Sequence[Motion]
     weighted: bool = False
+    own: LeftOfOwn | None = None
 
     @property
     def inflation(self) -> float:
@@ -187,7 +191,11 @@ class _WithNoise:
         The residual's autocorrelation time over the low-pass's own, times the mean square of held-out parts over that
         of fitted ones; the median joint's. One where the base is right and well determined.
         """
-        optimism = np.divide(self.left_out.rms_Nm, self.noise.floor_Nm) ** 2
+        return self.inflation_of(self.left_out.rms_Nm)
+
+    def inflation_of(self, left_out_Nm: FloatArray) -> float:
+        """The same where this RMS (n,) is left of held-out parts."""
+        optimism = np.divide(left_out_Nm, self.noise.floor_Nm) ** 2
         return float(np.nanmedian(self.noise.correlation * optimism))
 
     @cached_property
@@ -218,6 +226,19 @@ def _with_noise(start: _Start, motions: Sequence[Motion], model: NoiseModel) -> 
     return _WithNoise(start, model(start.base, motions), motions)
 
 
+def _known(model: IdentifiedModel, motions: Sequence[Motion]) -> _WithNoise:
+    """A model that is the reference, and the field's noise; weights where its own recordings have shown model error."""
+    start = _Start(model, ())
+    as_noise = _with_noise(start, motions, coloured)
+    if model.own is None:
+        return as_noise
+    as_error = _with_noise(start, motions, weighted)
+    own = LeftOfOwn(model.own, as_error.noise.floor_Nm)
+    if as_error.inflation_of(own.rms_Nm) < MODEL_ERROR:
+        return replace(as_noise, own=LeftOfOwn(model.own, as_noise.noise.floor_Nm))
+    return replace(as_error, noise=_at_least(as_error.noise, own.rms_Nm), weighted=True, own=own)
+
+
 def _suited(found: _WithNoise, by_prediction: _Start, motions: Sequence[Motion]) -> _WithNoise:
     """Base and noise: the first where its residual is noise; else the structure that predicts best, and weights."""
     as_error = _with_noise(found.start, motions, weighted)
@@ -238,10 +259,14 @@ def _predicts_better(other: LeftOut, first: LeftOut) -> bool:
 
 def _widened(found: _WithNoise) -> _WithNoise:
     """With the noise as large as what is left of parts that a fit left out, where that is more."""
-    noise = found.noise
-    ratio = np.fmax(np.divide(found.left_out.rms_Nm, noise.floor_Nm), 1.0)
+    return replace(found, noise=_at_least(found.noise, found.left_out.rms_Nm))
+
+
+def _at_least(noise: Noise, rms_Nm: FloatArray) -> Noise:
+    """The noise, made as large as this (n,), where it is less; NaN says nothing."""
+    ratio = np.fmax(np.divide(rms_Nm, noise.floor_Nm), 1.0)
     whiteners = [replace(own, sigma_Nm=own.sigma_Nm * float(r)) for own, r in zip(noise.whiteners, ratio)]
-    return replace(found, noise=replace(noise, whiteners=whiteners, floor_Nm=noise.floor_Nm * ratio))
+    return replace(noise, whiteners=whiteners, floor_Nm=noise.floor_Nm * ratio)
 
 
 def cut_off_hz(recordings: Sequence[Recording]) -> float:
@@ -292,7 +317,7 @@ def banded(
     return [replace(coarse(motion, cutoff_hz), source=first + motion.source) for motion in motions]
 
 
-def _days(healthy: Sequence[Recording], evidence: Evidence) -> float:
+def _days(healthy: int, evidence: Evidence) -> float:
     """Standard deviation of the field's friction from the reference's, of the ordinary one between recordings.
 
     It differs as the joints are warmer or colder: where their temperatures were recorded, what that does is not
@@ -301,7 +326,7 @@ def _days(healthy: Sequence[Recording], evidence: Evidence) -> float:
     known = evidence.reference is not None and evidence.reference.temperatures_known
     if not healthy or (known and evidence.field.temperatures_known):
         return 0.0
-    return float(np.sqrt(day_share(len(healthy))))
+    return float(np.sqrt(day_share(healthy)))
 
 
 def _form_is_open(choices: Sequence[Choice]) -> bool:

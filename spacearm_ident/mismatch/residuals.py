@@ -51,6 +51,11 @@ class Residuals:
         self._torque = self.scene.torque()
         self._few = self.scene.by_joint(np.ones(len(self.scene))) < FEWEST_ROWS
 
+    @property
+    def width(self) -> int:
+        """Number of the base's columns, nuisance and common effects included."""
+        return int(self._columns.shape[1])
+
     def _rows(self, joint: int) -> tuple[FloatArray, FloatArray]:
         mine = self.scene.joint == joint
         return self.scene.speed[mine], self.scene.gone[mine]
