@@ -287,6 +287,24 @@ def test_positions_within_the_limits_in_either_unit_are_told_by_weight(tmp_path)
     assert "weight" in found.rows[1].because
 
 
+def test_units_are_told_by_weight_where_every_other_row_is_empty(tmp_path):
+    """As in a log of two topics, whose rows are the stamps of either: no row of the positions has a neighbour."""
+    run = small_arm.recording(10.0)
+    position, effort = run.position.copy(), weight(tmp_path, run.position)
+    position[1::2], effort[1::2] = np.nan, np.nan
+    found = proposal(tmp_path, ["t", "q1", "q2", "tau1", "tau2"], run.time, position, effort)
+    assert found.mapping.units["position"] == "rad" and found.mapping.units["effort"] == "N m"
+
+
+def test_units_are_asked_where_positions_and_effort_share_no_row(tmp_path):
+    run = small_arm.recording(10.0)
+    position, effort = run.position.copy(), weight(tmp_path, run.position)
+    position[1::2], effort[::2] = np.nan, np.nan
+    found = proposal(tmp_path, ["t", "q1", "q2", "tau1", "tau2"], run.time, position, effort)
+    assert found.mapping is None
+    assert any("effort_unit=" in question for question in found.questions)
+
+
 def test_a_motion_too_small_to_tell_its_unit_is_asked(tmp_path):
     """Over half a degree, beside noise, weight is linear in the angle and as well explained in either unit."""
     run = small_arm.recording(10.0)

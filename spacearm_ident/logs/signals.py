@@ -99,10 +99,11 @@ def weight_of(arm: Arm, position: FloatArray, effort: FloatArray) -> Weight:
     Source: least squares of effort on CAD gravity, an offset, and the sign and size of the motion, joint by joint.
     """
     n = len(arm.joints)
-    step = max(1, len(position) // MOST_ROWS)
-    moved = np.gradient(position, axis=0) if len(position) > 1 else np.zeros_like(position)
     rows = np.isfinite(position).all(axis=1) & np.isfinite(effort).all(axis=1)
-    q, tau, moved = (values[rows][::step] for values in (position, effort, moved))
+    step = max(1, int(rows.sum()) // MOST_ROWS)
+    # Differences of the finite rows alone: a row beside an empty one, as every row of a log of two topics is, has none.
+    moved = np.gradient(position[rows], axis=0) if rows.sum() > 1 else np.zeros((int(rows.sum()), n))
+    q, tau, moved = position[rows][::step], effort[rows][::step], moved[::step]
     slope, correlation, left = np.full(n, np.nan), np.zeros(n), np.ones(n)
     if len(q) < 20:
         return Weight(slope, correlation, left)
