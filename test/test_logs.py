@@ -334,6 +334,63 @@ def test_a_number_of_the_row_is_no_time_and_the_rate_is_asked(tmp_path):
     assert proposal(tmp_path, head, *columns, rate_hz="200").mapping.rate_hz == 200.0
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("header.stamp.sec", "header.stamp.nanosec"),
+        ("sec", "nsec"),
+        ("secs", "nsecs"),
+        ("timestamp_sec", "timestamp_nanosec"),
+        ("/joint_states/header/stamp/sec", "/joint_states/header/stamp/nanosec"),
+        ("stamp [s]", "stamp [ns]"),
+    ],
+)
+def test_seconds_and_nanoseconds_in_two_columns_are_one_time(tmp_path, names):
+    run = small_arm.recording(4.0)
+    stamps = 1_732_958_860_900_000_123 + np.rint(run.time * 1e9).astype(np.int64)
+    log = csv_of(
+        tmp_path, [*names, "q1", "q2", "tau1", "tau2"], stamps // 10**9, stamps % 10**9, run.position, run.effort
+    )
+    arm = arm_file(tmp_path, small_arm.URDF)
+    got = read_log(log, arm)
+    assert (got.mapping.time, got.mapping.nanoseconds) == names
+    save_mapping(got.mapping, tmp_path / "m.yaml")
+    again = read_log(log, arm, tmp_path / "m.yaml").recording
+    assert again.start_ns == stamps[0]
+    assert np.array_equal(np.rint(again.time * 1e9), stamps - stamps[0])
+
+
+def test_a_row_without_its_nanoseconds_is_left_out_alone(tmp_path):
+    run = small_arm.recording(4.0)
+    stamps = np.rint(run.time * 1e9)
+    nanoseconds = np.where(np.arange(len(stamps)) == 50, np.nan, stamps % 1e9)
+    head = ["sec", "nsec", "q1", "q2", "tau1", "tau2"]
+    log = csv_of(tmp_path, head, stamps // 1e9, nanoseconds, run.position, run.effort)
+    assert len(read_log(log, arm_file(tmp_path, small_arm.URDF)).recording.time) == len(run.time) - 1
+
+
+@pytest.mark.parametrize("name", ["header.stamp.nanosec", "nsec", "n", "column"])
+def test_nanoseconds_that_begin_again_every_second_are_no_time(tmp_path, name):
+    run = small_arm.recording(4.0)
+    head = [name, "q1", "q2", "tau1", "tau2"]
+    columns = np.rint(run.time * 1e9) % 1e9, run.position, run.effort
+    for answers in ({}, {"time": name}, {"time_unit": "ns"}):
+        found = proposal(tmp_path, head, *columns, **answers)
+        assert found.mapping is None
+        assert any("begins again every second" in question for question in found.questions)
+    assert proposal(tmp_path, head, *columns, rate_hz="200").mapping.rate_hz == 200.0
+
+
+@pytest.mark.parametrize(
+    "time", ["{column: t, unit: ms, nanoseconds: n}", "{unit: s, nanoseconds: n}"], ids=["not in s", "no seconds"]
+)
+def test_nanoseconds_without_whole_seconds_are_no_mapping(tmp_path, time):
+    text = f"schema: spacearm_ident/log_mapping/1\ntime: {time}\njoints: {{a: {{position: q, effort: u}}}}\n"
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(UserError, match="time"):
+        read_mapping(tmp_path / "m.yaml")
+
+
 def test_currents_without_constants_are_asked_for(tmp_path):
     run = small_arm.recording(8.0)
     found = proposal(tmp_path, ["t", "q1", "q2", "I1 [A]", "I2 [A]"], run.time, run.position, run.effort / 20.0)

@@ -10,12 +10,17 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
+from ..recording.log_mapping import TIME_UNITS
 from ..recording.tables import Table
-from .signals import steps_s
-from .words import INDEX, OTHER, TIME, Meaning, meaning_of
+from .signals import FASTEST_HZ, steps_s
+from .words import INDEX, OTHER, TIME, Meaning, meaning_of, split_unit
 
 EVEN = 0.95
 """Share of steps that must go forward, and be alike within a factor of ten, for a column to be a time."""
+
+COUNTS_ROWS = "counts rows"
+RESTARTS = "begins again every second"
+"""Why a column that looks like a time is none; the second cannot be one whatever the user says."""
 
 
 @dataclass(frozen=True)
@@ -47,30 +52,97 @@ class Group:
 
 @dataclass(frozen=True)
 class Clock:
-    """A column that can be a time: its name, the unit it gives, and whether it merely counts rows."""
+    """A column that can be a time.
+
+    Attributes:
+        name: The column.
+        unit: The unit that its name gives; None: none.
+        flaw: Why it is no time after all, `COUNTS_ROWS` or `RESTARTS`; None: it can be one.
+        named: Whether its name says that it is a time.
+        nanoseconds: Column of the nanoseconds within each of its whole seconds; None: none.
+    """
 
     name: str
     unit: str | None
-    counts_rows: bool
+    flaw: str | None
     named: bool
+    nanoseconds: str | None = None
+
+    @property
+    def columns(self) -> str:
+        """Its columns, for the user."""
+        return self.name if self.nanoseconds is None else f"{self.name}, {self.nanoseconds}"
+
+    def values(self, table: Table) -> FloatArray:
+        """(N,) in its unit; from the first row or second on where a float may not keep it."""
+        values = table.columns[self.name]
+        own = np.asarray(values - values[0] if values.dtype.kind == "i" else values, dtype=np.float64)
+        if self.nanoseconds is None:
+            return own
+        return own - float(np.fmin.reduce(own)) + 1e-9 * np.asarray(table.columns[self.nanoseconds], dtype=np.float64)
 
 
 def find_clocks(table: Table) -> list[Clock]:
-    """Columns that can be a time, the likeliest first: named so and even, then even; those that count rows last."""
-    found = []
-    for name, values in table.columns.items():
+    """Columns that can be a time, the likeliest first: named so and even, then even; those with a flaw last."""
+    found = _split_clocks(table)
+    split = {name for clock in found for name in (clock.name, clock.nanoseconds)}
+    for name in table.columns:
         meaning = meaning_of(name)
         of_a_joint = meaning.quantity is None and meaning.number is not None and not _nameless(name)
-        if meaning.quantity not in (TIME, INDEX, None) or of_a_joint:
+        if name in split or meaning.quantity not in (TIME, INDEX, None) or of_a_joint:
             continue
-        seconds = np.asarray(values - values[0] if values.dtype.kind == "i" else values, dtype=np.float64)
-        _, share = steps_s(seconds)
+        unit = meaning.unit or _unit_alone(name)
+        ticks = Clock(name, unit, None, False).values(table)
+        _, share = steps_s(ticks)
         if share < EVEN:
             continue
-        steps = np.diff(seconds)
-        counts = bool(np.median(np.abs(steps - 1.0)) < 1e-9) and (meaning.quantity == INDEX or meaning.unit is None)
-        found.append(Clock(name, meaning.unit, counts, meaning.quantity == TIME))
-    return sorted(found, key=lambda clock: (clock.counts_rows, not clock.named))
+        counts = bool(np.median(np.abs(np.diff(ticks) - 1.0)) < 1e-9) and (meaning.quantity == INDEX or unit is None)
+        flaw = COUNTS_ROWS if counts else RESTARTS if _restarts(table, name, unit) else None
+        found.append(Clock(name, unit, flaw, meaning.quantity == TIME))
+    return sorted(found, key=lambda clock: (clock.flaw is not None, not clock.named))
+
+
+def _unit_alone(name: str) -> str | None:
+    """The unit of a column whose name is that of a unit of time, of more than one letter."""
+    rest, unit = split_unit(name)
+    return unit if not rest and len(name) > 1 and unit in TIME_UNITS else None
+
+
+def _split_clocks(table: Table) -> list[Clock]:
+    """Times in two columns that differ in the unit of their names alone, whole seconds and nanoseconds within them."""
+    by_rest: dict[str, dict[str, str]] = {}
+    for name in table.columns:
+        rest, unit = split_unit(name)
+        if unit in ("s", "ns"):
+            by_rest.setdefault(rest, {}).setdefault(unit, name)
+    found = []
+    for pair in by_rest.values():
+        if len(pair) < 2:
+            continue
+        seconds, nanoseconds = (np.asarray(table.columns[pair[unit]], dtype=np.float64) for unit in ("s", "ns"))
+        clock = Clock(pair["s"], "s", None, True, pair["ns"])
+        sound = np.isfinite(seconds) & np.isfinite(nanoseconds)
+        within = (nanoseconds[sound] >= 0.0) & (nanoseconds[sound] < 1e9)
+        whole = seconds[sound] == np.rint(seconds[sound])
+        if within.all() and whole.all() and steps_s(clock.values(table))[1] >= EVEN:
+            found.append(clock)
+    return found
+
+
+def _restarts(table: Table, name: str, unit: str | None) -> bool:
+    """Whether a column is the fraction of a second alone, which falls by most of a second where one ends.
+
+    Without a unit it is one in any unit in which it stays within a second at a rate that recorders have.
+    """
+    values = np.asarray(table.columns[name], dtype=np.float64)
+    values = values[np.isfinite(values)]
+    step, _ = steps_s(values)
+    return any(
+        values.min() >= 0.0 and values.max() * size < 1.0 and np.diff(values).min() * size < -0.5
+        and step * size > 1.0 / FASTEST_HZ
+        for one, size in TIME_UNITS.items()
+        if unit in (None, one)
+    )  # fmt: skip
 
 
 def find_groups(table: Table, arm: Arm, clocks: list[Clock]) -> tuple[list[Group], list[str]]:
@@ -84,7 +156,7 @@ def find_groups(table: Table, arm: Arm, clocks: list[Clock]) -> tuple[list[Group
         arm: Whose joints are looked for.
         clocks: Columns that are stamps, which belong to no group.
     """
-    taken = {clock.name for clock in clocks}
+    taken = {name for clock in clocks for name in (clock.name, clock.nanoseconds)}
     meanings = {name: meaning_of(name) for name in table.columns if name not in taken}
     nameless = [name for name in meanings if _nameless(name)]
     members: dict[tuple[object, ...], list[tuple[str, int | str]]] = {}

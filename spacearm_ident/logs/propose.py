@@ -58,7 +58,8 @@ def propose(
     log.found.rows = _by_signal(log.found.rows)
     if not log.found.questions:
         columns = _columns(chosen, arm)
-        log.found.mapping = LogMapping(columns, units, time, time_unit, rate_hz, of_drives, {}, arm_file)
+        name, nanoseconds = (None, None) if time is None else (time.name, time.nanoseconds)
+        log.found.mapping = LogMapping(columns, units, name, time_unit, rate_hz, of_drives, {}, arm_file, nanoseconds)
     return log.found
 
 

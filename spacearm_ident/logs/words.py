@@ -98,7 +98,7 @@ UNITS: dict[str, str] = {
     **dict.fromkeys(_words("s sec secs second seconds sek sekunden segundos"), "s"),
     **dict.fromkeys(_words("ms msec millis milliseconds millisekunden"), "ms"),
     **dict.fromkeys(_words("us usec µs μs micros microseconds"), "us"),
-    **dict.fromkeys(_words("ns nsec nanos nanoseconds nanosec"), "ns"),
+    **dict.fromkeys(_words("ns nsec nsecs nanos nanosec nanosecs nanosecond nanoseconds"), "ns"),
 }
 """Unit as written -> as it is called here."""
 OF_QUANTITY: dict[str, tuple[str, ...]] = {
@@ -182,6 +182,16 @@ def _without_unit(name: str) -> tuple[str, str | None]:
             if unit is not None:
                 return name[: found_end.start()], unit
     return name, None
+
+
+def split_unit(name: str) -> tuple[str, str | None]:
+    """A name without its unit, and the unit; a name that is a unit, such as `nsec`, has nothing beside it.
+
+    Args:
+        name: The name of a column.
+    """
+    whole = _spelled(name)
+    return ("", whole) if whole is not None else _without_unit(name)
 
 
 def _parts(name: str) -> list[str]:

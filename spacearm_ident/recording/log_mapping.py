@@ -3,6 +3,7 @@
     schema: spacearm_ident/log_mapping/1
     arm: arm.urdf                       # URDF or arm YAML, seen from this file; optional
     time: {column: Zeit [s], unit: s}   # or {rate_hz: 500}: evenly sampled, nothing else known
+                                        # or {column: sec, unit: s, nanoseconds: nanosec}: whole seconds and the rest
     units: {position: deg, velocity: deg/s, effort: mA}
     joints:
       joint_1: {position: Winkel 1, velocity: Tempo 1, effort: Strom 1, command: Soll 1}
@@ -27,7 +28,7 @@ from spacearm_ident.documents import read_yaml, write_whole
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording.intake import Samples, listing
 from spacearm_ident.recording.tables import Table
-from spacearm_ident.recording.tables.table import Column
+from spacearm_ident.recording.tables.table import Column, filled
 
 MAPPING_SCHEMA = "spacearm_ident/log_mapping/1"
 MAPPING_SUFFIX = ".mapping.yaml"
@@ -69,6 +70,7 @@ class LogMapping:
         time: Column of time; None: rows are `1 / rate_hz` apart.
         time_unit: One of `TIME_UNITS`.
         rate_hz: Rows a second, where there is no time.
+        nanoseconds: Column of the nanoseconds that are added to a time in whole seconds; None: the time is whole.
         constants: Joint -> N·m on the output side for each A, or at 100 %; those missing are the arm's to know.
         counts: Joint -> encoder counts a turn of the joint, signed.
         arm: URDF or arm YAML.
@@ -82,6 +84,7 @@ class LogMapping:
     constants: Mapping[str, float] = field(default_factory=dict)
     counts: Mapping[str, float] = field(default_factory=dict)
     arm: Path | None = None
+    nanoseconds: str | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -144,8 +147,10 @@ def _stamps_ns(table: Table, mapping: LogMapping, where: str) -> IntArray:
         assert mapping.rate_hz is not None  # read_mapping and the proposal see to it
         return np.asarray(np.rint(np.arange(table.rows) * (1e9 / mapping.rate_hz)), dtype=np.int64)
     values = column(table, mapping.time, where)
+    if mapping.nanoseconds is not None:
+        values = _joined_ns(values, column(table, mapping.nanoseconds, where))
     if values.dtype.kind == "i":
-        factor = round(TIME_UNITS[mapping.time_unit] * 1e9)
+        factor = 1 if mapping.nanoseconds is not None else round(TIME_UNITS[mapping.time_unit] * 1e9)
         if np.abs(values).max() < 2**62 // factor:
             return np.asarray(values * factor, dtype=np.int64)
         raise UserError(f"{where}: {mapping.time!r} in {mapping.time_unit} is no time of this age; correct the unit")
@@ -153,9 +158,16 @@ def _stamps_ns(table: Table, mapping: LogMapping, where: str) -> IntArray:
     sound = np.isfinite(seconds) & (np.abs(seconds) < _LONGEST_S)
     if not sound.any():
         raise UserError(f"{where}: {mapping.time!r} in {mapping.time_unit} is no time of this age; correct the unit")
-    # A row without a time takes that of the row before, and is dropped as a repetition.
-    last = np.maximum.accumulate(np.where(sound, np.arange(len(seconds)), np.argmax(sound)))
-    return np.asarray(np.rint(seconds[last] * 1e9), dtype=np.int64)
+    return np.asarray(np.rint(filled(seconds, sound) * 1e9), dtype=np.int64)
+
+
+def _joined_ns(seconds: Column, nanoseconds: Column) -> Column:
+    """(N,) nanoseconds of a time in two columns: none is lost, which a float of both would."""
+    sound = np.isfinite(seconds) & (np.abs(seconds) < _LONGEST_S) & (np.abs(nanoseconds) < 1e9)
+    if not sound.any():
+        return np.full(len(seconds), np.nan)
+    whole, rest = (np.asarray(np.rint(filled(part, sound)), dtype=np.int64) for part in (seconds, nanoseconds))
+    return whole * 1_000_000_000 + rest
 
 
 def _signal(table: Table, mapping: LogMapping, signal: str, where: str) -> FloatArray:
@@ -183,6 +195,8 @@ def _constant(mapping: LogMapping, joint: str, unit: str) -> float:
 def mapping_to_dict(mapping: LogMapping, beside: Path) -> dict[str, Any]:
     """Plain data of a mapping file in the folder `beside`."""
     time: dict[str, Any] = {"column": mapping.time, "unit": mapping.time_unit}
+    if mapping.nanoseconds is not None:
+        time["nanoseconds"] = mapping.nanoseconds
     data: dict[str, Any] = {"schema": MAPPING_SCHEMA}
     if mapping.arm is not None:
         arm = mapping.arm.resolve()
@@ -283,6 +297,11 @@ def _time(value: Any, where: str) -> dict[str, Any]:
             raise UserError(f"{where}: rate_hz: {rate:g} rows a second cannot be")
         return {"rate_hz": rate}
     unit = str(given.get("unit", "s"))
-    if not set(given) <= {"column", "unit"} or "column" not in given or unit not in TIME_UNITS:
+    if not set(given) <= {"column", "unit", "nanoseconds"} or "column" not in given or unit not in TIME_UNITS:
         raise UserError(f"{where} needs 'column' and 'unit' (one of {', '.join(TIME_UNITS)}), or 'rate_hz' alone")
-    return {"time": str(given["column"]), "time_unit": unit}
+    time = {"time": str(given["column"]), "time_unit": unit}
+    if given.get("nanoseconds") is None:
+        return time
+    if unit != "s":
+        raise UserError(f"{where}: 'nanoseconds' are added to a column of whole seconds: its unit is s, not {unit}")
+    return time | {"nanoseconds": str(given["nanoseconds"])}

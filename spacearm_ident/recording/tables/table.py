@@ -100,6 +100,16 @@ def numbers(column: NDArray[Any]) -> Column:
     return np.ascontiguousarray(column.astype(np.float64))
 
 
+def filled(column: NDArray[Any], sound: NDArray[np.bool_]) -> NDArray[Any]:
+    """A time of which a row that has none takes that of the row before: it is dropped as a repetition later.
+
+    Args:
+        column: (N,).
+        sound: (N,) whether a row has a time; one at least does. Rows before the first take the first.
+    """
+    return column[np.maximum.accumulate(np.where(sound, np.arange(len(column)), np.argmax(sound)))]
+
+
 def require_room(announced: int, where: str) -> None:
     """Refuse a log whose numbers would not fit.
 

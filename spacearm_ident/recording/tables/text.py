@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ _HEAD_BYTES = 256 * 1024
 _LOOKED_AT = 40  # lines from which separator and decimal mark are told
 _LONGEST_LINE = 64 * 1024
 _COMMENTS = ("#", "%", "//")
+_COMMENT_MARK = re.compile(r"\s*(?:[#%]|//)*\s*")  # a single slash begins the name of a topic
 _SEPARATORS = (";", "\t", ",", "|", " ")  # " " stands for any run of white space
 _MAX_PREAMBLE = 200
 _WHOLE_DIGITS = 15  # digits a float64 keeps
@@ -119,7 +121,7 @@ def _as_laid_out(lines: list[str], separator: str, decimal: str) -> tuple[int, i
         if len(row) == width and not line.startswith(_COMMENTS):
             count += sum(_number(cell, decimal) is not None for cell in row)
     heads = [line for line in lines[:first] if line.strip()]
-    names = [cell.strip() for cell in cells(heads[-1].lstrip("#%/ "), separator)] if heads else []
+    names = [cell.strip() for cell in cells(_COMMENT_MARK.sub("", heads[-1], count=1), separator)] if heads else []
     named = len(names) == width
     unique = _unique(names) if named else tuple(f"column {k + 1}" for k in range(width))
     return count, named, Dialect(separator, decimal, first, unique)
