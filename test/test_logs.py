@@ -391,6 +391,79 @@ def test_nanoseconds_without_whole_seconds_are_no_mapping(tmp_path, time):
         read_mapping(tmp_path / "m.yaml")
 
 
+def dates_csv(path: Path, dates: list[str], run: Recording) -> Path:
+    rows = np.column_stack([run.position, run.effort])
+    lines = [";".join([date, *(f"{cell:.12g}" for cell in row)]) for date, row in zip(dates, rows, strict=True)]
+    path.write_text("\n".join(["datetime;q1;q2;tau1;tau2", *lines]))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("form", "ahead_h"),
+    [
+        ("{day}T{clock}", 0.0),
+        ("{day} {clock}", 0.0),
+        ("{day}T{clock}Z", 0.0),
+        ("{day} {clock}+00:00", 0.0),
+        ("{day}T{clock}+01:30", 1.5),
+        ("{day}T{clock}-0800", -8.0),
+        ('"{day} {clock}"', 0.0),
+    ],
+)
+def test_dates_with_times_in_text_are_a_time_of_utc(tmp_path, form, ahead_h):
+    run = small_arm.recording(4.0)
+    stamps = 1_732_958_860_900_000_123 + np.rint(run.time * 1e9).astype(np.int64)
+    texts = [str(stamp).split("T") for stamp in stamps.astype("datetime64[ns]")]
+    log = dates_csv(tmp_path / "log.csv", [form.format(day=day, clock=clock) for day, clock in texts], run)
+    got = read_log(log, arm_file(tmp_path, small_arm.URDF))
+    assert (got.mapping.time, got.mapping.time_unit) == ("datetime", "ns")
+    assert got.recording.start_ns == stamps[0] - round(ahead_h * 3600e9)
+    assert np.array_equal(np.rint(got.recording.time * 1e9), stamps - stamps[0])
+    assert not [issue for issue in got.recording.issues if issue.kind == "cell"]
+
+
+def test_a_row_whose_date_is_none_is_left_out_and_counted(tmp_path):
+    run = small_arm.recording(4.0)
+    dates = [str(stamp) for stamp in np.rint(run.time * 1e9).astype("datetime64[ns]")]
+    dates[50] = "1970-13-01T00:00:00"
+    got = read_log(dates_csv(tmp_path / "log.csv", dates, run), arm_file(tmp_path, small_arm.URDF)).recording
+    assert len(got.time) == len(run.time) - 1
+    assert [issue.count for issue in got.issues if issue.kind == "cell"] == [1]
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+def test_timestamps_of_parquet_are_a_time(tmp_path, unit):
+    arrow = pytest.importorskip("pyarrow", reason="needs pyarrow")
+    from pyarrow import parquet
+
+    run = small_arm.recording(4.0)
+    stamps = (1_732_958_860_900_000_000 + np.rint(run.time * 1e9).astype(np.int64)).astype("datetime64[ns]")
+    instants = arrow.array(stamps.astype(f"datetime64[{unit}]"), arrow.timestamp(unit, "Europe/Berlin"))
+    columns = {"recorded": instants, "position": list(run.position), "effort": list(run.effort)}
+    parquet.write_table(arrow.table(columns), tmp_path / "log.parquet")
+    got = read_log(tmp_path / "log.parquet", arm_file(tmp_path, small_arm.URDF))
+    assert (got.mapping.time, got.mapping.time_unit) == ("recorded", "ns")
+    assert got.recording.start_ns == stamps[0].astype(np.int64)
+    assert np.abs(got.recording.time - run.time).max() < 1e-9
+
+
+def test_dates_of_numpy_are_a_time_and_one_that_is_missing_leaves_its_row_out(tmp_path):
+    run = small_arm.recording(4.0)
+    stamps = np.rint(run.time * 1e9).astype("datetime64[ns]")
+    stamps[[0, 50]] = np.datetime64("NaT")
+    np.savez(tmp_path / "log.npz", stamps=stamps, q=run.position, tau=run.effort)
+    got = read_log(tmp_path / "log.npz", arm_file(tmp_path, small_arm.URDF))
+    assert (got.mapping.time, got.mapping.time_unit) == ("stamps", "ns")
+    assert len(got.recording.time) == len(run.time) - 2
+
+
+def test_a_slow_log_of_dates_is_called_slow_not_asked_for_its_unit(tmp_path):
+    run = small_arm.recording(4.0)
+    stamps = (np.arange(len(run.time)) * 50_000_000).astype("datetime64[ns]")
+    with pytest.raises(UnfitDataError, match="20 rows a second"):
+        read_log(dates_csv(tmp_path / "log.csv", list(map(str, stamps)), run), arm_file(tmp_path, small_arm.URDF))
+
+
 def test_currents_without_constants_are_asked_for(tmp_path):
     run = small_arm.recording(8.0)
     found = proposal(tmp_path, ["t", "q1", "q2", "I1 [A]", "I2 [A]"], run.time, run.position, run.effort / 20.0)

@@ -40,7 +40,8 @@ def time_of(log: Search) -> tuple[Clock | None, str, float | None, FloatArray]:
         return None, "s", None, rows
     own = clock.values(log.table)
     step, _ = steps_s(own)
-    unit = "s" if clock.nanoseconds is not None else log.answers.get("time_unit") or clock.unit
+    known = clock.nanoseconds is not None or clock.name in log.table.dates
+    unit = clock.unit if known else log.answers.get("time_unit") or clock.unit
     possible = [one for one, size in TIME_UNITS.items() if SLOWEST_HZ <= 1.0 / (size * step) <= FASTEST_HZ]
     if unit is None and len(possible) == 1:
         unit = possible[0]
@@ -52,7 +53,8 @@ def time_of(log: Search) -> tuple[Clock | None, str, float | None, FloatArray]:
         return clock, "s", None, own
     else:
         why = "told" if "time_unit" in log.answers else "written"
-        why += ", seconds and nanoseconds" if clock.nanoseconds is not None else ""
+        if known:
+            why = "dates" if clock.nanoseconds is None else "seconds and nanoseconds"
         log.tell("time", clock.columns, unit, f"{why}; {1 / (step * _unit(unit)):.5g} Hz")
     _require_rate(log, 1.0 / (step * _unit(unit)))
     return clock, unit, None, own * _unit(unit)
@@ -61,7 +63,7 @@ def time_of(log: Search) -> tuple[Clock | None, str, float | None, FloatArray]:
 def _asked(log: Search, name: str) -> Clock:
     """The time that the user names, with its nanoseconds where it has them; a fraction of a second stays one."""
     found = next((clock for clock in log.clocks if clock.name == name), None)
-    if found is not None and (found.nanoseconds is not None or found.flaw == RESTARTS):
+    if found is not None and (found.nanoseconds is not None or found.flaw == RESTARTS or name in log.table.dates):
         return found
     return Clock(name, None, None, True)
 

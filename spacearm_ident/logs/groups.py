@@ -89,16 +89,17 @@ def find_clocks(table: Table) -> list[Clock]:
     for name in table.columns:
         meaning = meaning_of(name)
         of_a_joint = meaning.quantity is None and meaning.number is not None and not _nameless(name)
-        if name in split or meaning.quantity not in (TIME, INDEX, None) or of_a_joint:
+        dated = name in table.dates
+        if name in split or (not dated and (meaning.quantity not in (TIME, INDEX, None) or of_a_joint)):
             continue
-        unit = meaning.unit or _unit_alone(name)
+        unit = "ns" if dated else meaning.unit or _unit_alone(name)
         ticks = Clock(name, unit, None, False).values(table)
         _, share = steps_s(ticks)
         if share < EVEN:
             continue
         counts = bool(np.median(np.abs(np.diff(ticks) - 1.0)) < 1e-9) and (meaning.quantity == INDEX or unit is None)
         flaw = COUNTS_ROWS if counts else RESTARTS if _restarts(table, name, unit) else None
-        found.append(Clock(name, unit, flaw, meaning.quantity == TIME))
+        found.append(Clock(name, unit, flaw, meaning.quantity == TIME or dated))
     return sorted(found, key=lambda clock: (clock.flaw is not None, not clock.named))
 
 

@@ -57,10 +57,10 @@ def _arrays(path: Path) -> dict[str, Any]:
 
 
 def _array(column: Any) -> Any:
-    """(N,) or (N, k) of a column of numbers or of lists of one length; None of any other."""
+    """(N,) or (N, k) of a column of numbers, of dates with times, or of lists of one length; None of any other."""
     types = optional("pyarrow.types", "pyarrow", "reading Parquet")
     kind = column.type
-    if types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind):
+    if types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_timestamp(kind):
         return column.to_numpy()
     if not (types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)) or column.null_count:
         return None
@@ -120,7 +120,7 @@ def _episodes(folder: Path, arrays: dict[str, Any], sources: tuple[Source, ...],
         time[start:] += time[start - 1] - time[start] + max(1.0, 100.0 / fps) if before < start else 0.0
     named: dict[str, Column] = {TIME: time}
     for name, array in arrays.items():
-        if name not in (TIME, EPISODE, FRAME, *_BOOKKEEPING):
+        if name not in (TIME, EPISODE, FRAME, *_BOOKKEEPING) and np.asarray(array).dtype.kind != "M":
             named |= _elements(name, np.asarray(array)[order], info)
     issues = []
     if len(starts) > 1:

@@ -32,6 +32,7 @@ class Table:
         starts: First rows of the stretches that follow each other in time (episodes of a data set); the first is 0.
         rate_hz: Rows a second where the format itself says so.
         issues: What was found wrong and what was done about it.
+        dates: Columns of dates with times, whole nanoseconds since 1970, UTC where the log names no zone.
     """
 
     columns: Mapping[str, Column]
@@ -39,6 +40,7 @@ class Table:
     starts: tuple[int, ...] = (0,)
     rate_hz: float | None = None
     issues: tuple[Issue, ...] = ()
+    dates: frozenset[str] = frozenset()
 
     @property
     def rows(self) -> int:
@@ -58,6 +60,8 @@ def table_of(arrays: Mapping[str, Any], sources: tuple[Source, ...], where: str,
     Raises:
         UserError: No numeric array of two rows or more, or more than `MAX_COLUMNS` columns.
     """
+    instants = {name: since_1970(array) for name, array in arrays.items() if np.asarray(array).dtype.kind == "M"}
+    arrays = dict(arrays) | instants
     upright = {name: matrix for name, array in arrays.items() if (matrix := _matrix(array)) is not None}
     weight: Counter[int] = Counter()
     for matrix in upright.values():  # time runs along the longer side, whichever that is
@@ -80,7 +84,8 @@ def table_of(arrays: Mapping[str, Any], sources: tuple[Source, ...], where: str,
     if left:
         shown = ", ".join(left[:5]) + (", ..." if len(left) > 5 else "")
         issues.append(Issue("column_left_out", f"arrays not of {rows} rows left out: {shown}", len(left)))
-    return Table(columns, sources, rate_hz=rate_hz, issues=tuple(issues))
+    dates = frozenset(name for name, whole in instants.items() if whole is not None and name in columns)
+    return Table(columns, sources, rate_hz=rate_hz, issues=tuple(issues), dates=dates)
 
 
 def _matrix(array: Any) -> NDArray[Any] | None:
@@ -98,6 +103,22 @@ def numbers(column: NDArray[Any]) -> Column:
     if column.dtype.kind in "iu" and column.dtype.itemsize == 8:
         return np.ascontiguousarray(column.astype(np.int64))
     return np.ascontiguousarray(column.astype(np.float64))
+
+
+def since_1970(dates: Any) -> NDArray[np.int64] | None:
+    """(N,) nanoseconds since 1970, a row without a date as `filled`; None where none has one, or of a matrix.
+
+    Args:
+        dates: numpy's datetime64 of any unit.
+    """
+    values = np.asarray(dates)
+    if values.ndim != 1 or np.isnat(values).all():
+        return None
+    seconds = values.astype("datetime64[s]").astype(np.int64)
+    sound = ~np.isnat(values) & (np.abs(seconds) < 2**62 // 10**9)  # beyond it nanoseconds overflow 64 bits
+    if not sound.any():
+        return None
+    return filled(values, sound).astype("datetime64[ns]").astype(np.int64)
 
 
 def filled(column: NDArray[Any], sound: NDArray[np.bool_]) -> NDArray[Any]:

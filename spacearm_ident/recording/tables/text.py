@@ -3,7 +3,8 @@
 The separator and the decimal mark are those under which most of the first lines split into the same number of cells
 with the most numbers among them. Lines that begin with `#`, `%` or `//` are comments; the last of them, or the line
 above the first row of numbers, names the columns. pyarrow reads the body where it is installed (several times as fast);
-numpy does otherwise. Cells that are no number are NaN, and counted.
+numpy does otherwise. Cells that are no number are NaN, and counted. A column of dates with times (ISO 8601) is whole
+nanoseconds.
 """
 
 from __future__ import annotations
@@ -21,13 +22,16 @@ from numpy.typing import NDArray
 from spacearm_ident.arrays import FloatArray
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording.recording import Issue, Source
-from spacearm_ident.recording.tables.table import FEWEST_ROWS, MAX_COLUMNS, Column, Table, require_room
+from spacearm_ident.recording.tables.table import FEWEST_ROWS, MAX_COLUMNS, Column, Table, require_room, since_1970
 
 _HEAD_BYTES = 256 * 1024
 _LOOKED_AT = 40  # lines from which separator and decimal mark are told
 _LONGEST_LINE = 64 * 1024
 _COMMENTS = ("#", "%", "//")
 _COMMENT_MARK = re.compile(r"\s*(?:[#%]|//)*\s*")  # a single slash begins the name of a topic
+_DATE_TIME = re.compile(
+    r"((?:19|20)\d\d-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d)?)?"
+)  # ISO 8601, and as pandas writes it; 64 bits of nanoseconds hold no year far beyond
 _SEPARATORS = (";", "\t", ",", "|", " ")  # " " stands for any run of white space
 _MAX_PREAMBLE = 200
 _WHOLE_DIGITS = 15  # digits a float64 keeps
@@ -65,10 +69,13 @@ def read_text_table(path: Path, source: Source) -> Table:
     if len(columns[0]) < FEWEST_ROWS:
         raise UserError(f"{path}: fewer than two rows of numbers; is it a log of joint signals?")
     named = _named(dialect, columns, lambda: body or _decoded(data, path).split("\n", dialect.skipped)[-1])
+    dates = _dates(dialect, columns, body)
+    bad -= sum(count for _, count in dates.values())
+    named |= {name: stamps for name, (stamps, _) in dates.items()}
     if not named:
         raise UserError(f"{path}: no column of numbers; is it a log of joint signals?")
     issues = (Issue("cell", f"{bad} cells that are no number taken as missing", bad),) if bad else ()
-    return Table(named, (source,), issues=issues)
+    return Table(named, (source,), issues=issues, dates=frozenset(dates))
 
 
 def _decoded(data: bytes, path: Path) -> str:
@@ -187,8 +194,8 @@ def _read_body(body: str, dialect: Dialect, where: str) -> tuple[list[FloatArray
         return list(quick.T), 0
     rows, bad = [], 0
     for line in body.split("\n"):
-        row = cells(line, dialect.separator)
-        if len(row) not in (width, width + 1) or line.startswith(_COMMENTS):
+        row = _row(line, dialect, width)
+        if row is None:
             bad += width if line.strip() else 0
             continue
         values = [_number(cell, dialect.decimal) for cell in row[:width]]
@@ -197,6 +204,12 @@ def _read_body(body: str, dialect: Dialect, where: str) -> tuple[list[FloatArray
     if not rows:
         raise UserError(f"{where}: no rows of {width} cells; is it a log of joint signals?")
     return list(np.array(rows, dtype=np.float64).T), bad
+
+
+def _row(line: str, dialect: Dialect, width: int) -> list[str] | None:
+    """The cells of a line; None where it is no row of the table."""
+    row = cells(line, dialect.separator)
+    return None if len(row) not in (width, width + 1) or line.startswith(_COMMENTS) else row
 
 
 def _with_pyarrow(data: bytes, dialect: Dialect) -> list[FloatArray] | None:
@@ -257,6 +270,37 @@ def _named(dialect: Dialect, columns: list[FloatArray], body: Callable[[], str])
             whole = _whole(body(), k, dialect, len(column))
             named[name] = named[name] if whole is None else whole
     return named
+
+
+def _dates(dialect: Dialect, columns: list[FloatArray], body: str) -> dict[str, tuple[NDArray[np.int64], int]]:
+    """Columns of which most cells are dates with times: nanoseconds since 1970, and how many cells are dates."""
+    places = [k for k, column in enumerate(columns) if not np.isfinite(column).any()]
+    if not places or not body:
+        return {}
+    width = len(dialect.names)
+    rows = [row for line in body.split("\n") if (row := _row(line, dialect, width)) is not None]
+    found = {}
+    for k in places:
+        instants = np.array([_date(row[k]) for row in rows], dtype="datetime64[ns]")
+        count = int((~np.isnat(instants)).sum())
+        stamps = since_1970(instants) if 2 * count > len(rows) else None
+        if stamps is not None:
+            found[dialect.names[k]] = (stamps, count)
+    return found
+
+
+def _date(cell: str) -> np.datetime64:
+    """A date with a time, in UTC where it names no zone; not a time where it is none."""
+    match = _DATE_TIME.fullmatch(cell.strip().strip('"'))
+    if match is None:
+        return np.datetime64("NaT", "ns")
+    day, clock, fraction, sign, hours, minutes = match.groups()
+    try:
+        instant = np.datetime64(f"{day}T{clock}.{fraction or 0}", "ns")
+    except ValueError:  # a thirteenth month
+        return np.datetime64("NaT", "ns")
+    ahead = np.timedelta64(60 * int(hours or 0) + int(minutes or 0), "m")
+    return instant + ahead if sign == "-" else instant - ahead
 
 
 def _whole(body: str, place: int, dialect: Dialect, rows: int) -> NDArray[np.int64] | None:
