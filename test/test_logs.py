@@ -503,6 +503,83 @@ def test_joints_are_told_by_name_in_any_order(tmp_path):
     assert found.mapping.columns["shoulder"] == {"position": "shoulder_pos", "effort": "shoulder_torque"}
 
 
+def listed_csv(path: Path, run: Recording, cells: list[str], joints: int = 2) -> Path:
+    """A log as bagpy writes joint states: the names in a cell of each row, arrays by number; further joints are 0."""
+    nothing = np.zeros((len(run.time), joints - 2))
+    rows = np.column_stack([run.time, run.position[:, ::-1], nothing, run.effort[:, ::-1], nothing])
+    head = ["Time", *(f"position_{k}" for k in range(joints)), *(f"effort_{k}" for k in range(joints)), "name"]
+    lines = [
+        ",".join([*(f"{cell:.12g}" for cell in row), f'"{names}"']) for row, names in zip(rows, cells, strict=True)
+    ]
+    path.write_text("\n".join([",".join(head), *lines]))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("cell", "joints"), [("['elbow', 'shoulder']", 2), ("[elbow; shoulder]", 2), ("('elbow', 'shoulder', 'finger')", 3)]
+)
+def test_joints_that_each_row_lists_are_those_of_the_numbers(tmp_path, cell, joints):
+    run = small_arm.recording(4.0)
+    log = listed_csv(tmp_path / "log.csv", run, [cell] * len(run.time), joints)
+    got = read_log(log, arm_file(tmp_path, small_arm.URDF))
+    assert got.mapping.columns["shoulder"] == {"position": "position_1", "effort": "effort_1"}
+    assert np.abs(got.recording.position - run.position).max() < 1e-9
+    assert "in the order of 'name'" in next(row.because for row in got.proposal.rows if row.signal == "position")
+
+
+def test_joints_listed_in_another_order_later_are_asked(tmp_path):
+    run = small_arm.recording(4.0)
+    cells = ["['elbow', 'shoulder']"] * 100 + ["['shoulder', 'elbow']"] * (len(run.time) - 100)
+    _, found = propose_for(listed_csv(tmp_path / "log.csv", run, cells), arm_file(tmp_path, small_arm.URDF))
+    assert found.mapping is None and any("'name' changes" in question for question in found.questions)
+
+
+def test_a_list_that_lacks_a_joint_of_the_arm_is_asked(tmp_path):
+    run = small_arm.recording(4.0)
+    log = listed_csv(tmp_path / "log.csv", run, ["['elbow', 'waist']"] * len(run.time))
+    _, found = propose_for(log, arm_file(tmp_path, small_arm.URDF))
+    assert found.mapping is None and any("not each joint" in question for question in found.questions)
+
+
+def test_a_list_of_other_names_leaves_the_order_to_the_arm_and_is_told(tmp_path):
+    run = small_arm.recording(4.0)
+    run = replace(run, position=run.position[:, ::-1], effort=run.effort[:, ::-1])
+    log = listed_csv(tmp_path / "log.csv", run, ["['j_a', 'j_b']"] * len(run.time))
+    _, found = propose_for(log, arm_file(tmp_path, small_arm.URDF))
+    assert found.mapping.columns["shoulder"]["position"] == "position_0"
+    assert any("j_a, j_b, none of them a joint" in line for line in found.left_out)
+
+
+def test_arrays_of_numpy_are_in_the_order_of_the_names_beside_them(tmp_path):
+    run = small_arm.recording(4.0)
+    arrays = {"t": run.time, "q": run.position[:, ::-1], "tau": run.effort[:, ::-1]}
+    np.savez(tmp_path / "log.npz", joint_names=np.array(["elbow", "shoulder"]), **arrays)
+    got = read_log(tmp_path / "log.npz", arm_file(tmp_path, small_arm.URDF))
+    assert got.mapping.columns["shoulder"] == {"position": "q[1]", "effort": "tau[1]"}
+
+
+def test_cells_of_matlab_beside_arrays_give_the_order_and_structs_do_not_matter(tmp_path):
+    run = small_arm.recording(4.0)
+    names = np.array(["elbow", "shoulder"], dtype=object)
+    others = np.array([{"a": 1.0}, {"a": 2.0}], dtype=object)
+    arrays = {"t": run.time, "q": run.position[:, ::-1], "tau": run.effort[:, ::-1], "joints": names, "notes": others}
+    savemat(tmp_path / "log.mat", arrays)
+    got = read_log(tmp_path / "log.mat", arm_file(tmp_path, small_arm.URDF))
+    assert got.mapping.columns["shoulder"] == {"position": "q[1]", "effort": "tau[1]"}
+
+
+def test_lists_of_parquet_are_in_the_order_of_the_names_beside_them(tmp_path):
+    arrow = pytest.importorskip("pyarrow", reason="needs pyarrow")
+    from pyarrow import parquet
+
+    run = small_arm.recording(4.0)
+    columns = {"time": run.time, "position": list(run.position[:, ::-1]), "effort": list(run.effort[:, ::-1])}
+    names = [["elbow", "shoulder"]] * len(run.time)
+    parquet.write_table(arrow.table(columns | {"name": names}), tmp_path / "log.parquet")
+    got = read_log(tmp_path / "log.parquet", arm_file(tmp_path, small_arm.URDF))
+    assert got.mapping.columns["shoulder"] == {"position": "position[1]", "effort": "effort[1]"}
+
+
 def test_the_command_asks_writes_nothing_and_exits_2(tmp_path, capsys):
     run = small_arm.recording(8.0)
     log = csv_of(tmp_path, ["n", "q1", "q2", "tau1", "tau2"], np.arange(len(run.time)), run.position, run.effort)

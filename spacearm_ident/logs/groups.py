@@ -146,7 +146,9 @@ def _restarts(table: Table, name: str, unit: str | None) -> bool:
     )  # fmt: skip
 
 
-def find_groups(table: Table, arm: Arm, clocks: list[Clock]) -> tuple[list[Group], list[str]]:
+def find_groups(
+    table: Table, arm: Arm, clocks: list[Clock], listed: tuple[str, ...] = ()
+) -> tuple[list[Group], list[str]]:
     """The groups that have a column for every joint of the arm, and what stays over, as lines.
 
     Joints are told by their names in the columns' names, else by numbers, in the arm's order; columns without either,
@@ -156,6 +158,7 @@ def find_groups(table: Table, arm: Arm, clocks: list[Clock]) -> tuple[list[Group
         table: The log's columns.
         arm: Whose joints are looked for.
         clocks: Columns that are stamps, which belong to no group.
+        listed: The joints in the order of the numbers, as the log lists them; empty: it does not.
     """
     taken = {name for clock in clocks for name in (clock.name, clock.nanoseconds)}
     meanings = {name: meaning_of(name) for name in table.columns if name not in taken}
@@ -176,7 +179,7 @@ def find_groups(table: Table, arm: Arm, clocks: list[Clock]) -> tuple[list[Group
         members.setdefault(key, []).append((name, joint if joint is not None else meaning.number or 0))
     groups, lines = [], []
     for named in members.values():
-        group = _group(named, meanings[named[0][0]], arm)
+        group = _group(named, meanings[named[0][0]], arm, listed)
         if group is None:
             alone += [name for name, _ in named]
         else:
@@ -190,6 +193,16 @@ def find_groups(table: Table, arm: Arm, clocks: list[Clock]) -> tuple[list[Group
         shown = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
         lines.append(f"{shown}: not a signal of every joint, left out")
     return groups, lines
+
+
+def names_joints(table: Table, arm: Arm) -> bool:
+    """Whether the name of a column holds that of a joint of the arm.
+
+    Args:
+        table: The log's columns.
+        arm: Whose joints are looked for.
+    """
+    return any(_joint_named(meaning_of(name), arm) is not None for name in table.columns)
 
 
 def _nameless(name: str) -> bool:
@@ -228,12 +241,17 @@ def _trailing(joint: str) -> int | None:
     return meaning_of(joint).number
 
 
-def _group(named: list[tuple[str, int | str]], meaning: Meaning, arm: Arm) -> Group | None:
+def _group(named: list[tuple[str, int | str]], meaning: Meaning, arm: Arm, listed: tuple[str, ...]) -> Group | None:
     """A group of columns with the joint, or the number, of each; None where a joint of the arm is missing."""
     by_joint = {of: name for name, of in named if isinstance(of, str)}
     by_number = {of: name for name, of in named if isinstance(of, int)}
     if by_joint and not by_number:
         columns = {joint: by_joint[joint] for joint in arm.joint_names if joint in by_joint}
+    elif listed and by_number and not by_joint and len(by_number) == len(named):
+        if len(listed) != len(by_number):
+            return None
+        place = dict(zip(listed, sorted(by_number), strict=True))
+        columns = {joint: by_number[place[joint]] for joint in arm.joint_names}
     elif by_number and not by_joint and len(by_number) == len(named):
         own = [_trailing(joint) for joint in arm.joint_names]
         numbers = sorted(by_number)

@@ -44,6 +44,8 @@ def propose(
     chosen = signals_of(log, seconds)
     if "position" not in chosen:
         return log.found
+    if log.listed_by is not None:
+        log.tell("position", chosen["position"].name, "", f"joints in the order of {log.listed_by!r}")
     units = {"position": position_unit_of(log, chosen)}
     position = chosen["position"].values(table) * log.scale(UNITS["position"].get(units["position"], 1.0))
     if "velocity" in chosen:

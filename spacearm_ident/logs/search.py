@@ -12,7 +12,7 @@ from ..dynamics.arm import Arm
 from ..errors import UnfitDataError, UserError
 from ..recording.log_mapping import UNITS, LogMapping
 from ..recording.tables import Table
-from .groups import Clock, Group, find_clocks, find_groups
+from .groups import Clock, Group, find_clocks, find_groups, names_joints
 from .signals import SLOWEST_HZ, WINDOW_S, steps_s
 
 
@@ -59,6 +59,7 @@ class Search:
         declared: Unit in which the arm YAML declares effort; None: it does not.
         clocks: Columns that can be a time, the likeliest first.
         groups: Columns that differ in the joint alone.
+        listed_by: List of the log that gives the order of the joints; None: their numbers do.
         found: The proposal.
     """
 
@@ -76,8 +77,30 @@ class Search:
         self.found = Proposal()
         self.clocks: list[Clock] = find_clocks(table)
         self.groups: list[Group]
-        self.groups, self.found.left_out = find_groups(table, arm, self.clocks)
+        self.listed_by: str | None = None
+        listed = () if names_joints(table, arm) else self._listed()
+        self.groups, lines = find_groups(table, arm, self.clocks, listed)
+        self.found.left_out += lines
         self._revolute = np.array([joint.revolute for joint in arm.joints])
+
+    def _listed(self) -> tuple[str, ...]:
+        """The joints in the order in which the log lists them; one that is in doubt is asked."""
+        own = set(self.arm.joint_names)
+        for name, values in self.table.lists.items():
+            words = {word for value in values for word in value}
+            if len(values) == 1 and own <= words and len(words) == len(values[0]):
+                self.listed_by = name
+                return values[0]
+            if own & words:
+                what = "changes over the log" if len(values) > 1 else "lists not each joint of the arm once"
+                self.found.questions.append(
+                    f"{name!r} {what}, so that the numbers of the columns say no joint: write a mapping file by hand"
+                )
+            elif any(len(value) == len(own) for value in values):
+                self.found.left_out.append(
+                    f"{name}: lists {', '.join(values[0])}, none of them a joint of the arm; its joints' order is taken"
+                )
+        return ()
 
     def ask(self, question: str, answer: str) -> None:
         """Add a question with the `--set` that answers it."""

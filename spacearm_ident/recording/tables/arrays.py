@@ -54,7 +54,7 @@ def _npz_arrays(path: Path) -> dict[str, Any]:
             with archive.open(item) as member:
                 _require_honest(member, item.file_size, str(path))
     with np.load(path, allow_pickle=False) as loaded:
-        return {name: loaded[name] for name in loaded.files if loaded[name].dtype.kind in "fiubM"}
+        return {name: loaded[name] for name in loaded.files if loaded[name].dtype.kind in "fiubMU"}
 
 
 def _require_honest(member: Any, size: int, where: str) -> None:

@@ -57,13 +57,17 @@ def _arrays(path: Path) -> dict[str, Any]:
 
 
 def _array(column: Any) -> Any:
-    """(N,) or (N, k) of a column of numbers, of dates with times, or of lists of one length; None of any other."""
+    """(N,) or (N, k) of a column of numbers, of dates, of lists of one length, or (N,) lists of words; else None."""
     types = optional("pyarrow.types", "pyarrow", "reading Parquet")
     kind = column.type
     if types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_timestamp(kind):
         return column.to_numpy()
     if not (types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)) or column.null_count:
         return None
+    if types.is_string(kind.value_type) or types.is_large_string(kind.value_type):
+        words = np.empty(len(column), dtype=object)
+        words[:] = [tuple(row) for row in column.to_pylist()]
+        return words
     if not (types.is_floating(kind.value_type) or types.is_integer(kind.value_type)) or not len(column):
         return None
     values = np.concatenate([np.asarray(chunk.flatten().to_numpy(zero_copy_only=False)) for chunk in column.chunks])
@@ -120,7 +124,7 @@ def _episodes(folder: Path, arrays: dict[str, Any], sources: tuple[Source, ...],
         time[start:] += time[start - 1] - time[start] + max(1.0, 100.0 / fps) if before < start else 0.0
     named: dict[str, Column] = {TIME: time}
     for name, array in arrays.items():
-        if name not in (TIME, EPISODE, FRAME, *_BOOKKEEPING) and np.asarray(array).dtype.kind != "M":
+        if name not in (TIME, EPISODE, FRAME, *_BOOKKEEPING) and np.asarray(array).dtype.kind in "fiub":
             named |= _elements(name, np.asarray(array)[order], info)
     issues = []
     if len(starts) > 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ class Table:
         rate_hz: Rows a second where the format itself says so.
         issues: What was found wrong and what was done about it.
         dates: Columns of dates with times, whole nanoseconds since 1970, UTC where the log names no zone.
+        lists: Lists of words beside the numbers, such as the joints' names -> the different values that they take.
     """
 
     columns: Mapping[str, Column]
@@ -41,6 +42,7 @@ class Table:
     rate_hz: float | None = None
     issues: tuple[Issue, ...] = ()
     dates: frozenset[str] = frozenset()
+    lists: Mapping[str, tuple[tuple[str, ...], ...]] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:
@@ -85,7 +87,8 @@ def table_of(arrays: Mapping[str, Any], sources: tuple[Source, ...], where: str,
         shown = ", ".join(left[:5]) + (", ..." if len(left) > 5 else "")
         issues.append(Issue("column_left_out", f"arrays not of {rows} rows left out: {shown}", len(left)))
     dates = frozenset(name for name, whole in instants.items() if whole is not None and name in columns)
-    return Table(columns, sources, rate_hz=rate_hz, issues=tuple(issues), dates=dates)
+    lists = {name: words for name, array in arrays.items() if (words := _words(array))}
+    return Table(columns, sources, rate_hz=rate_hz, issues=tuple(issues), dates=dates, lists=lists)
 
 
 def _matrix(array: Any) -> NDArray[Any] | None:
@@ -96,6 +99,19 @@ def _matrix(array: Any) -> NDArray[Any] | None:
     if values.ndim == 2 and values.shape[0] == 1:
         values = values[0]
     return values[:, None] if values.ndim == 1 else values
+
+
+def _words(array: Any) -> tuple[tuple[str, ...], ...]:
+    """The different lists of words of an array, which is one list or one a row; none where it holds no words."""
+    values = np.asarray(array)
+    if values.dtype.kind not in "UO" or values.ndim not in (1, 2):
+        return ()
+    rows = values.tolist()
+    if values.ndim == 1 and not any(isinstance(row, list | tuple) for row in rows):
+        rows = [rows]
+    if not all(isinstance(row, list | tuple) and all(isinstance(word, str) for word in row) for row in rows):
+        return ()
+    return tuple(sorted({tuple(row) for row in rows}))
 
 
 def numbers(column: NDArray[Any]) -> Column:

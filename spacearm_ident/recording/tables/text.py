@@ -32,6 +32,7 @@ _COMMENT_MARK = re.compile(r"\s*(?:[#%]|//)*\s*")  # a single slash begins the n
 _DATE_TIME = re.compile(
     r"((?:19|20)\d\d-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d)?)?"
 )  # ISO 8601, and as pandas writes it; 64 bits of nanoseconds hold no year far beyond
+_LIST = re.compile(r"\[[^\[\]]*\]|\([^()]*\)")
 _SEPARATORS = (";", "\t", ",", "|", " ")  # " " stands for any run of white space
 _MAX_PREAMBLE = 200
 _WHOLE_DIGITS = 15  # digits a float64 keeps
@@ -69,13 +70,14 @@ def read_text_table(path: Path, source: Source) -> Table:
     if len(columns[0]) < FEWEST_ROWS:
         raise UserError(f"{path}: fewer than two rows of numbers; is it a log of joint signals?")
     named = _named(dialect, columns, lambda: body or _decoded(data, path).split("\n", dialect.skipped)[-1])
-    dates = _dates(dialect, columns, body)
+    texts = _texts(dialect, columns, body)
+    dates = _dates(texts)
     bad -= sum(count for _, count in dates.values())
     named |= {name: stamps for name, (stamps, _) in dates.items()}
     if not named:
         raise UserError(f"{path}: no column of numbers; is it a log of joint signals?")
     issues = (Issue("cell", f"{bad} cells that are no number taken as missing", bad),) if bad else ()
-    return Table(named, (source,), issues=issues, dates=frozenset(dates))
+    return Table(named, (source,), issues=issues, dates=frozenset(dates), lists=_lists(texts))
 
 
 def _decoded(data: bytes, path: Path) -> str:
@@ -272,26 +274,41 @@ def _named(dialect: Dialect, columns: list[FloatArray], body: Callable[[], str])
     return named
 
 
-def _dates(dialect: Dialect, columns: list[FloatArray], body: str) -> dict[str, tuple[NDArray[np.int64], int]]:
-    """Columns of which most cells are dates with times: nanoseconds since 1970, and how many cells are dates."""
+def _texts(dialect: Dialect, columns: list[FloatArray], body: str) -> dict[str, list[str]]:
+    """The cells of the columns without a number."""
     places = [k for k, column in enumerate(columns) if not np.isfinite(column).any()]
     if not places or not body:
         return {}
     width = len(dialect.names)
     rows = [row for line in body.split("\n") if (row := _row(line, dialect, width)) is not None]
+    return {dialect.names[k]: [row[k].strip().strip('"') for row in rows] for k in places}
+
+
+def _dates(texts: dict[str, list[str]]) -> dict[str, tuple[NDArray[np.int64], int]]:
+    """Columns of which most cells are dates with times: nanoseconds since 1970, and how many cells are dates."""
     found = {}
-    for k in places:
-        instants = np.array([_date(row[k]) for row in rows], dtype="datetime64[ns]")
+    for name, cells_of in texts.items():
+        instants = np.array([_date(cell) for cell in cells_of], dtype="datetime64[ns]")
         count = int((~np.isnat(instants)).sum())
-        stamps = since_1970(instants) if 2 * count > len(rows) else None
+        stamps = since_1970(instants) if 2 * count > len(cells_of) else None
         if stamps is not None:
-            found[dialect.names[k]] = (stamps, count)
+            found[name] = (stamps, count)
+    return found
+
+
+def _lists(texts: dict[str, list[str]]) -> dict[str, tuple[tuple[str, ...], ...]]:
+    """Columns whose cells are lists of words, `['a', 'b']` or `(a, b)`: the different ones."""
+    found = {}
+    for name, cells_of in texts.items():
+        different = sorted({cell for cell in cells_of if cell})
+        if different and all(_LIST.fullmatch(cell) for cell in different):
+            found[name] = tuple(tuple(re.findall(r"[^\s,;'\"]+", cell[1:-1])) for cell in different)
     return found
 
 
 def _date(cell: str) -> np.datetime64:
     """A date with a time, in UTC where it names no zone; not a time where it is none."""
-    match = _DATE_TIME.fullmatch(cell.strip().strip('"'))
+    match = _DATE_TIME.fullmatch(cell)
     if match is None:
         return np.datetime64("NaT", "ns")
     day, clock, fraction, sign, hours, minutes = match.groups()
