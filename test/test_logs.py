@@ -496,6 +496,30 @@ def test_slow_logs_and_logs_without_torque_are_refused_with_what_they_are_good_f
         proposal(tmp_path, ["t", "q1", "q2"], run.time, run.position)
 
 
+@pytest.mark.parametrize(
+    "units",
+    ["ms\tdeg\tdeg\tNm\tNm", "[ms]\t[deg]\t[deg]\t[Nm]\t[Nm]", '"(ms)"\t"(deg)"\t"(deg)"\t"(Nm)"\t"(Nm)"'],
+)
+def test_a_line_of_units_below_the_names_gives_the_units(tmp_path, units):
+    run = small_arm.recording(4.0)
+    log = csv_of(tmp_path, ["t", "q1", "q2", "tau1", "tau2"], run.time * 1e3, np.degrees(run.position), run.effort)
+    names, *rows = log.read_text().split("\n")
+    log.write_text("\n".join([names, units, *rows]))
+    got = read_log(log, arm_file(tmp_path, small_arm.URDF))
+    assert got.mapping.columns["elbow"] == {"position": "q2 [deg]", "effort": "tau2 [Nm]"}
+    assert (got.mapping.time, got.mapping.time_unit) == ("t [ms]", "ms")
+    assert all("written" in row.because for row in got.proposal.rows)
+    same_samples(got.recording, run)
+
+
+@pytest.mark.parametrize("above", ["made\tby\tan\told\trobot", "log\t\t\t\t"])
+def test_a_line_above_the_names_is_not_taken_for_them(tmp_path, above):
+    run = small_arm.recording(4.0)
+    log = csv_of(tmp_path, ["t", "q1", "q2", "tau1", "tau2"], run.time, run.position, run.effort)
+    log.write_text(f"{above}\n{log.read_text()}")
+    assert list(read_table(log).columns) == ["t", "q1", "q2", "tau1", "tau2"]
+
+
 def test_joints_are_told_by_name_in_any_order(tmp_path):
     run = small_arm.recording(8.0)
     head = ["t", "elbow_pos", "shoulder_pos", "elbow_torque", "shoulder_torque"]

@@ -2,9 +2,9 @@
 
 The separator and the decimal mark are those under which most of the first lines split into the same number of cells
 with the most numbers among them. Lines that begin with `#`, `%` or `//` are comments; the last of them, or the line
-above the first row of numbers, names the columns. pyarrow reads the body where it is installed (several times as fast);
-numpy does otherwise. Cells that are no number are NaN, and counted. A column of dates with times (ISO 8601) is whole
-nanoseconds.
+above the first row of numbers, names the columns; a line of units below the names is added to them. pyarrow reads the
+body where it is installed (several times as fast); numpy does otherwise. Cells that are no number are NaN, and counted.
+A column of dates with times (ISO 8601) is whole nanoseconds.
 """
 
 from __future__ import annotations
@@ -130,10 +130,24 @@ def _as_laid_out(lines: list[str], separator: str, decimal: str) -> tuple[int, i
         if len(row) == width and not line.startswith(_COMMENTS):
             count += sum(_number(cell, decimal) is not None for cell in row)
     heads = [line for line in lines[:first] if line.strip()]
-    names = [cell.strip() for cell in cells(_COMMENT_MARK.sub("", heads[-1], count=1), separator)] if heads else []
+    rows = [[cell.strip() for cell in cells(_COMMENT_MARK.sub("", line, count=1), separator)] for line in heads[-2:]]
+    names = _with_units(*rows) if len(rows) == 2 else rows[0] if rows else []
     named = len(names) == width
     unique = _unique(names) if named else tuple(f"column {k + 1}" for k in range(width))
     return count, named, Dialect(separator, decimal, first, unique)
+
+
+def _with_units(above: list[str], last: list[str]) -> list[str]:
+    """The columns' names of the last two lines above the numbers: those of the last, or of both where it has the units.
+
+    Names differ and units repeat: a line whose words repeat, below one of as many of which none does, has the units.
+    """
+    names, units = ([cell.strip('"') for cell in row] for row in (above, last))
+    words = [unit for unit in units if unit]
+    if len(names) != len(units) or not all(names) or len(set(names)) < len(names) or len(set(words)) == len(words):
+        return last
+    bare = [unit.strip("[]()") for unit in units]
+    return [f"{name} [{unit}]" if unit.strip("-") else name for name, unit in zip(names, bare, strict=True)]
 
 
 def cells(line: str, separator: str) -> list[str]:
