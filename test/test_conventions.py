@@ -11,16 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from planted_arm import Friction, Link, incommensurate, plant
+from planted_arm import Friction, Link, incommensurate, plant, urdf_of
 
 from spacearm_ident.conventions.change import Change, Kind
 from spacearm_ident.conventions.check import check_conventions
+from spacearm_ident.conventions.description import compare_description
 from spacearm_ident.conventions.finding import ConventionReport, Level
 from spacearm_ident.conventions.rows import rows_of
 from spacearm_ident.conventions.scorer import Scorer
 from spacearm_ident.conventions.search import is_testable
 from spacearm_ident.conventions.setup import Setup
 from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
+from spacearm_ident.dynamics.urdf_chain import locked
 from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.recording.corrections import Corrections, read_corrections
 from spacearm_ident.signals.prepare import prepare
@@ -353,6 +355,40 @@ def test_another_arm_than_the_bag_describes_is_said(run):
     report = check_conventions([run], other)
     said = next(finding for finding in report.findings if finding.kind == "robot_description")
     assert said.joints == ("elbow",) and "200 mm" in said.statement and said.level is Level.UNFIT
+
+
+def sliding(name: str) -> str:
+    """The URDF of the arm on a prismatic torso, whose elbow's origin is turned; `name` is a link that is 0.2 m off."""
+    torso = Link(
+        "torso",
+        kind="prismatic",
+        xyz=(0, 0, 0.2),
+        axis=(0, 0, 2),
+        limit='lower="0" upper="1" effort="900" velocity="1"',
+        mass=9.0,
+    )
+    links = [replace(link, parent="torso") if link.name == "waist" else link for link in LINKS]
+    links = [replace(link, rpy=(0.3, -0.2, 0.4)) if link.name == "elbow" else link for link in links]
+    return urdf_of(
+        [replace(one, xyz=np.add(one.xyz, (0, 0.2, 0))) if one.name == name else one for one in (torso, *links)]
+    )
+
+
+LOCKED = {"torso": 0.35, "shoulder": -0.7}
+"""Joints of `sliding` before the arm and within it, and where they are locked."""
+
+
+def test_an_arm_with_locked_joints_is_the_one_that_the_bag_describes_without_them(run):
+    for at in ({}, {"torso": 0.35}, LOCKED, {"wrist": 1.2}):
+        arm = arm_from_urdf(locked(sliding(""), at, at))
+        assert compare_description(replace(run, urdf=sliding("")), arm) == [], at
+
+
+@pytest.mark.parametrize(("moved", "joint"), [("torso", "waist"), ("waist", "waist"), ("shoulder", "elbow")])
+def test_another_geometry_is_found_behind_joints_that_are_locked(run, moved, joint):
+    arm = arm_from_urdf(locked(sliding(moved), LOCKED, LOCKED))
+    (said,) = compare_description(replace(run, urdf=sliding("")), arm)
+    assert (said.joints, said.level) == ((joint,), Level.UNFIT) and "200 mm" in said.statement
 
 
 def test_a_gain_is_called_a_gain_or_a_mass_and_no_broken_convention(run, arm):

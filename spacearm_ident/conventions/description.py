@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..dynamics.arm import Arm, Joint, arm_from_urdf
+from ..dynamics.urdf_chain import locked_as_in
 from ..errors import UserError
 from ..recording.recording import Recording
 from .finding import Finding, Level
@@ -18,6 +19,9 @@ MASS_SHARE = 0.02
 def compare_description(recording: Recording, arm: Arm) -> list[Finding]:
     """What the bag's /robot_description says otherwise than the arm given; nothing where it holds none.
 
+    Joints that are locked in the arm are locked at the same positions in the bag's description before the two are
+    compared: an arm that `spacearm new-arm` made from that description is the same arm.
+
     Args:
         recording: As read.
         arm: What the user says it is of.
@@ -30,11 +34,12 @@ def compare_description(recording: Recording, arm: Arm) -> list[Finding]:
         text = f"the bag's robot_description cannot be read: {error}"
         return [Finding("robot_description", Level.NOTE, (), text, "check the description that is published")]
     remedy = "leave --arm out to take the bag's own description, or give the URDF of the arm that was recorded"
-    there = {joint.name: joint for joint in told.joints}
-    missing = [name for name in arm.joint_names if name not in there]
+    missing = [name for name in arm.joint_names if name not in told.joint_names]
     if missing:
         text = f"the bag describes {told.name!r} without {', '.join(missing)} of {arm.name!r}"
         return [Finding("robot_description", Level.UNFIT, tuple(missing), text, remedy)]
+    told = arm_from_urdf(locked_as_in(recording.urdf, arm.urdf))
+    there = {joint.name: joint for joint in told.joints}
     carriers = {joint.name: _carrier(told, joint) for joint in told.joints}
     differing, worst = [], 0.0
     for joint in arm.joints:

@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
+from ..arrays import FloatArray
 from ..documents import parse_xml
 from ..errors import UserError
 from .urdf_check import check_urdf
@@ -171,6 +172,26 @@ def locked(urdf: str, joints: Iterable[str], at: Mapping[str, float] | None = No
     return ET.tostring(tree.robot, encoding="unicode")
 
 
+def locked_as_in(urdf: str, other: str) -> str:
+    """The URDF with those joints fixed that are fixed in another one, where they are there.
+
+    Args:
+        urdf: Text of the description.
+        other: Text of a description of the same robot in which some joints are locked.
+
+    Raises:
+        UserError: One of them is no URDF.
+    """
+    tree, theirs = JointTree(urdf), JointTree(other)
+    names = [
+        joint.name
+        for joint in tree.joints
+        if joint.kind in DRIVEN | FREE and joint.name in theirs.by_name and theirs.by_name[joint.name].kind == "fixed"
+    ]
+    driven = [name for name in names if tree.by_name[name].driven]
+    return locked(urdf, names, {name: _moved_by(tree.elements[name], theirs.elements[name]) for name in driven})
+
+
 def bounded(urdf: str) -> str:
     """The URDF with continuous joints made revolute, whose limits are far beyond any motion.
 
@@ -288,28 +309,53 @@ def _fix(element: ET.Element, position: float) -> None:
     Raises:
         UserError: It has no axis.
     """
-    origin, axis = element.find("origin"), element.find("axis")
+    origin = element.find("origin")
     if origin is None:
         origin = ET.SubElement(element, "origin")
     if element.get("type") in DRIVEN and position:
-        direction = np.array(_numbers("1 0 0" if axis is None else axis.get("xyz", "1 0 0")))
-        if not direction.any():
-            raise UserError(f"joint {element.get('name')!r} has the axis 0 0 0: give it a direction")
-        direction = direction / np.linalg.norm(direction)
-        placement = pin.SE3(
-            pin.rpy.rpyToMatrix(np.array(_numbers(origin.get("rpy", "0 0 0")))),
-            np.array(_numbers(origin.get("xyz", "0 0 0"))),
-        )
+        motion = position * _direction(element)
         if element.get("type") == "prismatic":
-            placement = placement * pin.SE3(np.eye(3), position * direction)
+            placement = _placement(element) * pin.SE3(np.eye(3), motion)
         else:
-            placement = placement * pin.SE3(pin.exp3(position * direction), np.zeros(3))
+            placement = _placement(element) * pin.SE3(pin.exp3(motion), np.zeros(3))
         origin.set("xyz", " ".join(f"{value:.12g}" for value in placement.translation))
         origin.set("rpy", " ".join(f"{value:.12g}" for value in pin.rpy.matrixToRpy(placement.rotation)))
     element.set("type", "fixed")
     for tag in ("axis", "mimic", "limit", "dynamics", "safety_controller", "calibration"):
         for part in element.findall(tag):
             element.remove(part)
+
+
+def _moved_by(element: ET.Element, fixed: ET.Element) -> float:
+    """Position, rad or m, that brings a joint nearest to where it is fixed.
+
+    Raises:
+        UserError: It has no axis.
+    """
+    motion = _placement(element).actInv(_placement(fixed))
+    offset = motion.translation if element.get("type") == "prismatic" else pin.log3(motion.rotation)
+    return float(_direction(element) @ offset)
+
+
+def _placement(element: ET.Element) -> pin.SE3:
+    """A joint's origin in its parent link."""
+    origin = element.find("origin")
+    given = {} if origin is None else origin.attrib
+    rotation = pin.rpy.rpyToMatrix(np.array(_numbers(given.get("rpy", "0 0 0"))))
+    return pin.SE3(rotation, np.array(_numbers(given.get("xyz", "0 0 0"))))
+
+
+def _direction(element: ET.Element) -> FloatArray:
+    """(3,) unit axis of a joint in its own frame.
+
+    Raises:
+        UserError: It has none.
+    """
+    axis = element.find("axis")
+    direction = np.array(_numbers("1 0 0" if axis is None else axis.get("xyz", "1 0 0")))
+    if not direction.any():
+        raise UserError(f"joint {element.get('name')!r} has the axis 0 0 0: give it a direction")
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
 def _numbers(text: str) -> list[float]:
