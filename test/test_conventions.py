@@ -252,6 +252,16 @@ def test_a_joint_at_rest_is_a_note(run, arm):
     assert ("at_rest", ("waist",), Level.NOTE) in [(f.kind, f.joints, f.level) for f in report.findings]
 
 
+@pytest.mark.parametrize("effort", [0.0, 40.0])
+def test_a_joint_at_rest_whose_effort_is_constant_is_a_note_and_may_be_locked(effort, run, arm):
+    still = scaled(scaled(run, "position", 0, 0.0), "velocity", 0, 0.0)
+    constant = still.effort.copy()
+    constant[:, 0] = effort
+    report = check_conventions([replace(still, effort=constant)], arm)
+    assert [(f.kind, f.joints, f.level) for f in report.findings] == [("at_rest", ("waist",), Level.NOTE)]
+    assert "spacearm new-arm" in report.findings[0].remedy
+
+
 @pytest.mark.parametrize("joint", [0, 3])
 def test_a_joint_that_only_sways_is_a_note_and_hides_no_other_behind_it(arm, joint):
     run = sound(share=[float(k != joint) for k in range(4)])

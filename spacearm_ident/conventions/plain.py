@@ -35,6 +35,8 @@ LOST_SHARE = 0.05
 """Share of samples lost to stamps out of order from which the clock is not to be believed."""
 LET_MOVE = "record a run in which they move, or take their parameters for CAD's"
 """Remedy for joints at rest."""
+LOCK = "or lock them where they are (spacearm new-arm URDF --joints NAME ... --lock NAME=VALUE ...) and give that --arm"
+"""Further remedy for joints at rest whose torque is constant: often a torso, a head or a gripper, and not the arm's."""
 
 
 @dataclass(frozen=True)
@@ -60,18 +62,20 @@ def read_off(recording: Recording) -> Plain:
     still = frozenset(np.flatnonzero(np.ptp(recording.position, axis=0) < REST_RAD).tolist())
     spread = recording.effort.std(axis=0)
     dead = frozenset(np.flatnonzero(spread <= DEAD_SHARE * max(float(spread.max()), 1e-9)).tolist())
-    findings = [*_rest(names, still), *_dead(recording, dead)]
+    findings = [*_rest(names, still, dead), *_dead(recording, dead - still)]
     slopes, velocity = compare_velocity(recording, still)
     return Plain((*findings, *velocity, *_clock(recording)), still, dead, slopes)
 
 
-def _rest(names: tuple[str, ...], still: frozenset[int]) -> list[Finding]:
+def _rest(names: tuple[str, ...], still: frozenset[int], dead: frozenset[int]) -> list[Finding]:
     if not still:
         return []
     joints = tuple(names[k] for k in sorted(still))
     every = len(joints) == len(names)
     text = "no joint moves" if every else f"{', '.join(joints)} {'does' if len(joints) == 1 else 'do'} not move"
     what = "record an excitation run" if every else LET_MOVE
+    if not every and still & dead:
+        what = f"{what}, {LOCK}"
     level = Level.UNFIT if every else Level.NOTE
     return [Finding("at_rest", level, joints, f"{text} (less than {REST_RAD:g} rad)", what)]
 
@@ -85,6 +89,7 @@ def hardly_moving(joints: Sequence[str]) -> list[Finding]:
 
 
 def _dead(recording: Recording, dead: frozenset[int]) -> list[Finding]:
+    """The joints among these, which move, whose torque says nothing; of a joint at rest it need not say anything."""
     if not dead:
         return []
     joints = tuple(recording.joints[k] for k in sorted(dead))
