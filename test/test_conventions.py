@@ -17,6 +17,7 @@ from spacearm_ident.conventions.change import Change, Kind
 from spacearm_ident.conventions.check import check_conventions
 from spacearm_ident.conventions.description import compare_description
 from spacearm_ident.conventions.finding import ConventionReport, Level
+from spacearm_ident.conventions.fixed_joints import moving_though_fixed
 from spacearm_ident.conventions.rows import rows_of
 from spacearm_ident.conventions.scorer import Scorer
 from spacearm_ident.conventions.search import is_testable
@@ -25,6 +26,7 @@ from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.dynamics.urdf_chain import locked
 from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.recording.corrections import Corrections, read_corrections
+from spacearm_ident.recording.recording import BaseSensor
 from spacearm_ident.signals.prepare import prepare
 
 REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
@@ -399,6 +401,53 @@ def test_another_geometry_is_found_behind_joints_that_are_locked(run, moved, joi
     arm = arm_from_urdf(locked(sliding(moved), LOCKED, LOCKED))
     (said,) = compare_description(replace(run, urdf=sliding("")), arm)
     assert (said.joints, said.level) == ((joint,), Level.UNFIT) and "200 mm" in said.statement
+
+
+def fixed_in(recording: Recording, *names: str) -> Arm:
+    return arm_from_urdf(locked(recording.urdf, names))
+
+
+@pytest.mark.parametrize(
+    ("names", "level"),
+    [
+        (("waist", "shoulder"), Level.UNFIT),
+        (("shoulder",), Level.UNFIT),
+        (("wrist",), Level.NOTE),
+        (("elbow", "wrist"), Level.NOTE),
+    ],
+)
+def test_a_joint_that_moves_and_is_fixed_in_the_arm_is_found_with_what_it_does_to_the_arm(names, level, run):
+    (finding,) = moving_though_fixed(run, fixed_in(run, *names))
+    assert (finding.kind, finding.joints, finding.level) == ("fixed_joint_moves", names, level)
+    size = np.ptp(run.position[:, NAMES.index(names[0])])
+    assert f"{names[0]} by {size:.2g}" in finding.statement and "whole URDF" in finding.remedy
+
+
+def test_joints_that_move_below_the_arm_make_the_data_unfit_and_nothing_is_inferred_of_them(run):
+    report = check_conventions([scaled(run, "effort", 2, -1.0)], fixed_in(run, "waist", "shoulder"))
+    assert unfit(report) == [("fixed_joint_moves", ("waist", "shoulder"))] and report.certain
+    assert any("carry the arm" in text for text in report.undecided)
+
+
+def test_a_fixed_joint_that_rests_or_is_of_another_robot_is_not_mentioned(run):
+    arm = fixed_in(run, "waist")
+    assert not moving_though_fixed(scaled(run, "position", 0, 0.01 / np.ptp(run.position[:, 0])), arm)
+    assert not moving_though_fixed(replace(run, joints=("gripper", *NAMES[1:])), arm)
+
+
+def test_another_arm_on_the_same_base_may_move(run):
+    beside = [*(replace(one, parent="base") if one.name == "elbow" else one for one in LINKS)]
+    there = replace(run, urdf=urdf_of(beside))
+    assert not moving_though_fixed(there, fixed_in(there, "elbow", "wrist"))
+
+
+def test_motion_of_a_carrying_joint_that_a_sensor_behind_it_records_is_known(run):
+    one = np.zeros((1, 3))
+    base = BaseSensor("/imu", "waist_link", time=np.zeros(1), rate=one, force=one, runs=(slice(0, 1),))
+    measured = replace(run, base=base)
+    assert not moving_though_fixed(measured, fixed_in(run, "waist"))
+    (finding,) = moving_though_fixed(measured, fixed_in(run, "waist", "shoulder"))
+    assert finding.joints == ("shoulder",)
 
 
 def test_a_gain_is_called_a_gain_or_a_mass_and_no_broken_convention(run, arm):

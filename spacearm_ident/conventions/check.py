@@ -1,7 +1,8 @@
 """`check_conventions`: whether recordings keep the conventions that an identification takes for granted.
 
-Cheap and certain things first (clock, rest, dead torque, recorded velocity, the bag's own description), then every
-ordinary mistake as a hypothesis: how much better does the arm of the URDF explain the torque if it was made?
+Cheap and certain things first (clock, rest, dead torque, recorded velocity, the bag's own description, joints that are
+fixed in the arm), then every ordinary mistake as a hypothesis: how much better does the arm of the URDF explain the
+torque if it was made?
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from .change import PRIOR, TORQUE_SCALES, UNIT_FACTOR, Change, Kind
 from .description import compare_description
 from .evidence import MASS_SD, log_mass
 from .finding import Alternative, ConventionReport, Finding, Level, merged
+from .fixed_joints import moving_though_fixed
 from .plain import STUCK_RAD, Plain, hardly_moving, read_off
 from .plausible import EFFORT_SLACK
 from .rows import rows_of
@@ -82,10 +84,13 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
     require_joints(recording, arm.joint_names)
     ordered = recording.in_order(arm.joint_names)
     plain = read_off(ordered)
-    findings = [*compare_description(recording, arm), *plain.findings]
+    unmodelled = moving_though_fixed(recording, arm)
+    findings = [*compare_description(recording, arm), *unmodelled, *plain.findings]
     undecided: list[str] = []
     if recording.base is not None:
         undecided.append("signs, units, order, zeros and gravity (the base moves: give --fixed-base where it does not)")
+    elif any(one.level is Level.UNFIT for one in unmodelled):
+        undecided.append("signs, units, order, zeros and gravity (joints that carry the arm move)")
     elif len(plain.still) < len(arm.joints) and len(plain.dead) < len(arm.joints):
         try:
             inferred, undecided = _infer(ordered, arm, plain)

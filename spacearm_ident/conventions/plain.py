@@ -16,6 +16,9 @@ REST_RAD = 1e-3
 STUCK_RAD = 0.02
 """A revolute joint that ranges over less may never have slid: the friction of geared joints builds up over 1e-3 to 2e-2
 rad (presliding; Armstrong-Helouvry et al. 1994), and what it holds no model of sliding friction explains."""
+FIXED_RANGE = 0.02
+"""Range from which a joint that is fixed in the arm moves, rad or m: a held one sways by less (`STUCK_RAD`), and a base
+that tilts by so much turns 2 % of gravity."""
 DEAD_SHARE = 1e-6
 """A torque that varies by less than this share of the largest joint's says nothing."""
 SLOPE_OFF = 0.1
