@@ -15,6 +15,7 @@ from scipy.io import savemat
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import load_arm
+from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.regressor import rigid_body_torque
 from spacearm_ident.errors import UnfitDataError, UserError
 from spacearm_ident.identification.effort import in_newton_metres
@@ -639,6 +640,23 @@ def test_a_log_without_an_arm_is_refused_in_one_line(tmp_path):
     run = small_arm.recording(2.0)
     with pytest.raises(UserError, match="--arm FILE"):
         read_log(csv_of(tmp_path, ["t", "q1", "q2", "tau1", "tau2"], run.time, run.position, run.effort))
+
+
+def test_a_log_without_an_arm_is_of_the_urdf_that_it_is_compared_with(tmp_path, capsys):
+    run = small_arm.recording(8.0)
+    log = csv_of(tmp_path, ["t", "q1", "q2", "tau1", "tau2"], run.time, run.position, run.effort)
+    simulation = tmp_path / "simulation.urdf"
+    simulation.write_text(small_arm.URDF)
+    words = ["mismatch", str(log), "--simulation", str(simulation), "--out", str(tmp_path / "out")]
+    assert main([*words, "--without", *EFFECTS]) == 0
+    assert f"no arm is named: taken to be that of {simulation}" in capsys.readouterr().err
+
+
+def test_the_arm_of_a_mapping_goes_before_another_one(tmp_path):
+    run = small_arm.recording(8.0)
+    log = csv_of(tmp_path, ["t", "q1", "q2", "tau1", "tau2"], run.time, run.position, run.effort)
+    assert main(["import", str(log), "--arm", str(arm_file(tmp_path, small_arm.URDF)), "--quiet"]) == 0
+    assert read_log(log, otherwise=tmp_path / "none.urdf").recording.joints == small_arm.JOINTS
 
 
 def test_a_mapping_survives_its_file(tmp_path):

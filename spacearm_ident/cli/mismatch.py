@@ -53,7 +53,8 @@ def add(command: argparse.ArgumentParser) -> None:
         default=[],
         type=Path,
         metavar="SIM",
-        help="a simulation to compare with: MJCF, URDF, SDF, model.yaml, or bags that a simulator wrote",
+        help="a simulation to compare with: MJCF, URDF (then also the arm of logs, without --arm), SDF, model.yaml, "
+        "or bags that a simulator wrote",
     )
     command.add_argument(
         "--validate",

@@ -57,13 +57,16 @@ def propose_for(
     return table, propose(table, arm, str(log), arm_file, answers, constants, declared)
 
 
-def read_log(log: Path, arm_file: Path | None = None, mapping_file: Path | None = None) -> Imported:
+def read_log(
+    log: Path, arm_file: Path | None = None, mapping_file: Path | None = None, otherwise: Path | None = None
+) -> Imported:
     """Read a log.
 
     Args:
         log: CSV, npz, mat, HDF5, Parquet, or a LeRobot folder.
         arm_file: URDF or arm YAML; None: that of the mapping.
         mapping_file: Its mapping; None: the one beside it, else what is proposed.
+        otherwise: The arm where neither `arm_file` nor the mapping names one; the recording says that it was taken.
 
     Raises:
         UnfitDataError: Below 90 Hz, or without torque.
@@ -72,9 +75,14 @@ def read_log(log: Path, arm_file: Path | None = None, mapping_file: Path | None 
     if not log.exists():
         raise UserError(f"{log}: no such file or folder; give a bag or a log")
     file = mapping_file or mapping_beside(log)
-    if file is not None:
-        mapping = read_mapping(file)
-        arm_file = arm_file or mapping.arm
+    mapping = None if file is None else read_mapping(file)
+    arm_file = arm_file or (None if mapping is None else mapping.arm)
+    if arm_file is None and otherwise is not None:
+        imported = read_log(log, otherwise, mapping_file)
+        issue = Issue("log", f"no arm is named: taken to be that of {otherwise}")
+        recording = imported.recording
+        return replace(imported, recording=replace(recording, issues=(*recording.issues, issue)))
+    if mapping is not None:
         if arm_file is None:
             raise UserError(f"{file} names no arm: name the arm's URDF or arm YAML (--arm FILE)")
         return Imported(recording_by(read_table(log), mapping, arm_file, str(log)), mapping)

@@ -29,12 +29,14 @@ class Reading:
         namespace: Of the arm, where a bag holds several, as `read_recording`.
         mapping: What the columns of a log are, as `read_log`; None: the file beside it, or what is proposed.
         fixed_base: Whether the base is taken for fixed though the bags hold its motion.
+        otherwise: The arm of logs where neither `arm` nor their mapping names one, such as a simulation's URDF.
     """
 
     arm: Path | None = None
     namespace: str | None = None
     mapping: Path | None = None
     fixed_base: bool = False
+    otherwise: Path | None = None
 
     def read(self, paths: Sequence[Path], progress: Progress) -> list[Recording]:
         """Read bags and logs one after the other, all of a folder of bags.
@@ -56,7 +58,7 @@ class Reading:
         for number, path in enumerate(paths):
             progress(number / len(paths), f"reading {path.name}")
             recording = (
-                read_log(path, self.arm, self.mapping).recording
+                read_log(path, self.arm, self.mapping, self.otherwise).recording
                 if is_log(path)
                 else read_recording(path, preferred=preferred, namespace=self.namespace)
             )

@@ -59,7 +59,8 @@ def compare_session(
         bags: Recordings of the arm.
         judged: Recordings to judge on; none: the last third of each of `bags` is held out.
         directory: Result folder.
-        comparing: How; its arm is for bags of a simulator that describe none, its gravity instead of the simulation's.
+        comparing: How; its arm is for bags of a simulator that describe none, and for logs (without it, a simulation
+            that is a URDF is their arm); its gravity instead of the simulation's.
         command: How to do it again; kept with the result.
         progress: Called with a share done in 0..1 and what is being done.
 
@@ -67,7 +68,8 @@ def compare_session(
         UserError: A file cannot be read or does not fit, or the folder cannot be written.
     """
     report = progress or (lambda share, what: None)
-    reading, at_first = comparing.reading, within(report, 0.0, 0.05)
+    described = next((path for path in simulation if path.suffix.lower() == ".urdf"), None)
+    reading, at_first = replace(comparing.reading, otherwise=described), within(report, 0.0, 0.05)
     for path in simulation:
         refuse_to_replace(path, directory)
     fitted, held = (reading.read(paths, at_first) for paths in (bags, judged))
