@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import road_arms
 import small_arm
-from planted_arm import THREE_LINKS, urdf_of
+from planted_arm import THREE_LINKS, Link, urdf_of
 
 from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
@@ -212,6 +212,19 @@ def test_links_without_geometry_are_capsules_and_a_folded_one_collides():
     upright = clearance.nearest(np.zeros((1, 3)))
     down = clearance.nearest(np.array([[0.0, 2.8, 0.0]]))
     assert upright.distance_m > 0.1 and down.distance_m < 0.02 and "ground" in down.pair
+
+
+def test_capsules_that_are_never_farther_apart_than_needed_are_not_checked():
+    """Stretched 1 m the radius is 4 cm: the ends of a link of 10 cm leave 2 cm, and bent by over 90 degrees less."""
+    axes, lengths = ((0, 1, 0), (0, 1, 0), (0, 0, 1), (0, 1, 0)), (0.3, 0.3, 0.3, 0.1)
+    names = ("one", "two", "three", "four")
+    parents = ("base", *names)
+    links = [
+        Link(name, parent=parent, axis=axis, xyz=(0, 0, length))
+        for name, parent, axis, length in zip(names, parents, axes, lengths)
+    ]
+    clearance = Clearance(arm_from_urdf(urdf_of(links)), None, np.full(4, -3.0), np.full(4, 3.0))
+    assert clearance.unchecked == [("two", "four")] and ("one", "four") in clearance.pairs
 
 
 def test_the_paper_arm_brings_its_own_geometry_and_stands_clear():

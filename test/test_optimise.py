@@ -16,7 +16,7 @@ from planted_arm import THREE_LINKS, urdf_of
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, structure_of
 from spacearm_ident.errors import UserError
-from spacearm_ident.excitation.clearance import Clearance
+from spacearm_ident.excitation.clearance import Clearance, Nearest
 from spacearm_ident.excitation.constraints import Requirements, check, model_torque
 from spacearm_ident.excitation.criteria import CRITERIA, D_OPTIMAL, PREDICTION, SCALED_CONDITION, Question
 from spacearm_ident.excitation.descent import descend
@@ -220,6 +220,19 @@ def test_limits_that_leave_no_motion_are_refused_with_which_and_by_how_much():
         optimise(problem(needs=soft))
     with pytest.raises(UserError, match="no criterion 'e-optimal': choose one of condition"):
         optimise(problem("e-optimal"))
+
+
+def test_no_motion_at_the_limit_itself_is_refused_with_the_limit_and_the_options():
+    """A distance that no motion changes, at the limit but for rounding: rest passes the check, the barrier does not."""
+    pair = ("upper", "lower")
+    at_limit = SimpleNamespace(
+        needed_m=0.02,
+        nearest=lambda postures: Nearest(0.02 * (1 - 1e-9), 0, pair),
+        barrier=lambda postures, reach_m, slopes=True: (np.inf, np.zeros_like(postures)),
+    )
+    needs = replace(problem().needs, clearance=at_limit)
+    with pytest.raises(UserError, match=r"clearance of upper and lower: 0\.02 m .* 0\.02 m; .*--start.*--clearance"):
+        optimise(problem(needs=needs))
 
 
 def test_friction_the_joint_cannot_overcome_is_named_though_rest_is_possible():

@@ -97,7 +97,8 @@ class Clearance:
         low, high = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
         postures = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(low)))
         distances = self.distances(postures)
-        overlap = (distances < self.needed_m).mean(axis=0) > _OVERLAP
+        # Capsules on either side of a short link keep one distance in many postures: rounding must not decide.
+        overlap = (distances < self.needed_m + _RIGID_M).mean(axis=0) > _OVERLAP
         rigid = np.ptp(distances, axis=0) < _RIGID_M
         pairs = [pair.copy() for pair in self._geometry.collisionPairs]
         for pair, bad in zip(pairs, overlap | rigid):

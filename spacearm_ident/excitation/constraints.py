@@ -39,7 +39,8 @@ REMEDIES = {
     "jerk": "give a lower --fundamental, fewer --harmonics, or a higher --jerk",
     "torque": "start from a posture that gravity loads less (--start), or correct torque_limit_Nm in the arm file",
     "frequency": "give fewer --harmonics or a lower --fundamental",
-    "clearance": "choose another --start, or correct the geometry, the position limits or --ground",
+    "clearance": "choose another --start, a smaller --clearance, or correct the geometry, the position limits or "
+    "--ground",
 }
 """What a person can do about a limit that cannot be kept."""
 

@@ -21,7 +21,7 @@ from ..errors import UserError
 from .constraints import Margin, broken, check, require
 from .criteria import CRITERIA, D_OPTIMAL, PREDICTION, Information
 from .descent import Function, descend
-from .problem import Problem
+from .problem import BARRIERS, Problem
 from .segments import Rest
 from .trajectory import FourierTrajectory, Trajectory, draw_coefficients
 
@@ -282,7 +282,7 @@ def draw_feasible(
         At most `count` pairs of value and point (n, 1 + 2 N_h).
 
     Raises:
-        UserError: None does however small; the arm can only rest in its start posture.
+        UserError: None does however small; the arm can only rest in its start posture. The limit, and what to do.
     """
     drawn = []
     for _ in range(count):
@@ -300,8 +300,11 @@ def draw_feasible(
                 break
     if not drawn:
         smallest = problem.space.series(problem.home + SHRINK[-1] * (point - problem.home), 1)
-        require(check(Trajectory(problem.joints, (smallest,)), problem.needs))
-        raise UserError("no motion about the start posture keeps all limits; choose another start posture with --start")
+        margins = check(Trajectory(problem.joints, (smallest,)), problem.needs)
+        require(margins)
+        # The check allows for rounding, the barriers of torque and clearance do not.
+        tightest = max((margin for margin in margins if margin.kind in BARRIERS), key=lambda margin: margin.used)
+        raise UserError(f"no motion about the start posture keeps all limits; the tightest: {tightest.complaint()}")
     return sorted(drawn, key=lambda pair: pair[0])
 
 

@@ -24,6 +24,8 @@ SAMPLES_A_HARMONIC = 14
 """Samples a period on which the criterion is descended; the columns turn with sums of joint angles, not only once."""
 TORQUE_BARRIER, CLEARANCE_BARRIER, CLEARANCE_REACH_M = 0.01, 0.01, 0.1
 CLEARANCE_SAMPLES = 32
+BARRIERS = ("torque", "clearance")
+"""Kinds of margins (`constraints.Margin`) whose limits are barriers of the function."""
 TESTS, TEST_SEED = 5, 20_000
 
 
