@@ -247,18 +247,25 @@ def test_limits_a_urdf_does_not_give_are_assumed_and_told():
         limits_for_excitation(still, np.zeros(2))
 
 
+def stl(path, facets):
+    """An ASCII STL of triangles, three corners each."""
+    lines = ["solid body"]
+    for corners in facets:
+        lines += ["facet normal 0 0 1", "outer loop"]
+        lines += ["vertex " + " ".join(map(str, corner)) for corner in corners] + ["endloop", "endfacet"]
+    path.write_text("\n".join([*lines, "endsolid body"]))
+
+
 def stl_of_cube(path, half):
     """An ASCII STL of a cube about the origin."""
-    lines = ["solid cube"]
+    facets = []
     for axis in range(3):
         for sign in (-1, 1):
             u, v = np.roll(np.eye(3), axis, axis=1)[1:]
             n = sign * np.roll(np.eye(3), axis, axis=1)[0]
             corners = [half * (n + a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-            for triangle in ((0, 1, 2), (0, 2, 3)):
-                lines += ["facet normal " + " ".join(map(str, n)), "outer loop"]
-                lines += ["vertex " + " ".join(map(str, corners[k])) for k in triangle] + ["endloop", "endfacet"]
-    path.write_text("\n".join([*lines, "endsolid cube"]))
+            facets += [[corners[k] for k in triangle] for triangle in ((0, 1, 2), (0, 2, 3))]
+    stl(path, facets)
 
 
 def test_meshes_count_as_their_convex_hulls_and_missing_ones_as_capsules(tmp_path):
@@ -271,6 +278,18 @@ def test_meshes_count_as_their_convex_hulls_and_missing_ones_as_capsules(tmp_pat
     assert row[found.pairs.index(("two", "ground"))] == pytest.approx(0.95, abs=1e-5)
     lost = Clearance(arm_from_urdf(mesh.replace("cube.stl", "lost.stl")), None, np.full(2, -3.0), np.full(2, 3.0))
     assert "not found" in lost.source
+
+
+@pytest.mark.parametrize("corners, height", [(12, 0.0), (300, 0.05)], ids=["flat", "too many neighbours at the tip"])
+def test_a_mesh_without_convex_hull_is_named_and_capsules_stand_in(corners, height, tmp_path):
+    angles = 2 * np.pi * np.arange(corners) / corners
+    rim = np.stack([0.05 * np.cos(angles), 0.05 * np.sin(angles), 0 * angles], axis=1)
+    facets = [([0.0, 0.0, height], *ends) for ends in zip(rim, np.roll(rim, -1, axis=0))]
+    stl(tmp_path / "cone.stl", facets)
+    mesh = BALLS.replace('<sphere radius="0.05"/>', f'<mesh filename="file://{tmp_path}/cone.stl"/>')
+    clearance = Clearance(arm_from_urdf(mesh), None, np.full(2, -3.0), np.full(2, 3.0))
+    assert clearance.lacking == "no convex hull of its mesh cone.stl" and clearance.lacking in clearance.source
+    assert "capsules" in clearance.source
 
 
 def test_torque_counts_with_more_and_with_less_acceleration_where_asked():

@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
     sheet = DataSheet(**{key: getattr(options, key) for key in SHEET})
     eds = None if options.eds is None else options.eds.name
     canopen = bool(eds or options.interface or any(getattr(options, key) for key in SHEET))
-    start = _start(arm)
+    start, lacking = _start(arm)
     texts |= starter_files(
         arm,
         options.urdf.name,
@@ -106,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
         package_path=package_folders(urdf, arm.package_path),
     )
     _write(options.out, texts, options.force)
-    print("\n".join(_summary(options, chosen, arm, texts, start, canopen)))
+    print("\n".join(_summary(options, chosen, arm, texts, start, lacking, canopen)))
     return 0
 
 
@@ -137,16 +137,20 @@ def _positions(words: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def _start(arm: Arm) -> FloatArray | None:
-    """A posture to start from; None where none is possible, or limits leave no room."""
+def _start(arm: Arm) -> tuple[FloatArray | None, str]:
+    """A posture to start from, and why its clearance is that of capsules (empty: it is not).
+
+    There is no posture (None) where none is possible, or limits leave no room.
+    """
     full = completed(arm)
     try:
         limits, _ = limits_for_excitation(full, np.zeros(len(arm.joints)))
     except UserError:
-        return None
+        return None, ""
     ground = 0.0 if full.gravity[2] < 0 else None
     clearance = Clearance(full, ground, limits.lower, limits.upper)
-    return possible_start(full, Requirements.of(nominal_model(full), limits, clearance=clearance))
+    needs = Requirements.of(nominal_model(full), limits, clearance=clearance)
+    return possible_start(full, needs), clearance.lacking
 
 
 def _summary(
@@ -155,6 +159,7 @@ def _summary(
     arm: Arm,
     texts: Mapping[str, str],
     start: FloatArray | None,
+    lacking: str,
     canopen: bool,
 ) -> list[str]:
     """What was written and decided, and what is next."""
@@ -176,6 +181,8 @@ def _summary(
         lines.append(f"start posture: {words} (rad, m), since all zeros violates a limit or nearly does")
     if advice := resolve_meshes(arm.urdf, arm.package_path).advice:
         lines.append(f"{advice}; until then clearance is checked with capsules")
+    elif lacking:
+        lines.append(f"{lacking}: clearance is checked with capsules")
     if not canopen:
         lines.append(
             "for CANopen drives and this package's driver, add --eds, --interface or a number of the data sheet"

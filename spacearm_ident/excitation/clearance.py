@@ -1,15 +1,16 @@
 """How far the arm stays from itself and from the ground: Pinocchio's kinematics, coal's distances.
 
 The geometry is the URDF's collision geometry (or, lacking that, its visual one); meshes count as their convex hulls,
-which hold more than they do. Where a URDF has none, or its meshes cannot be found, links are capsules from joint to
-joint. Links that one joint connects are not checked against each other, nor pairs that overlap in nearly every
-posture: their geometry is coarser than the arm. Both are listed.
+which hold more than they do. Where a URDF has none, or its meshes cannot be found or have no convex hull, links are
+capsules from joint to joint. Links that one joint connects are not checked against each other, nor pairs that overlap
+in nearly every posture: their geometry is coarser than the arm. Both are listed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import coal
@@ -31,6 +32,8 @@ _SAMPLES = 200
 _OVERLAP = 0.95
 _RIGID_M = 1e-6
 """Pairs whose distance no posture changes by more need no watching."""
+_FLAT_M = 1e-6
+"""Thickness up to which a mesh counts as flat: coal's hull of 0.1 µm is sound, that of 1 nm ends the process."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,7 @@ class Clearance:
     Attributes:
         needed_m: Least distance allowed.
         source: Where the geometry comes from, in words.
+        lacking: Why capsules stand in for the URDF's geometry; empty where they do not.
         pairs: Names of the links of every pair checked.
         unchecked: Pairs left out because they overlap in nearly every posture.
     """
@@ -61,7 +65,7 @@ class Clearance:
         self._model = pin.buildModelFromXML(arm.urdf)
         self._data = self._model.createData()
         self._neutral = pin.neutral(self._model)
-        self._geometry, self.source = _geometry(arm, self._model)
+        self._geometry, self.source, self.lacking = _geometry(arm, self._model)
         self._joint_of = [g.parentJoint for g in self._geometry.geometryObjects]
         self._label = [_link_name(self._model, g) for g in self._geometry.geometryObjects]
         if ground_m is not None:
@@ -242,7 +246,8 @@ class _Spheres:
         return np.asarray((apart - self._touching).T)
 
 
-def _geometry(arm: Arm, model: pin.Model) -> tuple[pin.GeometryModel, str]:
+def _geometry(arm: Arm, model: pin.Model) -> tuple[pin.GeometryModel, str, str]:
+    """The geometries, and in words where they come from and what was lacking (empty: nothing)."""
     meshes = resolve_meshes(arm.urdf, arm.package_path)
     why = "the URDF has no geometry"
     for kind, words in ((pin.GeometryType.COLLISION, "collision"), (pin.GeometryType.VISUAL, "visual")):
@@ -253,12 +258,35 @@ def _geometry(arm: Arm, model: pin.Model) -> tuple[pin.GeometryModel, str]:
             continue
         covered = {g.parentJoint for g in geometry.geometryObjects}
         if len(covered - {0}) >= max(1, len(arm.joints) // 2):
-            for entry in geometry.geometryObjects:
-                if isinstance(entry.geometry, coal.BVHModelBase):
-                    entry.geometry.buildConvexHull(True, "Qt")
-                    entry.geometry = entry.geometry.convex
-            return geometry, f"the URDF's {words} geometry"
-    return _capsules(model), f"capsules from joint to joint ({why})"
+            unfit = _replaced_by_hulls(geometry)
+            if not unfit:
+                return geometry, f"the URDF's {words} geometry", ""
+            why = f"no convex hull of its mesh {unfit}"
+    return _capsules(model), f"capsules from joint to joint ({why})", why
+
+
+def _replaced_by_hulls(geometry: pin.GeometryModel) -> str:
+    """Put convex hulls in the place of meshes; returns the file name of the first that has none, empty where all have.
+
+    Coal builds none of a flat mesh, nor of one with a corner of more neighbours than it counts, as the tip of a cone.
+    """
+    for entry in geometry.geometryObjects:
+        if isinstance(entry.geometry, coal.BVHModelBase):
+            name = Path(entry.meshPath).name
+            if _thickness(entry.geometry.vertices()) < _FLAT_M:
+                return name
+            try:
+                entry.geometry.buildConvexHull(True, "Qt")
+            except (ValueError, RuntimeError):
+                return name
+            entry.geometry = entry.geometry.convex
+    return ""
+
+
+def _thickness(points: FloatArray) -> float:
+    """Extent of points (k, 3) across the plane nearest to them, m."""
+    centred = points - points.mean(axis=0)
+    return float(np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1][:, 0]))
 
 
 def _capsules(model: pin.Model) -> pin.GeometryModel:
