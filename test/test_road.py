@@ -192,6 +192,34 @@ def test_what_others_write_into_a_urdf_is_read_or_refused_in_a_line(more, said, 
     assert said in err if said else "an arm with 3 joints, shoulder, elbow, wrist" in out
 
 
+DECLARED = '<robot xmlns:macro="http://www.ros.org/wiki/xacro" '
+
+
+@pytest.mark.parametrize(
+    "old, new, named",
+    [
+        ("</robot>", '<macro:property name="m" value="1"/></robot>', "<macro:property>"),
+        ('<mimic joint="finger"', '<mimic macro:if="1" joint="finger"', "mimic macro:if"),
+        (
+            '<mimic joint="finger" multiplier="1"',
+            '<mimic joint="finger" multiplier="${gain}"',
+            "mimic multiplier='${gain}'",
+        ),
+        ("</robot>", '<gazebo><plugin name="${NAME}"/></gazebo></robot>', None),
+    ],
+    ids=["element", "attribute", "expression", "namespace declared, a plug-in's own expression"],
+)
+def test_a_xacro_that_is_not_expanded_is_named_with_the_remedy(old, new, named, tmp_path, capsys):
+    text = road_arms.SERVICE_ROBOT.replace("<robot ", DECLARED)
+    assert DECLARED in text and old in text
+    urdf = written(tmp_path, text.replace(old, new))
+    out, err = spacearm(capsys, "new-arm", urdf, "--out", tmp_path / "arm", expect=2 if named else 0)
+    if named is None:
+        assert "an arm with 3 joints, shoulder, elbow, wrist" in out
+    else:
+        assert f"xacro file that is not expanded ({named}): run 'xacro FILE > robot.urdf'" in err
+
+
 def test_a_continuous_joint_made_revolute_is_the_same_arm():
     model, angle = pin.buildModelFromXML(bounded(road_arms.SCARA)), 0.7
     whole = pin.buildModelFromXML(road_arms.SCARA)

@@ -40,7 +40,12 @@ SHEET = {
 def add(command: argparse.ArgumentParser) -> None:
     """Add the command's options to its parser."""
     command.description = DESCRIPTION
-    command.add_argument("urdf", type=Path, metavar="URDF", help="robot description: kinematics, limits, CAD inertials")
+    command.add_argument(
+        "urdf",
+        type=Path,
+        metavar="URDF",
+        help="robot description (of a xacro file the expanded one): kinematics, limits, CAD inertials",
+    )
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder to write")
     command.add_argument("--eds", type=Path, metavar="FILE", help="the drives' electronic data sheet (CiA 306)")
     command.add_argument(

@@ -22,14 +22,18 @@ _NUMBERS = {
     "mimic": ("multiplier", "offset"),
 }
 _COUNT = {"xyz": 3, "rpy": 3}
+_XACRO = "/xacro"
+"""How the addresses of xacro's namespace end: http://www.ros.org/wiki/xacro and older ones."""
+_EXPRESSION = "${"
+"""How xacro's expressions begin."""
 
 
 def check_urdf(urdf: str) -> None:
     """Refuse a URDF that would be read as something else, or not survived.
 
     Raises:
-        UserError: Not well-formed, a DOCTYPE, too large, more than `MAX_JOINTS` joints, joints that make no tree, or
-            kinematics and inertials that are no finite numbers (limits may be infinite).
+        UserError: Not well-formed, a DOCTYPE, too large, a xacro that is not expanded, more than `MAX_JOINTS` joints,
+            joints that make no tree, or kinematics and inertials that are no finite numbers (limits may be infinite).
     """
     joints = _Joints()
     check_xml(urdf, "the URDF", joints.on_element)
@@ -37,15 +41,17 @@ def check_urdf(urdf: str) -> None:
 
 
 class _Joints:
-    """Collects parent and child of every joint; checks numbers on the way."""
+    """Collects parent and child of every joint; checks on the way that xacro left nothing, and numbers."""
 
     def __init__(self) -> None:
         self.ends: list[dict[str, str]] = []
         self._path: list[tuple[str, str]] = []
+        self._xacro: set[str] = set()
 
     def on_element(self, depth: int, tag: str, attributes: dict[str, str]) -> None:
         self._path = [*self._path[: depth - 1], (tag, attributes.get("name", ""))]
         inside = [name for name, _ in self._path[1:-1]]
+        self._check_expanded(tag, attributes)
         if depth == 2 and tag == "joint":
             self.ends.append({"name": attributes.get("name", "")})
             if len(self.ends) > MAX_JOINTS:
@@ -56,6 +62,24 @@ class _Joints:
             for key in _NUMBERS.get(tag, ()):
                 if key in attributes:
                     self._check_numbers(tag, key, attributes[key])
+
+    def _check_expanded(self, tag: str, attributes: dict[str, str]) -> None:
+        """Refuse what xacro replaces: names in its namespace, whatever its prefix, and expressions in links and joints.
+
+        What plug-ins of other elements keep in their attributes is theirs.
+        """
+        for key, value in attributes.items():
+            if key.startswith("xmlns:") and value.rstrip("/").endswith(_XACRO):
+                self._xacro.add(key.removeprefix("xmlns:"))
+        left = [f"<{tag}>"] if tag.rpartition(":")[0] in self._xacro else []
+        left += [f"{tag} {key}" for key in attributes if key.rpartition(":")[0] in self._xacro]
+        if [name for name, _ in self._path[1:2]] in (["link"], ["joint"]):
+            left += [f"{tag} {key}={value!r}" for key, value in attributes.items() if _EXPRESSION in value]
+        if left:
+            raise UserError(
+                f"the URDF is a xacro file that is not expanded ({left[0]}): run 'xacro FILE > robot.urdf' and give "
+                "robot.urdf"
+            )
 
     def _check_numbers(self, tag: str, key: str, text: str) -> None:
         try:
