@@ -86,6 +86,24 @@ def test_what_the_urdf_lacks_is_assumed_and_marked(tmp_path):
     assert "eds: spacearm_drive.eds  # ASSUMED" in texts["arm_can.yaml"]
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "continuous"])
+@pytest.mark.parametrize(
+    "limit", ["", '<limit lower="-1" upper="2"/>', '<limit velocity="3"/>', '<limit effort="80"/>']
+)
+def test_limits_that_the_urdf_leaves_out_are_assumed_and_marked(kind, limit, tmp_path):
+    urdf = tmp_path / "small.urdf"
+    urdf.write_text(small_urdf(("only", kind, limit)))
+    assert main(["new-arm", str(urdf), "--out", str(tmp_path / "arm")]) == 0
+    (joint,) = load_arm(tmp_path / "arm" / "arm.yaml").joints
+    assert joint.lower < joint.upper and joint.velocity_limit > 0
+    assert all(map(math.isfinite, (joint.lower, joint.upper, joint.velocity_limit, joint.effort_limit)))
+    lines = (tmp_path / "arm" / "arm.yaml").read_text().splitlines()
+    stated = {line.split(":")[0].strip() for line in lines if line.endswith("# URDF")}
+    travel = {"position_lower_rad", "position_upper_rad"} if "lower" in limit and kind != "continuous" else set()
+    velocity = {"velocity_limit_rad_s"} if "velocity" in limit else set()
+    assert stated == travel | velocity | ({"torque_limit_Nm"} if "effort" in limit else set())
+
+
 def test_gear_ratios_of_transmissions_are_taken():
     more = """<transmission name="t"><joint name="a"/><actuator name="m"><mechanicalReduction>-101</mechanicalReduction>
     </actuator></transmission><transmission name="u"><joint name="b"/><actuator name="n">

@@ -18,7 +18,7 @@ from ..arrays import FloatArray
 from ..documents import parse_yaml, read_text
 from ..errors import UserError
 from ..recording.corrections import Corrections, read_corrections
-from .urdf_chain import locked, mimicking
+from .urdf_chain import locked, mimicking, with_limits
 
 ARM_SCHEMA = "spacearm_ident/arm/1"
 EARTH = (0.0, 0.0, -9.81)
@@ -166,6 +166,8 @@ class Arm:
 def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     """Read an arm from the text of a URDF; joints that mimic others are locked: they are payload.
 
+    A limit that the text leaves out is one of zero, which many descriptions write: no limit is stated.
+
     Args:
         urdf: The text.
         gravity: (3,) m/s² in the base frame; None: the standard one, downwards.
@@ -176,6 +178,7 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     """
     if fixed := mimicking(urdf):
         urdf = locked(urdf, fixed)
+    urdf = with_limits(urdf)
     model = _pinocchio_model(urdf)
     joints = []
     for index in range(1, model.njoints):

@@ -209,6 +209,23 @@ def bounded(urdf: str) -> str:
     return ET.tostring(robot, encoding="unicode")
 
 
+def with_limits(urdf: str) -> str:
+    """The URDF with zeros for limits that it leaves out and that the parser asks for.
+
+    It refuses a whole description for one joint without `<limit>`, or for a `<limit>` without effort or velocity.
+    """
+    robot, added = parse_xml(urdf, "the URDF"), False
+    for element in robot.findall("joint"):
+        limit = element.find("limit")
+        if limit is None and element.get("type") in ("revolute", "prismatic"):
+            limit = ET.SubElement(element, "limit")
+        for key in ("effort", "velocity"):
+            if limit is not None and key not in limit.attrib:
+                limit.set(key, "0")
+                added = True
+    return ET.tostring(robot, encoding="unicode") if added else urdf
+
+
 def _joint(element: ET.Element) -> UrdfJoint:
     def attribute(tag: str, key: str) -> str:
         found = element.find(tag)
