@@ -188,10 +188,11 @@ def _read_own(model: TorqueModel, data: Mapping[str, Any] | None) -> OwnRecordin
     rows, left, fitted = (
         np.array([_by_joint(model.arm, part[key]) for part in parts]) for key in ("rows", "left_out_Nm", "fitted_Nm")
     )
-    parameters = np.array([[float(value) for value in part["parameters"]] for part in parts])
-    if parameters.shape != (len(parts), len(model.parameters)) or not np.isfinite(parameters).all():
+    parameters = [np.array([float(value) for value in part["parameters"]]) for part in parts]
+    if any(len(own) != len(model.parameters) or not np.isfinite(own).all() for own in parameters):
         raise UserError(f"every part of own_recordings needs {len(model.parameters)} finite parameters")
-    return OwnRecordings(int(data["count"]), _by_joint(model.arm, data["acceleration"]), rows, left, fitted, parameters)
+    acceleration = _by_joint(model.arm, data["acceleration"])
+    return OwnRecordings(int(data["count"]), acceleration, rows, left, fitted, np.stack(parameters))
 
 
 def _by_joint(arm: Arm, values: Mapping[str, Any]) -> FloatArray:
