@@ -1,13 +1,14 @@
 """What `spacearm mismatch` says of pairs of healthy recordings of one real arm, and of what is put into them.
 
-    .venv/bin/python bench/real_pairs.py --out FILE [--arm ur10e] [--group pairs wrong] [--recordings DIR]
+    .venv/bin/python bench/real_pairs.py --out FILE [--arm ur10e] [--group pairs models] [--recordings DIR]
     .venv/bin/python bench/real_pairs.py --out FILE --only-summary
 
 Groups: `pairs` (every healthy recording explained with every other of the same arm as reference, and the first half of
 one with its second), `wrong` (a joint in degrees, two wrist joints exchanged, a push), `short` (three seconds as
 reference or field, a joint at rest), `plants` (physics in real torque at 2 and 5 times what `identify` on the reference
-leaves of the healthy field). Every trial calls the command as a user does, in a process of its own, one after the
-other, and appends a line of JSON to FILE; run again, it goes on where it stopped.
+leaves of the healthy field), `models` and `planted_models` (pairs and plants with the `model.yaml` that `identify`
+makes of the reference in its place). Every trial calls the command as a user does, in a process of its own, one after
+the other, and appends a line of JSON to FILE; run again, it goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,7 @@ class Trial:
         right: Verdicts and names of effects any of which is right.
         bags: Makes reference and field recordings.
         wanted: Joint at which the effect is planted, if any.
+        modelled: Whether a model of the reference stands in its place.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Trial:
     right: tuple[str, ...]
     bags: Callable[[], tuple[list[Recording], Recording]]
     wanted: str = ""
+    modelled: bool = False
 
 
 def trials(root: Path) -> Iterator[Trial]:
@@ -83,6 +86,9 @@ def trials(root: Path) -> Iterator[Trial]:
         yield from _wrong(root, arm)
         yield from _short(root, arm)
         yield from _plants(root, arm)
+        for group, made in (("models", _pairs(root, arm)), ("planted_models", _plants(root, arm))):
+            for one in made:
+                yield replace(one, name=f"{one.name}, model alone", group=group, modelled=True)
 
 
 def _pairs(root: Path, arm: str) -> Iterator[Trial]:
@@ -190,7 +196,12 @@ def run(trial: Trial) -> dict[str, Any]:
         write_recording(folder / "field.mcap", field)
         for number, one in enumerate(references):
             write_recording(folder / f"reference_{number}.mcap", one)
-            words += ["--reference", str(folder / f"reference_{number}.mcap")]
+        healthy = [str(folder / f"reference_{number}.mcap") for number in range(len(references))]
+        if trial.modelled:
+            made = [sys.executable, "-c", CALL, "identify", *healthy, "--out", str(folder / "model"), "--quiet"]
+            subprocess.run(made, capture_output=True, check=False)
+            healthy = [str(folder / "model" / "model.yaml")]
+        words += ["--reference", *healthy]
         words += ["--out", str(folder / "out"), "--json", "--quiet"]
         answer, complaint = folder / "answer.json", folder / "complaint.txt"
         begin = time.perf_counter()
@@ -235,7 +246,7 @@ def outcome(line: dict[str, Any]) -> str:
     effects = [finding["effect"] for finding in line.get("findings", [])]
     first = effects[0] if effects else line["verdict"]
     at = not line["wanted"] or not effects or line["wanted"] in line["findings"][0]["joints"]
-    if first in line["right"] and at and line["group"] != "pairs":
+    if first in line["right"] and at and line["group"] not in ("pairs", "models"):
         return "right"
     if line["verdict"] == "data_unfit":
         return "unfit"
@@ -246,12 +257,12 @@ def outcome(line: dict[str, Any]) -> str:
 
 def summary(lines: Sequence[dict[str, Any]]) -> str:
     """Outcomes by group, counted."""
-    text = ["group    trials  outcomes"]
+    text = ["group          trials  outcomes"]
     for group in GROUPS:
         mine = [outcome(line) for line in lines if line["group"] == group]
         if mine:
             counts = ", ".join(f"{name} {mine.count(name)}" for name in sorted(set(mine)))
-            text.append(f"{group:8} {len(mine):6}  {counts}")
+            text.append(f"{group:14} {len(mine):6}  {counts}")
     times = sorted(line["seconds"] for line in lines)
     if times:
         memory = max(line["peak_MB"] for line in lines)
@@ -270,7 +281,7 @@ def words(line: dict[str, Any]) -> str:
     return f"{outcome(line):10} {line['name']}: {line['verdict']}: {'; '.join(said)}{left} [{line['seconds']:g} s]"
 
 
-GROUPS = ("pairs", "wrong", "short", "plants")
+GROUPS = ("pairs", "wrong", "short", "plants", "models", "planted_models")
 
 
 def main() -> None:

@@ -148,8 +148,8 @@ ITEM_WORDS = (
     "removes; replicated: found in the held-out recordings by themselves)"
 )
 RESIDUAL_WORDS = (
-    "healthy: noise floor of the reference; detectable: residual above which a joint counts as a mismatch; before, "
-    "after: without and with the findings"
+    "healthy: noise floor, of the reference where that is recorded; detectable: residual above which a joint counts as "
+    "a mismatch; before, after: without and with the findings"
 )
 UNFIT_NEXT = "next: correct the recordings or their description as listed, then repeat the command"
 
