@@ -476,7 +476,13 @@ def test_a_model_as_reference_holds_the_field_to_its_values(healthy_model):
     assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
     assert answer.findings[0].parameters["df_c"].value == pytest.approx(0.9, abs=0.1)
     assert answer.before_Nm[0] > 5 * answer.noise_floor_Nm[0]
-    assert explain(ARM, RunSet([run(2)], healthy_model, [run(3)]), SLOW_ONES).verdict == NO_MISMATCH
+    assert not answer.reasons
+
+
+def test_a_healthy_arm_is_quiet_beside_a_model_whose_file_is_older_and_the_answer_says_so(healthy_model):
+    quiet = explain(ARM, RunSet([run(2)], replace(healthy_model, own=None), [run(3)]), SLOW_ONES)
+    assert quiet.verdict == NO_MISMATCH
+    assert any("does not keep what the model leaves of its own recordings" in reason for reason in quiet.reasons)
 
 
 def test_an_extended_model_is_extended_once_more(rippled, healthy_model):

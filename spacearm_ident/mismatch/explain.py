@@ -43,6 +43,10 @@ AGAIN = 2
 """Times that the search goes on with a smaller noise, where only what it leaves says how large that is."""
 HOLD_OUT = 0.35
 """Share of every recording that is held out where no recording is given to judge on."""
+LEVEL_UNKNOWN = (
+    "the model file does not keep what the model leaves of its own recordings: what the model lacks may be a finding; "
+    "give recordings of the healthy arm as reference, or identify it again"
+)
 UNDETERMINED = (
     "the data do not determine the base model (its normal equations are singular): record a longer run, or a motion of "
     "all joints"
@@ -162,6 +166,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
         already_there=tuple(_words(scored) for scored in outcome.common),
         reasons=(
             *_not_compared(joints, known, rms_before),
+            *((LEVEL_UNKNOWN,) if prepared.modelled and prepared.own is None else ()),
             *_not_judged(competition.happened, len({motion.source for motion in evidence.field.motions})),
             *(() if findings else _moments(joints, rms_after, healthy)),
         ),
