@@ -226,6 +226,7 @@ def test_a_coarse_encoder_hides_no_more_than_its_noise_does():
     answer = explain(ARM, RunSet([field], [coarse(HEALTHY)], [judged]), SLOW_ONES)
     assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
     assert not answer.reasons
+    assert explain(ARM, RunSet([run(2)], healthy_model, [run(3)]), SLOW_ONES).verdict == NO_MISMATCH
 
 
 def tight(planted):
