@@ -11,11 +11,20 @@ from scipy.signal import lfilter
 
 from spacearm_ident.bayes.from_prior import CHANGES, GroundPrior, update
 from spacearm_ident.dynamics.arm import arm_from_urdf
-from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
+from spacearm_ident.dynamics.model import (
+    FRICTION_LAWS,
+    IdentifiedModel,
+    OwnRecordings,
+    Plain,
+    TorqueModel,
+    Unbounded,
+)
 from spacearm_ident.errors import UnfitDataError
 from spacearm_ident.identification.identify import Settings, identify
+from spacearm_ident.identification.plain import plain_structure
 from spacearm_ident.recording.recording import Recording
 from spacearm_ident.signals.motion import Motion
+from spacearm_ident.signals.prepare import prepare
 
 V_B = 0.05
 
@@ -41,19 +50,26 @@ def ground() -> GroundPrior:
 
 def orbit(prior: GroundPrior, truth: np.ndarray, seed: int, seconds: float, rate: float, ar: float) -> Recording:
     """A run of an arm whose parameters and constants are `truth`."""
-    model, count = prior.model.model, len(prior.model.parameters)
+    count = len(prior.model.parameters)
+    arm = IdentifiedModel(prior.model.model, truth[:count], truth[count:])
+    return run_of(arm, seed, seconds, rate, ar)
+
+
+def run_of(arm: IdentifiedModel, seed: int, seconds: float, rate: float, ar: float, noise: float = 0.3) -> Recording:
+    """A run of an arm that is a model, with noise of a first order."""
+    model = arm.model
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, 1.0 / rate)
     q, qd, qdd = incommensurate(time, 2, seed, 0.8)
     motion = Motion(model.arm.joint_names, rate, 0.0, q, qd, qdd, q, np.full(2, 1e-6), np.zeros(2))
     white = rng.standard_normal((len(q) + 500, 2))
-    noise = 0.3 * lfilter([np.sqrt(1 - ar**2)], [1.0, -ar], white, axis=0)[500:]
+    noisy = noise * lfilter([np.sqrt(1 - ar**2)], [1.0, -ar], white, axis=0)[500:]
     return Recording(
         joints=model.arm.joint_names,
         time=time,
         position=q + 1e-6 * rng.standard_normal(q.shape),
         velocity=None,
-        effort=model.torque(motion, truth[:count], truth[count:]) + noise,
+        effort=arm.torque(motion) + noisy,
         segments=(slice(0, len(time)),),
     )
 
@@ -153,3 +169,64 @@ def test_rest_is_refused():
     run = orbit(prior, np.concatenate([prior.model.parameters, prior.model.constants]), 1, 5.0, 200.0, 0.0)
     with pytest.raises(UnfitDataError, match="no joint moves"):
         update([replace(run, position=np.zeros_like(run.position))], prior)
+
+
+def blended_ground() -> GroundPrior:
+    """With a fifth of least squares without bounds, and a plain model in half of the shoulder's and all of the elbow's
+    torque."""
+    prior = ground()
+    model = prior.model.model
+    simple = TorqueModel(model.arm, plain_structure(model.arm))
+    known = prior.model.by_term
+    rng = np.random.default_rng(3)
+    values = [
+        known.get((term.kind, item.name), 0.0) * rng.uniform(0.8, 1.2)
+        for term in simple.terms
+        for item in term.parameters
+    ]
+    plain = Plain(simple, np.array(values), np.zeros(len(simple.constants)), np.array([0.5, 0.8]))
+    unbounded = Unbounded(prior.model.parameters * 1.1, np.array([0.2, 0.2]))
+    return replace(prior, model=replace(prior.model, unbounded=unbounded, plain=plain))
+
+
+def test_what_is_blended_into_a_ground_model_is_still_there_after_an_update():
+    """Data that the ground predicts as they are leave it as it is, whatever its torque consists of."""
+    prior = blended_ground()
+    run = run_of(prior.model, 5, 5.0, 200.0, 0.0, noise=0.0)
+    motions, _ = prepare([run], run.joints, average=False)
+    updated = update([run], prior)
+    np.testing.assert_allclose(updated.residual_Nm, 0.0, atol=0.02)
+    errors = np.sqrt(np.diag(prior.covariance))[: len(prior.model.parameters)]
+    moved = np.abs(updated.model.parameters - prior.model.parameters) / np.where(errors > 0, errors, 1.0)
+    assert moved.max() < 0.5
+    before, after = (one.torque(motions[0]) for one in (prior.model, updated.model))
+    np.testing.assert_allclose(after, before, atol=0.02)
+
+
+def test_a_departure_reaches_as_much_of_the_torque_as_its_share_says():
+    prior = blended_ground()
+    model, rng = prior.model, np.random.default_rng(1)
+    departure = 0.1 * rng.standard_normal(len(model.parameters)) * np.abs(model.parameters)
+    # A plain model has no Stribeck friction: near rest its f_c is not the same column.
+    departure[[p.symbol == "f_c" for p in model.model.parameters]] = 0.0
+    run = orbit(prior, np.concatenate([model.parameters, model.constants]), 5, 5.0, 200.0, 0.0)
+    (motion,), _ = prepare([run], run.joints, average=False)
+    moved = model.moved_to(model.parameters + departure, model.constants).torque(motion) - model.torque(motion)
+    alone = [
+        model.model.torque(motion, np.where(np.arange(len(departure)) == k, one, 0.0), model.constants)
+        for k, one in enumerate(departure)
+    ]
+    np.testing.assert_allclose(moved, np.einsum("pnj,jp->nj", np.stack(alone), model.departure_share), atol=1e-9)
+
+
+def test_an_update_believes_no_more_than_a_model_leaves_of_its_own_recordings():
+    """What a model leaves is in the next recording as well, and looks smaller in seconds that a fit may follow."""
+    prior = ground()
+    truth = np.concatenate([prior.model.parameters, prior.model.constants])
+    run = orbit(prior, truth, 5, 5.0, 200.0, 0.0)
+    one, none = np.ones(2), np.zeros((0, 2))
+    own = OwnRecordings(1, one, none, none, none, np.zeros((0, len(prior.model.parameters))), density=0.5 * one)
+    doubting = update([run], replace(prior, model=replace(prior.model, own=own)))
+    trusting = update([run], prior)
+    assert np.all(doubting.standard_errors >= trusting.standard_errors * (1 - 1e-9))
+    assert np.median(doubting.variance_reduction) < 0.7 * np.median(trusting.variance_reduction)

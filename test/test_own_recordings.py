@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from planted_arm import Friction, two_link_run
+from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
-from spacearm_ident.dynamics.model import IdentifiedModel, OwnRecordings, TorqueModel
+from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, OwnRecordings, TorqueModel
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
 from spacearm_ident.identification.block_grams import BlockGrams
@@ -38,10 +39,15 @@ def fit() -> Fit:
     return fit_model(TorqueModel(arm, structure), motions)
 
 
+def departures(fit: Fit) -> np.ndarray:
+    """A tenth of every value, one at a time."""
+    return np.diag(0.1 * np.abs(fit.solution.parameters))
+
+
 def test_parts_are_predicted_by_least_squares_on_the_other_parts_and_the_prior(fit: Fit) -> None:
     grams = BlockGrams(fit.regression, fit.solution.constants)
     parts = parts_left_out(fit, grams)
-    own = own_recordings(fit, grams, parts, fit.solution.parameters)
+    own = own_recordings(fit, grams, parts, fit.solution.parameters, departures(fit))
     assert own is not None and own.recordings == 1 and len(parts) == 5
     assert sorted(number for part in parts for number in part.fold) == list(range(len(grams.recording)))
     block_of, _ = time_blocks(fit.regression.motions)
@@ -71,10 +77,32 @@ def test_parts_are_predicted_by_least_squares_on_the_other_parts_and_the_prior(f
 
 def test_more_is_left_of_a_part_that_was_left_out_than_of_one_that_was_fitted(fit: Fit) -> None:
     grams = BlockGrams(fit.regression, fit.solution.constants)
-    own = own_recordings(fit, grams, parts_left_out(fit, grams), fit.solution.parameters)
+    own = own_recordings(fit, grams, parts_left_out(fit, grams), fit.solution.parameters, departures(fit))
     assert own is not None
     mean = [np.sum(own.rows * figure**2) for figure in (own.left_out_Nm, own.fitted_Nm)]
     assert 1.0 < mean[0] / mean[1] < 1.5
+
+
+@pytest.mark.parametrize(("time_constant_s", "least", "most"), [(0.0, 0.6, 1.6), (0.2, 20.0, 300.0)])
+def test_density_is_that_of_the_noise_and_higher_where_noise_is_slow(
+    time_constant_s: float, least: float, most: float
+) -> None:
+    """White noise of s N m at a rate f has the density s^2 / f, a process of first order (T) 2 T f times that."""
+    noise, rate_hz, found = 0.2, 500.0, []
+    slow = np.exp(-1.0 / rate_hz / time_constant_s) if time_constant_s else 0.0
+    structure = {"rigid_body": {}, "rotor_inertia": {}, **FRICTION_LAWS["coulomb-viscous"]}
+    for seed in range(4):
+        planted = two_link_run((LAW, LAW), seconds=30.0, seed=seed, speed=2.0)
+        run = planted.recording(noise=0.0, seed=seed)
+        white = np.random.default_rng(seed).standard_normal(run.effort.shape) * noise * np.sqrt(1.0 - slow**2)
+        run = replace(run, effort=run.effort + lfilter([1.0], [1.0, -slow], white, axis=0))
+        motions, _ = prepare([run], run.joints)
+        fit = fit_model(TorqueModel(arm_from_urdf(planted.urdf), structure), motions)
+        grams = BlockGrams(fit.regression, fit.solution.constants)
+        own = own_recordings(fit, grams, parts_left_out(fit, grams), fit.solution.parameters, departures(fit))
+        assert own is not None and own.density is not None
+        found.append(own.density)
+    assert least < np.mean(found) / (noise**2 / rate_hz) < most
 
 
 def known(parts: int = 3) -> OwnRecordings:
@@ -102,7 +130,7 @@ def test_a_model_file_keeps_them(model: IdentifiedModel, tmp_path: Path) -> None
     save_model(model, tmp_path / "model.yaml")
     own, read = model.own, load_model(tmp_path / "model.yaml").own
     assert own is not None and read is not None and read.recordings == own.recordings
-    for field in ("acceleration", "rows", "left_out_Nm", "fitted_Nm", "parameters"):
+    for field in ("acceleration", "rows", "left_out_Nm", "fitted_Nm", "parameters", "density"):
         np.testing.assert_array_equal(getattr(read, field), getattr(own, field))
 
 

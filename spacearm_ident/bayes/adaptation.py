@@ -24,7 +24,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.effects.friction import TemperatureFriction
-from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..dynamics.model import IdentifiedModel
 from ..dynamics.rigid_body import RigidBody
 from ..environment.temperature import LEAST_SPAN_K
 from ..errors import UserError
@@ -153,7 +153,7 @@ def adapt(ground: GroundPrior, recordings: Sequence[Recording], gravity: FloatAr
     missing = {f"{symbol}[{joint}]" for joint in ground.model.model.arm.joint_names for symbol in SLOPES.values()}
     if missing := missing - set(ground.names):
         raise UserError(f"the ground model has no {min(missing)}: identify the ground run with a friction law")
-    weightless = with_gravity(ground.model, gravity)
+    weightless = ground.model.possible.with_gravity(gravity)
     prior = _with_slopes(GroundPrior(weightless, ground.covariance), recordings)
     room = {**CHANGES, "k_v2": HIGH_ORDER_ROOM, "k_v3": HIGH_ORDER_ROOM}
     updated = update(recordings, prior, room)
@@ -174,11 +174,6 @@ def adapt(ground: GroundPrior, recordings: Sequence[Recording], gravity: FloatAr
         _vacuum(prior, change, spread),
         _inertia_shift(prior, updated),
     )
-
-
-def with_gravity(model: IdentifiedModel, gravity: FloatArray) -> IdentifiedModel:
-    """The same model in another field of gravity (3,), m/s²."""
-    return replace(model, model=TorqueModel(model.model.arm.with_gravity(gravity), model.model.structure))
 
 
 def _with_slopes(prior: GroundPrior, recordings: Sequence[Recording]) -> GroundPrior:
@@ -265,7 +260,7 @@ def _gravity(
     information, score = np.zeros((3, 3)), np.zeros(3)
     for motion, residual in zip(motions, residuals):
         still = replace(motion, velocity=0.0 * motion.velocity, acceleration=0.0 * motion.velocity)
-        columns = [motion.reduce(with_gravity(model, axis).torque(still, [RigidBody.kind])) for axis in np.eye(3)]
+        columns = [motion.reduce(model.with_gravity(axis).torque(still, [RigidBody.kind])) for axis in np.eye(3)]
         for joint in range(residual.shape[1]):
             place = np.flatnonzero(motion.moving[:, joint])
             if len(place) < 2:

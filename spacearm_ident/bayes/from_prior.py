@@ -26,7 +26,7 @@ from scipy.stats import t as student
 
 from ..arrays import FloatArray
 from ..dynamics.base_link import placed
-from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..dynamics.model import IdentifiedModel
 from ..environment.gravity import DIRECTION, gravity_columns, gravity_result, is_zero, tangents, weight_columns
 from ..errors import UserError
 from ..estimate.environment import GRAVITY_SCALE, GravityEstimate
@@ -74,6 +74,11 @@ class GroundPrior:
         model = self.model.model
         return (*(item.name for item in model.parameters), *(item.name for item in model.constants))
 
+    @property
+    def factor(self) -> FloatArray:
+        """(p + c, r) L of the covariance L L', which may be singular."""
+        return _factor(self.covariance)
+
     def widened(self, changes: Mapping[str, float]) -> GroundPrior:
         """With room for a change of the parameters named by symbol, as a share of their values."""
         numbers = {name: k for k, name in enumerate(self.names)}
@@ -96,18 +101,16 @@ class GroundPrior:
 
     def under(self, gravity: FloatArray) -> GroundPrior:
         """The same arm under another gravity vector (3,), m/s^2, base frame."""
-        model = self.model.model
-        there = TorqueModel(model.arm.with_gravity(gravity), model.structure)
-        return replace(self, model=replace(self.model, model=there))
+        return replace(self, model=self.model.with_gravity(gravity))
 
     def in_vacuum(self) -> GroundPrior:
-        """With k_v2 and k_v3 zero, and certain to be."""
+        """With k_v2 and k_v3 zero, and certain to be; a plain model, which has none, is not what there is then."""
         gone = self.model.model.of_high_order
         parameters = np.where(gone, 0.0, self.model.parameters)
         kept = np.ones(len(self.names), dtype=bool)
         kept[: len(gone)] = ~gone
         covariance = self.covariance * np.outer(kept, kept)
-        return replace(self, model=replace(self.model, parameters=parameters), covariance=covariance)
+        return replace(self, model=replace(self.model.possible, parameters=parameters), covariance=covariance)
 
 
 @dataclass(frozen=True)
@@ -220,10 +223,11 @@ class _Field:
 def _update(motions: list[Motion], bandwidth: Bandwidth, wider: GroundPrior, field: _Field | None = None) -> Updated:
     """The update, linear about the prior's arm and gravity, and about its own constants."""
     regression = Regression(wider.model.model, motions)
-    first = result = _linear_update(regression, bandwidth, wider, wider.model, field)
+    blended = _blended(motions, wider.model)
+    first = result = _linear_update(regression, bandwidth, wider, wider.model, blended, field)
     for _ in range(RELINEARISATIONS):
         about, count = result.model, len(result.model.parameters)
-        result = _linear_update(regression, bandwidth, wider, about, field)
+        result = _linear_update(regression, bandwidth, wider, about, blended, field)
         free = result.standard_errors[count:] > 0
         moved = np.abs(result.model.constants - about.constants)[free] / result.standard_errors[count:][free]
         if not (moved > SETTLED).any():
@@ -232,7 +236,12 @@ def _update(motions: list[Motion], bandwidth: Bandwidth, wider: GroundPrior, fie
 
 
 def _linear_update(
-    regression: Regression, bandwidth: Bandwidth, wider: GroundPrior, about: IdentifiedModel, field: _Field | None
+    regression: Regression,
+    bandwidth: Bandwidth,
+    wider: GroundPrior,
+    about: IdentifiedModel,
+    blended: list[FloatArray],
+    field: _Field | None,
 ) -> Updated:
     """The update, linear about the prior's arm and gravity, and the parameters and constants of `about`."""
     ground, model, constants = wider.model, wider.model.model, wider.model.constants
@@ -240,6 +249,7 @@ def _linear_update(
     unit = np.concatenate([np.ones(len(ground.parameters)), np.where(constants > 0, constants, 1.0)])
     factor = _factor(wider.covariance / np.outer(unit, unit))
     matrices, targets = _rows(regression, ground, about, factor)
+    targets = [target - rows for target, rows in zip(targets, blended)]
     left = [_rms(target) for target in targets]
     rank, ways, expected = factor.shape[1], np.zeros((3, 0)), np.zeros(0)
     if field is not None:
@@ -248,19 +258,15 @@ def _linear_update(
         for joint, weight in enumerate(weight_columns(gravity_columns(regression), model, field.parameters)):
             targets[joint] = targets[joint] - weight @ ways @ expected
             matrices[joint] = np.column_stack([matrices[joint], GRAVITY_SCALE * weight @ ways])
-    result = posterior(regression, matrices, targets)
+    result = posterior(regression, matrices, targets, None if ground.own is None else ground.own.density)
     mean, spread = result.mean, result.covariance
     departure = factor @ mean[:rank]
     covariance = factor @ spread[:rank, :rank] @ factor.T * np.outer(unit, unit)
     before = np.diag(wider.covariance)
     reduction = 1.0 - np.diag(covariance) / np.where(before > 0, before, 1.0)
     count = len(ground.parameters)
-    values = replace(
-        ground,
-        parameters=ground.parameters + departure[:count],
-        constants=constants * np.exp(np.clip(departure[count:], -FARTHEST, FARTHEST)),
-        cutoff_hz=bandwidth.cutoff_hz,
-    )
+    moved = constants * np.exp(np.clip(departure[count:], -FARTHEST, FARTHEST))
+    values = replace(ground.moved_to(ground.parameters + departure[:count], moved), cutoff_hz=bandwidth.cutoff_hz)
     found = None
     if field is not None:
         vector = model.arm.gravity + ways @ (expected + GRAVITY_SCALE * mean[rank:])
@@ -268,7 +274,7 @@ def _linear_update(
             vector = vector * np.linalg.norm(field.stated) / np.linalg.norm(vector)
         spread_of = GRAVITY_SCALE**2 * ways @ spread[rank:, rank:] @ ways.T
         found = gravity_result(vector, field.stated, spread_of, field.choice, float(result.freedom.sum()))
-        values = replace(values, model=TorqueModel(model.arm.with_gravity(vector), model.structure))
+        values = values.with_gravity(vector)
     return Updated(
         values,
         covariance,
@@ -303,12 +309,20 @@ def _factor(covariance: FloatArray) -> FloatArray:
     return factor
 
 
+def _blended(motions: Sequence[Motion], ground: IdentifiedModel) -> list[FloatArray]:
+    """Per joint, (M,) what is blended into the ground's torque beside its consistent parameters, N·m."""
+    whole = [motion.reduce(ground.torque(motion) - ground.possible.torque(motion)) for motion in motions]
+    joints = range(len(ground.model.arm.joints))
+    return [np.concatenate([rows[m.moving[:, j], j] for rows, m in zip(whole, motions)]) for j in joints]
+
+
 def _rows(
     regression: Regression, ground: IdentifiedModel, about: IdentifiedModel, factor: FloatArray
 ) -> tuple[list[FloatArray], list[FloatArray]]:
     """Per joint, rows (M, r) of v and what is left of the torque (M,) at the ground's values, linear about others."""
     columns, numbers = all_columns(regression, Solution(about.parameters, about.constants, 0.0, 0, ""))
-    matrices = [block @ factor[number] for block, number in zip(columns, numbers)]
+    share, of_constants = ground.departure_share, ground.constant_share
+    matrices = [block * share[j, number] @ factor[number] for j, (block, number) in enumerate(zip(columns, numbers))]
     targets = [
         rows.torque - block @ ground.parameters[number]
         for rows, block, number in zip(regression.rows, columns, numbers)
@@ -320,6 +334,7 @@ def _rows(
             if values[k] > 0 and factor[count + first + k].any():
                 back = np.log(ground.constants[first + k] / values[k])
                 for joint, column in regression.derivatives(term, list(values), k, about.parameters).items():
+                    column = column * of_constants[joint]
                     matrices[joint] = matrices[joint] + np.outer(column, factor[count + first + k])
                     targets[joint] = targets[joint] - column * back
     return matrices, targets

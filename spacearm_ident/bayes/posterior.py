@@ -56,13 +56,16 @@ class _JointNoise:
     squared_share: float
 
 
-def posterior(regression: Regression, matrices: list[FloatArray], targets: list[FloatArray]) -> Posterior:
+def posterior(
+    regression: Regression, matrices: list[FloatArray], targets: list[FloatArray], density: FloatArray | None = None
+) -> Posterior:
     """Iterate mean and noise.
 
     Args:
         regression: Whose rows these are.
         matrices: Per joint, (M, r).
         targets: Per joint, (M,) N·m.
+        density: (n,) least power density of the noise, (N·m)²·s, where more is known of it than the rows show.
 
     Raises:
         UnfitDataError: No joint has rows.
@@ -72,12 +75,15 @@ def posterior(regression: Regression, matrices: list[FloatArray], targets: list[
     # a fit that believes none stays there.
     loud = [START_NOISE**2 * float(np.sum(rows.torque**2)) / max(len(rows.torque), 1) for rows in regression.rows]
     weights = [np.full(len(target), 1.0 / (power + 1e-18)) for target, power in zip(targets, loud)]
+    rate_hz = np.mean([motion.row_rate_hz for motion in regression.motions])
+    with np.errstate(divide="ignore"):
+        most = 1.0 / (rate_hz * (np.zeros(len(targets)) if density is None else density))
     mean, spread = _solved(matrices, targets, weights)
     hats = np.zeros(len(targets))
     for _ in range(ITERATIONS + 1):
         residuals = [target - matrix @ mean for matrix, target in zip(matrices, targets)]
         noise = [_noise(regression, laws, k, residual, hats[k]) for k, residual in enumerate(residuals)]
-        weights = [_weight(residual, one) for residual, one in zip(residuals, noise)]
+        weights = [_weight(residual, one, worth) for residual, one, worth in zip(residuals, noise, most)]
         mean, spread = _solved(matrices, targets, weights)
         hats = np.array([np.sum((m @ spread) * m * weight[:, None]) for m, weight in zip(matrices, weights)])
     effective = np.array([one.effective for one in noise])
@@ -100,11 +106,11 @@ def _solved(
     return np.asarray(spread @ score), spread
 
 
-def _weight(residual: FloatArray, noise: _JointNoise) -> FloatArray:
-    """(M,) information of the rows, outliers bounded."""
+def _weight(residual: FloatArray, noise: _JointNoise, most: float) -> FloatArray:
+    """(M,) information of the rows, 1/(N·m)², none more than `most`; outliers bounded."""
     share = noise.effective / max(len(residual), 1)
     huber = np.minimum(1.0, HUBER * noise.sigma / np.maximum(np.abs(residual), 1e-300))
-    return np.asarray(huber * share / noise.sigma**2)
+    return np.asarray(huber * min(share / noise.sigma**2, most))
 
 
 def _noise(regression: Regression, laws: list[FirstOrder], joint: int, residual: FloatArray, hat: float) -> _JointNoise:

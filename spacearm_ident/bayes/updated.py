@@ -9,13 +9,14 @@ intervals, as honest as the prior is.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.base_parameters import base_parameters
-from ..dynamics.model import IdentifiedModel, TorqueModel
+from ..dynamics.model import TorqueModel
 from ..dynamics.term import Constant, Parameter
 from ..estimate.consistency import link_parameters, make_consistent
 from ..estimate.environment import SEEN_SHARE, Environment, judge_vacuum, without_temperature
@@ -69,9 +70,7 @@ def identify_from_prior(
     )
     moves = _moves(ground, result, values)
     return Identified(
-        model=IdentifiedModel(
-            model, values, result.model.constants, result.bandwidth.cutoff_hz, dict(provenance or {})
-        ),
+        model=replace(result.model.moved_to(values, result.model.constants), provenance=dict(provenance or {})),
         estimates=_estimates(result, values),
         base=base,
         base_values=base.regrouping @ result.model.parameters,

@@ -256,6 +256,10 @@ class TorqueModel:
         """Kinds of the terms that are friction."""
         return tuple(dict.fromkeys(term.kind for term in self.terms if term.friction))
 
+    def with_gravity(self, gravity: FloatArray) -> TorqueModel:
+        """The same structure in another field of gravity (3,), m/s², base frame."""
+        return TorqueModel(self.arm.with_gravity(gravity), self.structure)
+
     @property
     def depends(self) -> bool:
         """Whether a term needs to know of the others."""
@@ -305,6 +309,7 @@ class OwnRecordings:
         left_out_Nm: (f, n) RMS that the fit without a part leaves of it, N·m; 0 where a joint has no rows.
         fitted_Nm: (f, n) RMS that the fit to all leaves of it, N·m.
         parameters: (f, p) of the fits, physically consistent.
+        density: (n,) power density of what is left out, as far as it would move a fit, (N·m)²·s; None in older files.
     """
 
     recordings: int
@@ -313,6 +318,7 @@ class OwnRecordings:
     left_out_Nm: FloatArray
     fitted_Nm: FloatArray
     parameters: FloatArray
+    density: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -356,6 +362,49 @@ class IdentifiedModel:
             total = total + self.plain.share * (plain - possible)
         return total
 
+    def with_gravity(self, gravity: FloatArray) -> IdentifiedModel:
+        """The same in another field of gravity (3,), m/s², base frame."""
+        plain = self.plain
+        if plain is not None:
+            plain = replace(plain, model=plain.model.with_gravity(gravity))
+        return replace(self, model=self.model.with_gravity(gravity), plain=plain)
+
+    def moved_to(self, parameters: FloatArray, constants: FloatArray) -> IdentifiedModel:
+        """The same with other values of `parameters` (p,) and `constants` (c,).
+
+        What is blended into the torque moves by as much, as far as it has the term; `departure_share` of it counts.
+        """
+        departure = parameters - self.parameters
+        unbounded, plain, own = self.unbounded, self.plain, self.own
+        if unbounded is not None:
+            unbounded = replace(unbounded, parameters=unbounded.parameters + departure)
+        if plain is not None:
+            moves = dict(zip(_names(self.model), departure))
+            theirs = np.array([moves.get(name, 0.0) for name in _names(plain.model)])
+            plain = replace(plain, parameters=plain.parameters + theirs)
+        if own is not None:
+            own = replace(own, parameters=own.parameters + departure)
+        return replace(self, parameters=parameters, constants=constants, unbounded=unbounded, plain=plain, own=own)
+
+    @property
+    def departure_share(self) -> FloatArray:
+        """(n, p) how much of a departure of a parameter `moved_to` takes to each joint's torque, 0 to 1.
+
+        Where the plain model has a share, f_c is near rest another column there than beside Stribeck friction.
+        """
+        share = np.ones((len(self.model.arm.joints), len(self.parameters)))
+        if self.plain is not None:
+            plain = self.plain.model
+            theirs = {name for name, one in zip(_names(plain), plain.parameters) if not one.held}
+            lacking = np.array([name not in theirs for name in _names(self.model)])
+            share[:, lacking] = self.constant_share[:, None]
+        return share
+
+    @property
+    def constant_share(self) -> FloatArray:
+        """(n,) the same of a constant's departure: a plain model has its own."""
+        return np.ones(len(self.model.arm.joints)) if self.plain is None else 1.0 - self.plain.share
+
     @cached_property
     def by_term(self) -> Mapping[tuple[str, str], float]:
         """Every parameter and constant by the kind of its term and its name.
@@ -373,7 +422,7 @@ class IdentifiedModel:
     def carried_to(self, model: TorqueModel) -> IdentifiedModel:
         """Another model with the values of what both have; the rest of it is zero."""
         known = self.by_term
-        parameters = [known.get((term.kind, item.name), 0.0) for term in model.terms for item in term.parameters]
+        parameters = [known.get(name, 0.0) for name in _names(model)]
         constants = [known.get((term.kind, item.name), 0.0) for term in model.terms for item in term.constants]
         return replace(self, model=model, parameters=np.array(parameters), constants=np.array(constants), own=None)
 
@@ -393,3 +442,8 @@ class IdentifiedModel:
             if item.name == name:
                 return float(value)
         raise KeyError(name)
+
+
+def _names(model: TorqueModel) -> list[tuple[str, str]]:
+    """(p,) parameters by the kind of their term and their name."""
+    return [(term.kind, item.name) for term in model.terms for item in term.parameters]

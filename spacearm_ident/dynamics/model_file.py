@@ -102,8 +102,9 @@ def _own(identified: IdentifiedModel) -> dict[str, Any]:
         }
         for k in range(len(own.rows))
     ]
-    acceleration = dict(zip(names, own.acceleration.tolist()))
-    return {"own_recordings": {"count": own.recordings, "acceleration": acceleration, "parts": parts}}
+    by_joint = {"acceleration": own.acceleration, "density": own.density}
+    known = {key: dict(zip(names, values.tolist())) for key, values in by_joint.items() if values is not None}
+    return {"own_recordings": {"count": own.recordings, **known, "parts": parts}}
 
 
 def _effort(arm: Arm) -> dict[str, Any]:
@@ -192,7 +193,8 @@ def _read_own(model: TorqueModel, data: Mapping[str, Any] | None) -> OwnRecordin
     if any(len(own) != len(model.parameters) or not np.isfinite(own).all() for own in parameters):
         raise UserError(f"every part of own_recordings needs {len(model.parameters)} finite parameters")
     acceleration = _by_joint(model.arm, data["acceleration"])
-    return OwnRecordings(int(data["count"]), acceleration, rows, left, fitted, np.stack(parameters))
+    density = _by_joint(model.arm, data["density"]) if "density" in data else None
+    return OwnRecordings(int(data["count"]), acceleration, rows, left, fitted, np.stack(parameters), density)
 
 
 def _by_joint(arm: Arm, values: Mapping[str, Any]) -> FloatArray:

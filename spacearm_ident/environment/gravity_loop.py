@@ -93,7 +93,7 @@ class GravityLoop(Generic[F]):
 
     def _under(self, fit: F, gravity: FloatArray, anew: bool) -> F:
         model = fit.regression.model
-        there = TorqueModel(model.arm.with_gravity(gravity), model.structure)
+        there = model.with_gravity(gravity)
         return self.refit(there, None if anew else fit)
 
     def _found(self, fit: F) -> GravityEstimate:

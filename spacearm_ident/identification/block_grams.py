@@ -64,6 +64,28 @@ class BlockGrams:
             left[fold] = self.squares(fold, self.solve(self.rest(fold), prior)[1])
         return left
 
+    def slowness(self, blocks: np.ndarray, parameters: FloatArray, factor: FloatArray) -> FloatArray:
+        """(2, n) how far what parameters leave in some blocks would move a fit, and how far noise that is white would.
+
+        Both are sums over blocks of s'(I + G)^-1 s, with the score s and the information G of the block's rows at a
+        joint for v ~ N(0, I); E[s s'] is G if their noise is white and as large as their weights say.
+
+        Args:
+            blocks: Their numbers.
+            parameters: (p,).
+            factor: (p, v) departures of the parameters by v.
+        """
+        found = np.zeros((2, len(self._parts)))
+        for joint, (numbers, grams) in enumerate(self._parts):
+            whole = np.pad(factor[numbers], ((0, 1), (0, 0)))
+            vector = np.append(-parameters[numbers], 1.0)
+            for gram in grams[blocks]:
+                size, directions = np.linalg.eigh(whole.T @ gram @ whole)
+                size = np.maximum(size, 0.0)
+                score = directions.T @ (whole.T @ (gram @ vector))
+                found[:, joint] += np.sum(score**2 / (1.0 + size)), np.sum(size / (1.0 + size))
+        return found
+
     def information(self, blocks: np.ndarray) -> FloatArray:
         """(n,) what some blocks' rows of each joint count for, 1/(N·m)²: the sum of their squared weights."""
         return np.asarray(self._information[blocks].sum(axis=0))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray
-from ..bayes.from_prior import GroundPrior
+from ..bayes.from_prior import CHANGES, GroundPrior
 from ..bayes.updated import identify_from_prior
 from ..dynamics.arm import Arm
 from ..dynamics.base_link import base_notes, placed
@@ -157,8 +157,9 @@ def identify(
 def _with_own_recordings(result: Identified, fit: Fit, settings: Settings) -> IdentifiedModel:
     """The model with what predicts held-out parts of its recordings best, and with what it leaves of them."""
     grams = BlockGrams(fit.regression, fit.solution.constants)
-    parts = parts_left_out(fit, grams)
-    model = replace(result.model, own=own_recordings(fit, grams, parts, result.model.parameters))
+    parts, count = parts_left_out(fit, grams), len(result.model.parameters)
+    departures = GroundPrior.of(result).widened(CHANGES).factor[:count]
+    model = replace(result.model, own=own_recordings(fit, grams, parts, result.model.parameters, departures))
     if settings.solver == SEPARABLE and result.consistency_shift > 0.0:
         model = blended(model, fit, parts, settings.structure is None)
     return model

@@ -18,6 +18,9 @@ from ..regression.held_out import FEWEST_BLOCKS, folds_of
 from .block_grams import BlockGrams
 from .fit import Fit
 
+LEAST_MOVED = 1e-12
+"""Keeps the ratio of what moves a fit finite at a joint without rows."""
+
 
 @dataclass(frozen=True)
 class PartLeftOut:
@@ -52,7 +55,7 @@ def parts_left_out(fit: Fit, grams: BlockGrams) -> list[PartLeftOut]:
 
 
 def own_recordings(
-    fit: Fit, grams: BlockGrams, parts: list[PartLeftOut], parameters: FloatArray
+    fit: Fit, grams: BlockGrams, parts: list[PartLeftOut], parameters: FloatArray, factor: FloatArray
 ) -> OwnRecordings | None:
     """What is kept of them in the model; None where there are none.
 
@@ -61,6 +64,7 @@ def own_recordings(
         grams: Its regression by blocks, at its constants.
         parts: Fits that leave out a part each.
         parameters: (p,) of the model, fitted to all.
+        factor: (p, v) how far they may be off in another recording: L of their covariance L L'.
     """
     if len(parts) < 2:
         return None
@@ -76,6 +80,9 @@ def own_recordings(
             )
         )
         rows = np.nan_to_num(worth / largest**2)
+    moves, moved = np.sum([grams.slowness(part.fold, part.possible, factor) for part in parts], axis=0)
+    rate_hz = np.mean([motion.row_rate_hz for motion in motions])
+    white = 1.0 / (np.where(largest > 0.0, largest, np.inf) ** 2 * rate_hz)
     squares = sum((motion.moving * motion.reduce(motion.acceleration) ** 2).sum(axis=0) for motion in motions)
     moving = np.maximum(sum(motion.moving.sum(axis=0) for motion in motions), 1)
     return OwnRecordings(
@@ -85,4 +92,5 @@ def own_recordings(
         left_out_Nm=left,
         fitted_Nm=fitted,
         parameters=np.stack([part.possible for part in parts]),
+        density=white * moves / np.maximum(moved, LEAST_MOVED),
     )
