@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 from mujoco_arm import JOINTS, inverse, mjcf, mujoco_or_skip, recorded
 
+from spacearm_ident.dynamics.model import TorqueModel
 from spacearm_ident.dynamics.regressor import rigid_body_torque
 from spacearm_ident.errors import UserError
 from spacearm_ident.export.law import nearest
 from spacearm_ident.export.mended import mend
 from spacearm_ident.export.sdf import sdf
-from spacearm_ident.results.formats import SDF
+from spacearm_ident.results.formats import ARMATURE, DAMPING, FRICTION, MJCF, SDF
 from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.simulations import Simulation, read_simulation
 from spacearm_ident.simulations.noise_free import noise_free
@@ -104,6 +106,99 @@ def test_mended_mjcf_predicts_in_mujoco_what_the_model_predicts(file: Path, tmp_
     for joint in JOINTS:
         assert right.feedback_Nm[joint] < 0.2 * wrong.feedback_Nm[joint]
         assert right.position[joint] < 0.2 * wrong.position[joint]
+
+
+SPRING = ' stiffness="9" springref="0.3"'
+SHAPES = '<geom type="box" size="0.1 0.05 0.04" pos="0.1 0 0" density="900"/>'
+FINGER = """<body name="finger" pos="0 0.02 0.06">
+            <joint name="finger" type="slide" axis="0 1 0" range="0 0.04" damping="5"/>
+            <geom type="box" size="0.01 0.01 0.03" mass="0.05"/>
+          </body></body>"""
+
+
+def _rewritten(text: str, kind: str) -> str:
+    """The MJCF as somebody else would write it."""
+    if kind == "a spring about a position in degrees":
+        text = text.replace('angle="radian"', 'angle="degree"').replace('ref="0.2"', f'ref="{np.degrees(0.2)}"')
+        spring = SPRING.replace('"0.3"', f'"{np.degrees(0.3)}"')
+        return text.replace('euler="0.3 0.2 0"', f'euler="{np.degrees(0.3)} {np.degrees(0.2)} 0"').replace(
+            'name="elbow"', 'name="elbow"' + spring
+        )
+    if kind == "inertia from shapes alone":
+        text = text.replace('angle="radian"', 'angle="radian" inertiafromgeom="true" settotalmass="30"')
+        return re.sub("<inertial[^>]*/>", SHAPES, text)
+    if kind == "fingers with shapes":
+        return text.replace("</body>", FINGER, 1)
+    return text
+
+
+@pytest.mark.parametrize(
+    "kind", ["a spring about a position in degrees", "inertia from shapes alone", "fingers with shapes"]
+)
+def test_mended_mjcf_is_read_again_as_the_model_however_it_is_written(tmp_path: Path, kind: str) -> None:
+    mujoco = mujoco_or_skip()
+    path, other = tmp_path / "three.xml", tmp_path / "other.xml"
+    path.write_text(_rewritten(mjcf(), kind))
+    sprung = kind if "spring" in kind else ""
+    other.write_text(_rewritten(mjcf(fore_mass=2.6, damping=0.9, friction=0.3, armature=0.02), sprung))
+    strange = [name for name in read_simulation(path).arm.joint_names if name not in JOINTS]
+    simulation, truth = without(read_simulation(path), strange), read_simulation(other).model
+    motions, _ = prepare([recorded(other.read_text())], JOINTS)
+    mended = mend(simulation, path, truth, motions)
+    assert mended is not None and mended.excess is not None
+    np.testing.assert_allclose(mended.excess, 1.0, atol=0.01)
+    model = mujoco.MjModel.from_xml_string(mended.text)
+    assert model.njnt == 3 + len(strange)
+    if not strange:
+        states = _states()
+        np.testing.assert_allclose(inverse(mended.text, *states), inverse(other.read_text(), *states), atol=1e-4)
+
+
+@pytest.mark.parametrize("suffix", ["xml", "sdf"])
+@pytest.mark.parametrize("had", [False, True])
+def test_spring_of_an_arm_goes_into_a_file_that_has_another_or_none(tmp_path: Path, suffix: str, had: bool) -> None:
+    """Friction, damping and rotor inertia of its joint stay what they are."""
+    mujoco_or_skip()
+    source = tmp_path / "three.xml"
+    armature = {"armature": 0.0} if suffix == "sdf" else {}
+    source.write_text(mjcf(**armature).replace('name="elbow"', 'name="elbow"' + SPRING * had))
+    simulation, path = read_simulation(source), tmp_path / f"three.{suffix}"
+    motions, _ = prepare([recorded(source.read_text())], JOINTS)
+    if suffix == "sdf":
+        path.write_text(sdf(simulation.model, nearest(simulation.model, SDF, motions), []))
+    place = {"joint": "elbow"}
+    structure = {**simulation.model.model.structure, "harness_spring": {"at": [place]}}
+    structure |= {"joint_spring": {}, "torque_offset": {"joints": []}} if not had else {}
+    arm = simulation.model.carried_to(TorqueModel(simulation.arm, structure))
+    names = [(p.symbol, p.joint) for p in arm.model.parameters]
+    values = arm.parameters.copy()
+    values[names.index(("stiffness", "elbow"))], values[names.index(("preload", "elbow"))] = 4.0, -1.2
+    arm = replace(arm, parameters=values)
+    motions = [replace(motion, torque=arm.torque(motion) + 0.01 * motion.torque) for motion in motions]
+    mended = mend(read_simulation(path), path, arm, motions)
+    assert mended is not None and not mended.lost
+    (tmp_path / mended.name).write_text(mended.text)
+    again = read_simulation(tmp_path / mended.name).model
+    stiffness, constant = (13.0, -1.2 - 9.0 * 0.3) if had else (4.0, -1.2)
+    assert again.value("k_1", "elbow") == pytest.approx(stiffness, rel=1e-4)
+    assert again.value("offset", "elbow") == pytest.approx(constant, rel=1e-4)
+    for symbol in ("f_c", "k_v1", "J_m"):
+        assert again.value(symbol, "elbow") == pytest.approx(arm.value(symbol, "elbow"), rel=1e-4, abs=1e-9)
+
+
+def test_constant_torque_is_cost_where_a_format_has_no_spring_and_spoils_no_friction(file: Path) -> None:
+    mujoco_or_skip()
+    simulation = read_simulation(file)
+    structure = {**simulation.model.model.structure, "torque_offset": {}}
+    arm = simulation.model.carried_to(TorqueModel(simulation.arm, structure))
+    values = arm.parameters.copy()
+    values[[p.symbol == "offset" for p in arm.model.parameters]] = 7.0
+    motions, _ = prepare([recorded(mjcf())], JOINTS)
+    fit = nearest(replace(arm, parameters=values), MJCF, motions)
+    assert fit.lost == ("torque offset",)
+    for joint in JOINTS:
+        assert fit.cost_Nm[joint] == pytest.approx(7.0)
+        assert [fit.values[joint][name] for name in (DAMPING, FRICTION, ARMATURE)] == pytest.approx([0.6, 0.8, 0.05])
 
 
 @pytest.mark.parametrize("suffix", ["urdf", "sdf"])

@@ -169,7 +169,9 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
         )
     lines = [f"{verdict(comparison).replace('_', ' ')}: {comparison.headline}"]
     if mended is not None:
-        lines.append(f"next: use the corrected simulation, {page.with_name(mended.name)}, or look at {page}")
+        lines.append(f"next: {_next_step(comparison, page, mended)}")
+        if mended.lost:
+            lines.append(f"the simulation's format cannot hold: {', '.join(mended.lost)}")
     lines.append(f"report: {page}")
     for layer in comparison.layers:
         lines.append(f"{layer.name}{'' if layer.items else ': no significant difference'}")
@@ -208,6 +210,17 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
             cells = (format(value, form) if math.isfinite(value) else "unstable" for value, form in shown)
             lines.append(f"{joint:24}" + "".join(f"{cell:>13}" for cell in cells))
     return "\n".join(lines)
+
+
+def _next_step(comparison: Comparison, page: Path, mended: Mended) -> str:
+    file = page.with_name(mended.name)
+    if verdict(comparison) == NO_MISMATCH:
+        return f"keep the simulation; {file} has the values that fit best, all of them within what the data can tell"
+    if comparison.file_is_better:
+        return f"use the corrected simulation, {file}, or look at {page}"
+    return (
+        f"look at {page}: the simulation's format cannot hold what differs, and {file} predicts no better than before"
+    )
 
 
 def _item_line(layer: str, item: Item) -> str:

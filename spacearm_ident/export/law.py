@@ -8,6 +8,8 @@ format's own parameters are fitted to all of it, by least squares over the motio
 
 and what that leaves of the model's prediction is the cost, in N·m RMS and at most. The bodies are those of the
 identified model, and all values the physically consistent ones: what `unbounded` and `plain` add is part of the cost.
+A spring and a constant torque are taken over where a format has a spring, and are cost elsewhere: what acts by position
+is no friction, and fitted by it on one motion it would be wrong on the next.
 """
 
 from __future__ import annotations
@@ -22,7 +24,19 @@ from ..arrays import FloatArray
 from ..dynamics.coupling import CoupledMotor
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.rigid_body import JointSpring, RotorInertia, TorqueOffset
-from ..results.formats import ARMATURE, DAMPING, FRICTION, PARTS, RIGID, STIFFNESS, Format, lost_words
+from ..results.formats import (
+    ARMATURE,
+    DAMPING,
+    FRICTION,
+    PARTS,
+    REST,
+    RIGID,
+    SPRINGS,
+    STIFFNESS,
+    Format,
+    lost_words,
+    spring_of,
+)
 from ..signals.motion import Motion
 
 SLOW_SHARE = 0.02
@@ -88,39 +102,29 @@ def nearest(model: IdentifiedModel, form: Format, motions: Sequence[Motion]) -> 
     values: dict[str, dict[str, float]] = {}
     cost, most, size = {}, {}, {}
     bodies = np.concatenate([model.torque(motion, (RIGID,)) for motion in motions])
-    rest = np.concatenate([model.torque(motion) for motion in motions]) - bodies
+    fitted = [kind for kind in model.model.structure if kind not in (RIGID, *SPRINGS)]
+    rest = np.concatenate([model.torque(motion, fitted) for motion in motions])
     torque = np.concatenate([whole_model.torque(motion) for motion in motions])
     q, qd, qdd = (
         np.concatenate([getattr(motion, name) for motion in motions])
         for name in ("position", "velocity", "acceleration")
     )
-    springs = _springs(model)
     for k, joint in enumerate(arm.joint_names):
         moving = np.abs(qd[:, k]) > SLOW_SHARE * np.abs(qd[:, k]).max()
         columns = {ARMATURE: qdd[:, k], DAMPING: qd[:, k], FRICTION: np.sign(qd[:, k])}
         chosen = {name: column for name, column in columns.items() if name in form.holds}
-        spring = springs[k] if STIFFNESS in form.holds else 0.0
-        found = _fit(chosen, rest[:, k] - spring * q[:, k], moving)
-        held = sum((found[name] * column for name, column in chosen.items()), bodies[:, k] + spring * q[:, k])
-        left = torque[:, k] - held
+        found = _fit(chosen, rest[:, k], moving)
+        held = sum((found[name] * column for name, column in chosen.items()), bodies[:, k])
         if STIFFNESS in form.holds:
-            found[STIFFNESS] = spring
+            spring = spring_of(model, joint)
+            found |= {STIFFNESS: max(spring.stiffness, 0.0), REST: spring.rest}
+            held = held + found[STIFFNESS] * (q[:, k] - spring.rest)
+        left = torque[:, k] - held
         values[joint] = found
         kept = left[moving] if moving.any() else np.zeros(1)
         cost[joint], most[joint] = float(np.sqrt(np.mean(kept**2))), float(np.abs(kept).max())
         size[joint] = float(np.sqrt(np.mean(torque[moving, k] ** 2))) if moving.any() else 0.0
     return Nearest(form, values, cost, most, size, lost_words(whole_model, form))
-
-
-def _springs(model: IdentifiedModel) -> list[float]:
-    """(n,) stiffness k_1 of each joint, N·m/rad; one that would push away is no spring of any format."""
-    found = []
-    for joint in model.model.arm.joint_names:
-        try:
-            found.append(max(0.0, model.value(JointSpring.symbol, joint)))
-        except KeyError:
-            found.append(0.0)
-    return found
 
 
 def _fit(columns: Mapping[str, FloatArray], target: FloatArray, rows: np.ndarray) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """The simulation, mended: the same file with identified values, as far as its format can hold them.
 
 What a format has no place for is fitted by what it has (`export.law.nearest`), and what that costs is stated by joint.
+The file is read again as any simulation is, and judged as it is read.
 """
 
 from __future__ import annotations
@@ -8,21 +9,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..documents import parse_xml
 from ..dynamics.model import IdentifiedModel
 from ..errors import UserError
 from ..layers.item import Mended
-from ..results.formats import ARMATURE, DAMPING, FRICTION, MJCF, SDF, STIFFNESS, URDF
+from ..results.formats import ARMATURE, DAMPING, FRICTION, MJCF, REST, SDF, STIFFNESS, URDF
 from ..results.urdf import identified_urdf
 from ..signals.motion import Motion
-from ..simulations import Simulation
-from ..simulations.mjcf import mujoco_or_error
+from ..simulations import Simulation, read_simulation
+from ..simulations.mjcf import mujoco_or_error, simulation_of_mujoco
+from ..simulations.simulation import without
 from .closed_loop import follow
 from .frames import bodies_of, quaternion
 from .law import Nearest, nearest
@@ -39,7 +43,7 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
         motions: Where the format's parameters are to be near the model's; with the arm's torque there.
 
     Raises:
-        UserError: A body that cannot be.
+        UserError: A body that cannot be, or a file that MuJoCo refuses.
     """
     form = {"mjcf": MJCF, "urdf": URDF, "sdf": SDF}.get(simulation.format)
     if form is None:
@@ -47,19 +51,23 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
     fit = nearest(model, form, motions)
     if simulation.format == "mjcf":
         mujoco = mujoco_or_error()
-        spec, original = _mjcf(mujoco, path, model, fit), mujoco.MjModel.from_xml_path(str(path))
-        runs = [follow(mujoco, one, original, motions) for one in (original, spec.compile())]
-        return replace(_mended("mended.xml", str(spec.to_xml()), fit), closed_loop=(runs[0], runs[1]))
+        text, original = _mjcf(mujoco, path, model, fit), mujoco.MjModel.from_xml_path(str(path))
+        new = _compiled(mujoco, text, path)
+        runs = [follow(mujoco, one, original, motions) for one in (original, new)]
+        excess = _excess(simulation_of_mujoco(mujoco, new, path), model, motions)
+        return replace(_mended("mended.xml", text, fit), excess=excess, closed_loop=(runs[0], runs[1]))
     dynamics = {joint: (own[DAMPING], own[FRICTION]) for joint, own in fit.values.items()}
     text = identified_urdf(model, dynamics)
     if simulation.format == "sdf":
         mended = _mended("mended.sdf", sdf(model, fit, [f"{simulation.source}, mended by spacearm_ident"]), fit)
+        mended = replace(mended, excess=_excess(_read_again(mended.text, mended.name), model, motions))
         if _springs(simulation, fit):
             return mended
         # MuJoCo reads no SDF; a URDF holds the same bodies, damping and friction.
         before = identified_urdf(simulation.model)
     else:
         mended, before = _mended("mended.urdf", text, fit), path.read_text()
+        mended = replace(mended, excess=_excess(_read_again(text, mended.name), model, motions))
     original, new = (_urdf_in_mujoco(one, simulation) for one in (before, text))
     if original is None or new is None:
         return mended
@@ -75,6 +83,26 @@ def _springs(simulation: Simulation, fit: Nearest) -> bool:
 
 def _mended(name: str, text: str, fit: Nearest) -> Mended:
     return Mended(name, text, fit.lost, fit.cost_Nm, fit.torque_Nm)
+
+
+def _read_again(text: str, name: str) -> Simulation:
+    """The simulation of a description's text."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        path.write_text(text, encoding="utf-8")
+        return read_simulation(path)
+
+
+def _excess(file: Simulation, model: IdentifiedModel, motions: Sequence[Motion]) -> FloatArray:
+    """(n,) RMS of what a file leaves of the motions' torque where a joint moves, over what the model leaves."""
+    arm = model.model.arm
+    same = without(file, [name for name in file.arm.joint_names if name not in arm.joint_names])
+    squares = np.zeros((2, len(arm.joints)))
+    for motion in motions:
+        for k, one in enumerate((same.model.with_gravity(arm.gravity), model)):
+            left = motion.torque_rows - motion.reduce(one.torque(motion))
+            squares[k] += (left**2 * motion.moving).sum(axis=0)
+    return np.asarray(np.sqrt(squares[0] / np.where(squares[1] > 0.0, squares[1], np.inf)))
 
 
 def _urdf_in_mujoco(text: str, simulation: Simulation) -> Any | None:
@@ -104,9 +132,26 @@ def _urdf_in_mujoco(text: str, simulation: Simulation) -> Any | None:
     return model
 
 
-def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) -> Any:
-    """The MJCF with new inertials, armature, damping and friction loss; everything else as it was."""
+def _compiled(mujoco: ModuleType, text: str, path: Path) -> Any:
+    """The `MjModel` of an MJCF's text, its meshes where those of the file `path` are.
+
+    Raises:
+        UserError: MuJoCo refuses it.
+    """
+    spec = mujoco.MjSpec.from_string(text)
+    spec.modelfiledir = str(path.parent)
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise UserError(f"MuJoCo refuses the corrected MJCF: {str(error).strip().splitlines()[0]}") from error
+
+
+def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) -> str:
+    """The MJCF with new inertials, armature, damping, friction loss and springs; everything else as it was."""
     spec = mujoco.MjSpec.from_file(str(path))
+    # What would replace the inertials that are written here.
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    spec.compiler.settotalmass, spec.compiler.boundmass, spec.compiler.boundinertia = -1.0, 0.0, 0.0
     joints = frozenset(model.model.arm.joint_names)
     for body in bodies_of(model):
         joint = spec.joint(body.joint.name)
@@ -121,15 +166,18 @@ def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) 
             # Its mass is part of the body that carries it: kept here as well, it would count twice.
             fixed.explicitinertial = True
             fixed.mass = LEAST
-            fixed.inertia = [LEAST] * 3
-            fixed.fullinertia = [np.nan] * 6
+            fixed.ipos, fixed.iquat = [0.0] * 3, [1.0, 0.0, 0.0, 0.0]
+            fixed.inertia, fixed.fullinertia = [LEAST] * 3, [np.nan] * 6
         values = fit.values[body.joint.name]
         joint.armature = values[ARMATURE]
         joint.damping = _first(joint.damping, values[DAMPING])
         joint.frictionloss = values[FRICTION]
-        if values.get(STIFFNESS):
-            joint.stiffness = _first(joint.stiffness, values[STIFFNESS])
-    return spec
+        joint.stiffness = _first(joint.stiffness, values[STIFFNESS])
+        if values[STIFFNESS]:
+            in_degrees = spec.compiler.degree and body.joint.revolute
+            joint.springref = np.degrees(values[REST]) if in_degrees else values[REST]
+    spec.compile()
+    return str(spec.to_xml())
 
 
 LEAST = 1e-9

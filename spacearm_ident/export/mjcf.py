@@ -7,7 +7,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
-from ..results.formats import ARMATURE, DAMPING, FRICTION, STIFFNESS
+from ..results.formats import ARMATURE, DAMPING, FRICTION, REST, STIFFNESS
 from .frames import Body, bodies_of, children_of, quaternion, words
 from .law import Nearest
 
@@ -80,7 +80,7 @@ def _joint(body: Body, fit: Nearest) -> str:
         f'frictionloss="{values[FRICTION]!r}"',
     ]
     if values.get(STIFFNESS, 0.0) > 0.0:
-        parts.append(f'stiffness="{values[STIFFNESS]!r}"')
+        parts.append(f'stiffness="{values[STIFFNESS]!r}" springref="{values[REST]!r}"')
     return " ".join(parts) + "/>"
 
 

@@ -7,7 +7,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
-from ..results.formats import DAMPING, FRICTION, STIFFNESS
+from ..results.formats import DAMPING, FRICTION, REST, STIFFNESS
 from .frames import Body, bodies_of, rpy, words
 from .law import Nearest
 
@@ -60,7 +60,10 @@ def _joint(body: Body, carrier: str, fit: Nearest) -> list[str]:
     kind = ("revolute" if np.isfinite(joint.upper) else "continuous") if joint.revolute else "prismatic"
     spring = ""
     if values.get(STIFFNESS, 0.0) > 0.0:
-        spring = f"<spring_stiffness>{values[STIFFNESS]!r}</spring_stiffness>"
+        spring = (
+            f"<spring_stiffness>{values[STIFFNESS]!r}</spring_stiffness>"
+            f"<spring_reference>{values[REST]!r}</spring_reference>"
+        )
     limits = {
         "lower": joint.lower,
         "upper": joint.upper,

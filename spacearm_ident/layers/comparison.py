@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..mismatch.finding import Detectable, Explanation
 from .conventions import Suspicion
-from .item import CONVENTIONS, PARAMETERS, PHYSICS, Layer
+from .item import CONVENTIONS, PARAMETERS, PHYSICS, Layer, Mended
 from .wiring import Wiring
 
 
@@ -33,6 +33,10 @@ COUNTED = {CONVENTIONS: "convention", PARAMETERS: "parameter", PHYSICS: "physica
 """Layer -> what one of its items is."""
 
 
+WORTH_SAYING = 0.01
+"""Share of a joint's torque: so much less of a residual is said of a joint."""
+
+
 @dataclass(frozen=True)
 class Comparison:
     """The whole answer.
@@ -44,7 +48,7 @@ class Comparison:
         torque_Nm: (n,) RMS of the measured torque there.
         noise_Nm: (n,) noise floor: what is left that nothing tried explains, at most.
         ceiling_Nm: (n,) what a flexible function of the same inputs leaves beside the simulation's own terms, refitted.
-        mended_Nm: (n,) the same of `model`.
+        mended_Nm: (n,) the same of the corrected file as it is read again (`of_file`); until there is one, of `model`.
         model: The mended simulation with the physics it lacked.
         wiring: What recordings are off by, beside `model`.
         suspected: What else may be off.
@@ -91,8 +95,29 @@ class Comparison:
             for layer in self.layers[:3]
             if layer.items
         ]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            before, after = (float(np.nanmedian(rms / self.torque_Nm)) for rms in (self.before_Nm, self.after_Nm))
         what = ", ".join(counted) or "no significant difference"
-        share = f"residual {before:.0%} -> {after:.1%} of the torque (median joint)"
-        return f"simulation compared with the arm: {what}; {share}"
+        return f"simulation compared with the arm: {what}; residual {self.residual_words}"
+
+    @property
+    def residual_words(self) -> str:
+        """Residual over torque, without and with all layers: of the median joint, and of the one most of which goes."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            before, after = self.before_Nm / self.torque_Nm, self.after_Nm / self.torque_Nm
+        words = f"{np.nanmedian(before):.1%} -> {np.nanmedian(after):.1%} of the torque (median joint)"
+        gone = np.where(np.isfinite(before - after), before - after, -np.inf)
+        most = int(np.argmax(gone))
+        if len(self.joints) == 1 or gone[most] < WORTH_SAYING:
+            return words
+        return f"{words}, {before[most]:.1%} -> {after[most]:.1%} at {self.joints[most]}"
+
+    @property
+    def file_is_better(self) -> bool:
+        """Whether the corrected file leaves less than the simulation did: mean over the joints of the log ratio."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return bool(np.nanmean(np.log(self.mended_Nm / self.before_Nm)) < 0.0)
+
+    def of_file(self, mended: Mended | None) -> Comparison:
+        """With what a corrected file leaves in place of what the model does, where the file cannot hold all of it."""
+        if mended is None or mended.excess is None:
+            return self
+        return replace(self, mended_Nm=self.mended_Nm * mended.excess)

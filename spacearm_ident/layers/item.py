@@ -76,6 +76,7 @@ class Mended:
         lost: What of the model the format does not hold, in words.
         cost_Nm: Joint -> RMS that its nearest parameters leave of the model's torque, where the joint moves.
         torque_Nm: Joint -> RMS of the model's torque there.
+        excess: (n,) RMS of what the file leaves of the arm's torque over what the model leaves, by joint of the arm.
         closed_loop: The file as it was, and mended, run along what the arm did; None where the format has no engine.
     """
 
@@ -84,6 +85,7 @@ class Mended:
     lost: tuple[str, ...]
     cost_Nm: Mapping[str, float]
     torque_Nm: Mapping[str, float]
+    excess: FloatArray | None = None
     closed_loop: tuple[Strayed, Strayed] | None = None
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..dynamics.effects.position import HarnessSpring
 from ..dynamics.model import CATALOGUE, IdentifiedModel
-from ..dynamics.rigid_body import JointSpring, RigidBody, RotorInertia
+from ..dynamics.rigid_body import JointSpring, RigidBody, RotorInertia, TorqueOffset
 
-ARMATURE, DAMPING, FRICTION, STIFFNESS = "armature", "damping", "friction", "stiffness"
+ARMATURE, DAMPING, FRICTION, STIFFNESS, REST = "armature", "damping", "friction", "stiffness", "rest"
 RIGID = RigidBody.kind
 
 
@@ -17,7 +18,8 @@ class Format:
 
     Attributes:
         name: As users write it.
-        holds: Some of `ARMATURE`, `DAMPING`, `FRICTION`, `STIFFNESS` (at rest at zero)
+        holds: Some of `ARMATURE`, `DAMPING`, `FRICTION`, `STIFFNESS`; who holds a stiffness holds `REST`, the position
+            where the spring is free.
     """
 
     name: str
@@ -25,15 +27,17 @@ class Format:
 
 
 MJCF = Format("mjcf", frozenset({ARMATURE, DAMPING, FRICTION, STIFFNESS}))
-"""MuJoCo's joint: armature q'' + damping q' + frictionloss sgn(q') + stiffness q."""
+"""MuJoCo's joint: armature q'' + damping q' + frictionloss sgn(q') + stiffness (q - springref)."""
 SDF = Format("sdf", frozenset({DAMPING, FRICTION, STIFFNESS}))
-"""SDF's `<dynamics>`; there is no place for the inertia of a rotor."""
+"""SDF's `<dynamics>`, with spring_stiffness and spring_reference; there is no place for the inertia of a rotor."""
 URDF = Format("urdf", frozenset({DAMPING, FRICTION}))
 """URDF's `<dynamics damping friction>`; there is no place for the inertia of a rotor or a spring."""
 USD = Format("usd", frozenset({ARMATURE, DAMPING, FRICTION}))
 """PhysX's joint: armature q'' + viscous q' + dynamic friction sgn(q')."""
 
-_HELD = {RotorInertia.kind: ARMATURE, JointSpring.kind: STIFFNESS}
+_HELD = {RotorInertia.kind: ARMATURE, JointSpring.kind: STIFFNESS, HarnessSpring.kind: STIFFNESS}
+SPRINGS = (JointSpring.kind, HarnessSpring.kind, TorqueOffset.kind)
+"""Terms that are a spring about some position: k q + c."""
 PARTS = {
     "stribeck_friction": (
         ("f_b", "Stribeck friction"),
@@ -44,13 +48,52 @@ PARTS = {
 }
 
 
+@dataclass(frozen=True)
+class Spring:
+    """The terms `SPRINGS` of a joint.
+
+    Attributes:
+        stiffness: N m/rad (N/m).
+        constant: Torque at position zero, N m (N).
+    """
+
+    stiffness: float
+    constant: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether a format's spring can be this: it does not push away, and has no constant without a stiffness."""
+        return self.stiffness > 0.0 or (self.stiffness == 0.0 and self.constant == 0.0)
+
+    @property
+    def rest(self) -> float:
+        """Where it is free, rad (m); zero where there is no spring."""
+        return -self.constant / self.stiffness if self.stiffness > 0.0 else 0.0
+
+
+def spring_of(model: IdentifiedModel, joint: str) -> Spring:
+    """What the springs and the offset of a joint are together."""
+
+    def total(*names: tuple[str, str]) -> float:
+        return sum(model.by_term.get((kind, f"{symbol}[{joint}]"), 0.0) for kind, symbol in names)
+
+    return Spring(
+        total((JointSpring.kind, JointSpring.symbol), (HarnessSpring.kind, "stiffness")),
+        total((TorqueOffset.kind, TorqueOffset.symbol), (HarnessSpring.kind, "preload")),
+    )
+
+
 def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
     """What of the model has values and no place in the format, in words."""
     words: list[str] = []
     for term, first, first_constant in model.model.numbered():
         values = {p.symbol: model.parameters[first + k] for k, p in enumerate(term.parameters)}
         values |= {c.symbol: model.constants[first_constant + k] for k, c in enumerate(term.constants)}
-        if term.kind == RIGID or (term.kind in _HELD and _HELD[term.kind] in form.holds):
+        if term.kind in SPRINGS and STIFFNESS in form.holds:
+            here = {p.joint for k, p in enumerate(term.parameters) if model.parameters[first + k] != 0.0}
+            if all(spring_of(model, joint).fits for joint in here):
+                continue
+        elif term.kind == RIGID or (term.kind in _HELD and _HELD[term.kind] in form.holds):
             continue
         if term.kind in PARTS:
             for symbol, what in PARTS[term.kind]:

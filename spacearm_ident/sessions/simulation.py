@@ -87,6 +87,7 @@ def compare_session(
         motions, _ = prepare(right[1] or right[0], read.arm.joint_names)
         motions = comparison.wiring.undone(motions, comparison.model)
         mended = mend(read, simulation[0], comparison.model, motions)
+        comparison = comparison.of_file(mended)
     page = write_comparison(comparison, read, mended, fitted, held, directory, command)
     return SimulationSession(comparison, mended, page, (*fitted, *held), read)
 

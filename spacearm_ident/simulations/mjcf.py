@@ -45,6 +45,15 @@ def read_mjcf(path: Path) -> Simulation:
     except (ValueError, OSError, RuntimeError) as error:
         detail = (str(error).strip().splitlines() or ["no reason given"])[0]
         raise UserError(f"MuJoCo cannot read {path}: {detail}") from error
+    return simulation_of_mujoco(mujoco, model, path)
+
+
+def simulation_of_mujoco(mujoco: ModuleType, model: Any, path: Path) -> Simulation:
+    """The same of an `MjModel`, which `path` has.
+
+    Raises:
+        UserError: It has no joint, or one that is neither a hinge nor a slide.
+    """
     if model.njnt == 0:
         raise UserError(f"{path} has no joint: name the MJCF of an arm")
     links = _links(mujoco, model, path)

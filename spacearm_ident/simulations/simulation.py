@@ -82,12 +82,15 @@ class Simulation:
 
     @property
     def all_parts(self) -> tuple[Part, ...]:
-        """The file's bodies with mass; where they are not known apart, everything behind a joint is one."""
+        """The file's bodies with mass; where they are not known apart, everything behind a joint is one.
+
+        Of a simulator's bag they are what its torque shows, not what a description beside it says.
+        """
         known = {part.joint for part in self.parts}
         whole = (
-            Part(self.body(joint.name), joint.name, joint.inertial)
-            for joint in self.arm.joints
-            if joint.name not in known
+            Part(self.body(joint), joint, np.array([self.model.value(symbol, joint) for symbol in INERTIAL_SYMBOLS]))
+            for joint in self.arm.joint_names
+            if joint not in known
         )
         return tuple(part for part in (*self.parts, *whole) if part.inertial[0] > 0.0)
 
