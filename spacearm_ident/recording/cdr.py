@@ -9,23 +9,26 @@ A thousand joint states a second nearly always share one *layout*: same joints i
 places of every number. `decode_joint_states` parses one message, compares the bytes that fix the layout over
 all messages at once, and reads the numbers of those that agree with one array view. What disagrees is tried
 with the next layout, and in the end message by message. Every length is checked against the bytes that are
-there before anything is allocated.
+there before anything is allocated. The states that ros2_control publishes in types of its own are joint states of
+another layout.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
+from . import messages
 
 _HEADER_BYTES = 4
 _STAMP = slice(4, 12)
 _VECTOR_ATTEMPTS = 12  # layouts compared over all messages before going message by message
+_NOWHERE = -1  # start of a number that a message does not have
 _COMPARED_TOGETHER = 4096  # messages compared in one go: the temporaries stay in the cache
 
 
@@ -77,13 +80,14 @@ class _Cursor:
             raise CdrError(f"{count} strings announced, too few bytes left")
         return tuple(self.string() for _ in range(count))
 
-    def float64s(self) -> tuple[int, int]:
-        """A sequence of float64: where it starts and how many there are."""
+    def float64s(self) -> range:
+        """Where each number of a sequence of float64 starts."""
         count = self.u32()
         if count == 0:
-            return self.position, 0
+            return range(0)
         self.align(8)
-        return self.skip(8 * count), count
+        start = self.skip(8 * count)
+        return range(start, start + 8 * count, 8)
 
     def stamp_ns(self) -> int:
         seconds, nanoseconds = struct.unpack_from(self.order + "iI", self.payload, self.skip(8))
@@ -92,22 +96,63 @@ class _Cursor:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the numbers of a JointState stand, and which bytes make it so."""
+    """Where the numbers of a joint state stand, and which bytes make it so."""
 
     size: int
     order: str
     names: tuple[str, ...]
-    arrays: tuple[tuple[int, int], ...]  # (start, count) of position, velocity, effort
+    starts: tuple[range | tuple[int, ...], ...]  # of each joint's position, velocity, effort; `_NOWHERE`: it has none
     fixed: tuple[tuple[int, int], ...]  # byte spans any message of this layout repeats; padding is not one
 
 
-def _layout(payload: bytes) -> _Layout:
+def _begin(payload: bytes) -> tuple[_Cursor, tuple[str, ...]]:
+    """A cursor behind the header and the joints' names, with which every kind of joint state begins."""
     cursor = _Cursor(payload)
     cursor.skip(8)
     cursor.skip(cursor.u32())  # the frame_id may change: only its length matters
-    names = cursor.strings()
-    arrays = tuple(cursor.float64s() for _ in range(3))
-    return _Layout(len(payload), cursor.order, names, arrays, tuple(cursor.fixed))
+    return cursor, cursor.strings()
+
+
+def _joint_state(payload: bytes) -> _Layout:
+    cursor, names = _begin(payload)
+    starts = tuple(cursor.float64s() for _ in range(3))
+    return _Layout(len(payload), cursor.order, names, starts, tuple(cursor.fixed))
+
+
+def _dynamic_joint_state(payload: bytes) -> _Layout:
+    """Of each joint some interfaces, by name, and a number of each."""
+    cursor, names = _begin(payload)
+    if cursor.u32() != len(names):
+        raise CdrError("not as many interfaces as joints")
+    columns: tuple[list[int], ...] = ([], [], [])
+    for _ in names:
+        interfaces, numbers = cursor.strings(), cursor.float64s()
+        if len(interfaces) != len(numbers):
+            raise CdrError("not as many values as interfaces")
+        place = dict(zip(interfaces, numbers))
+        for column, signal in zip(columns, ("position", "velocity", "effort")):
+            column.append(place.get(signal, _NOWHERE))
+    return _Layout(len(payload), cursor.order, names, tuple(map(tuple, columns)), tuple(cursor.fixed))
+
+
+def _trajectory_point(payload: bytes, before: int) -> _Layout:
+    """A JointTrajectoryPoint with as many `before` it."""
+    cursor, names = _begin(payload)
+    for point in range(before + 1):
+        position, velocity, _, effort = (cursor.float64s() for _ in range(4))
+        if point < before:
+            cursor.align(4)
+            cursor.skip(8)  # time_from_start
+    return _Layout(len(payload), cursor.order, names, (position, velocity, effort), tuple(cursor.fixed))
+
+
+def _layout_of(kind: str, commanded: bool) -> Callable[[bytes], _Layout]:
+    """What reads the layout of a message of a type; a type that is not known is taken for a JointState."""
+    if kind == messages.DYNAMIC_JOINT_STATE:
+        return _dynamic_joint_state
+    if kind == messages.CONTROLLER_STATE:
+        return lambda payload: _trajectory_point(payload, 0 if commanded else 1)
+    return _joint_state
 
 
 @dataclass(frozen=True)
@@ -137,13 +182,20 @@ def _block(layout: _Layout, matrix: NDArray[np.uint8], rows: IntArray) -> JointS
         span = np.ascontiguousarray(matrix[:, start : start + count * dtype.itemsize])
         return span.view(dtype)
 
-    def array(start: int, count: int) -> FloatArray | None:
-        present = count == len(layout.names) and count > 0
-        return numbers(start, count, "f8").astype(np.float64) if present else None
+    def array(starts: range | tuple[int, ...]) -> FloatArray | None:
+        if len(starts) != len(layout.names) or all(start == _NOWHERE for start in starts):
+            return None
+        if isinstance(starts, range):
+            return numbers(starts.start, len(starts), "f8").astype(np.float64)
+        values = np.full((len(matrix), len(starts)), np.nan)
+        for column, start in enumerate(starts):
+            if start != _NOWHERE:
+                values[:, column] = numbers(start, 1, "f8")[:, 0]
+        return values
 
     seconds = numbers(_STAMP.start, 1, "i4")[:, 0].astype(np.int64)
     nanoseconds = numbers(_STAMP.start + 4, 1, "u4")[:, 0].astype(np.int64)
-    position, velocity, effort = (array(*place) for place in layout.arrays)
+    position, velocity, effort = map(array, layout.starts)
     return JointStateBlock(rows, layout.names, seconds * 1_000_000_000 + nanoseconds, position, velocity, effort)
 
 
@@ -159,7 +211,13 @@ def _agrees(layout: _Layout, matrix: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return agrees
 
 
-def _same_size(payloads: Sequence[bytes], rows: IntArray, blocks: list[JointStateBlock], bad: list[int]) -> None:
+def _same_size(
+    payloads: Sequence[bytes],
+    rows: IntArray,
+    read: Callable[[bytes], _Layout],
+    blocks: list[JointStateBlock],
+    bad: list[int],
+) -> None:
     """Decode messages of one size: by comparison with a few layouts, the rest one by one."""
     size = len(payloads[rows[0]])
     joined = b"".join([payloads[row] for row in rows])
@@ -168,7 +226,7 @@ def _same_size(payloads: Sequence[bytes], rows: IntArray, blocks: list[JointStat
         if len(rows) == 0:
             return
         try:
-            layout = _layout(payloads[rows[0]])
+            layout = read(payloads[rows[0]])
         except CdrError:
             bad.append(int(rows[0]))
             rows, matrix = rows[1:], matrix[1:]
@@ -182,17 +240,22 @@ def _same_size(payloads: Sequence[bytes], rows: IntArray, blocks: list[JointStat
     groups: dict[_Layout, list[int]] = {}
     for index, row in enumerate(rows):
         try:
-            groups.setdefault(_layout(payloads[row]), []).append(index)
+            groups.setdefault(read(payloads[row]), []).append(index)
         except CdrError:
             bad.append(int(row))
     blocks.extend(_block(layout, matrix[group], rows[group]) for layout, group in groups.items())
 
 
-def decode_joint_states(payloads: Sequence[bytes]) -> tuple[list[JointStateBlock], list[int]]:
-    """Decode `sensor_msgs/msg/JointState` messages in bulk.
+def decode_joint_states(
+    payloads: Sequence[bytes], kind: str = "", *, commanded: bool = False
+) -> tuple[list[JointStateBlock], list[int]]:
+    """Decode `sensor_msgs/msg/JointState` messages in bulk, or what ros2_control publishes in their place.
 
     Args:
         payloads: CDR payloads, either byte order, in any mixture of layouts.
+        kind: Type of the messages, `messages.DYNAMIC_JOINT_STATE` or `messages.CONTROLLER_STATE`; any other is taken
+            for a JointState.
+        commanded: Whether the set-points of a controller's state are wanted, not what it measures.
 
     Returns:
         The messages grouped by layout, and the places of those that could not be decoded. Memory is
@@ -200,13 +263,14 @@ def decode_joint_states(payloads: Sequence[bytes]) -> tuple[list[JointStateBlock
     """
     blocks: list[JointStateBlock] = []
     bad: list[int] = []
+    read = _layout_of(kind, commanded)
     sizes = np.fromiter((len(payload) for payload in payloads), dtype=np.int64, count=len(payloads))
     order = np.argsort(sizes, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(sizes[order])) + 1):
         if len(rows) and sizes[rows[0]] == 0:
             bad.extend(rows.tolist())
         elif len(rows):
-            _same_size(payloads, rows, blocks, bad)
+            _same_size(payloads, rows, read, blocks, bad)
     return blocks, sorted(bad)
 
 

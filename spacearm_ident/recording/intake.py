@@ -175,6 +175,7 @@ class Intake:
         self.findings: list[Finding] = []
         self.seams: IntArray = np.zeros(0, dtype=np.int64)
         self._label = label
+        self._topic = messages.STATES_TOPIC
         self.samples = samples
         self.known = sorted(samples.joints)
         self.on_log_time = on_log_time
@@ -199,7 +200,8 @@ class Intake:
             preferred: Joints that are meant where messages of several arms are mixed.
         """
         notes: list[tuple[str, str, int]] = []
-        blocks, bad = cdr.decode_joint_states(stream.payloads)
+        commanded = topic == messages.COMMAND_TOPIC
+        blocks, bad = cdr.decode_joint_states(stream.payloads, stream.channel.type_name, commanded=commanded)
         decoded = np.ones(len(stream.payloads), dtype=bool)
         decoded[bad] = False
         stamps = np.zeros(len(decoded), dtype=np.int64)
@@ -226,6 +228,7 @@ class Intake:
         samples, named = _gather(stamps, blocks, tuple(_main_joints(blocks, preferred) if joints is None else joints))
         label = "" if topic == messages.STATES_TOPIC else f"{topic}: "
         intake = cls(label, samples, on_log_time=on_log_time, clock_shift_ns=shift_ns)
+        intake._topic = stream.channel.topic
         for note in notes:
             intake.note(*note)
         intake.known = sorted({name for block in blocks for name in block.names})
@@ -278,9 +281,7 @@ class Intake:
                 continue
             lacking = listing([name for name, has in zip(samples.joints, present, strict=True) if not has])
             if chosen or not present.any():
-                raise UserError(
-                    f"{messages.STATES_TOPIC} has no {what} for {lacking}; record it, or choose other joints"
-                )
+                raise UserError(f"{self._topic} has no {what} for {lacking}; record it, or choose other joints")
             self.note(f"joint_without_{what}", f"{lacking} left out: no {what} in any message")
             samples = self.samples.columns(present)
             self.samples = samples

@@ -80,6 +80,12 @@ ODOMETRY = MessageType(
     "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
 )
 
+DYNAMIC_JOINT_STATE = "control_msgs/msg/DynamicJointState"
+"""What a joint_state_broadcaster of ros2_control publishes beside joint states: named interfaces of each joint."""
+CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+"""State of a joint_trajectory_controller. In every release of control_msgs its first point is the set-point
+(`reference`, formerly `desired`), its second the measurement (`feedback`, formerly `actual`)."""
+
 DESCRIPTION_TOPIC = "/robot_description"
 STATES_TOPIC = "/joint_states"
 COMMAND_TOPIC = "/joint_command"

@@ -2,7 +2,8 @@
 
 A bag keeps the names that topics had on the graph, so an arm in the namespace `/arm_1` is `/arm_1/joint_states` there.
 Its joint states, set-points and temperatures are those of its own namespace; what several arms may share (the
-description, a sensor on the base) is that of its namespace or of the nearest around it.
+description, a sensor on the base) is that of its namespace or of the nearest around it. Where it has no joint states,
+or none with effort, the states that ros2_control publishes in other types stand in: see `other_states`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from spacearm_ident.recording.bag import read_bag
 from spacearm_ident.recording.contents import Bag, Stream
 from spacearm_ident.recording.intake import Finding, listing
 from spacearm_ident.recording.mcap_reader import Progress
+from spacearm_ident.recording.other_states import choose_other_states, is_other_states
 
 _SHARED = frozenset({messages.DESCRIPTION_TOPIC, messages.BASE_IMU_TOPIC, messages.BASE_ODOMETRY_TOPIC})
 
@@ -31,27 +33,45 @@ def read_arm(path: str, namespace: str | None, progress: Progress | None) -> tup
         progress: Told the fraction done.
 
     Returns:
-        The bag, and a finding where joint states of other arms were left out without having been asked to.
+        The bag, and findings: joint states of other arms left out without having been asked to; another topic taken
+        for the joint states.
 
     Raises:
-        UserError: The bag cannot be read, or holds several arms in namespaces and none was asked for.
+        UserError: The bag cannot be read, or holds several arms in namespaces and none was asked for; or the states
+            that stand in for its joint states have no effort, or are several alike.
     """
     asked = None if namespace is None else _prefix(namespace)
     bag = read_bag(path, partial(_type_wanted, asked), progress)
     arms = _arms(bag.streams)
     if asked in bag.streams:
         return replace(bag, streams=_streams(bag, str(asked).rpartition("/")[0], str(asked))), []
-    if asked is not None and asked not in arms:
-        there = [topic for topic, kind in bag.topics.items() if kind == messages.JOINT_STATE.name]
-        raise UserError(f"{path}: no {asked}{messages.STATES_TOPIC}; it holds {_named(_arms(there)) or 'no arm'}")
-    chosen = _choose(path, arms) if asked is None else asked
-    others = [place for place in arms if place != chosen]
+    place = _choose(path, arms) if asked is None else asked
+    others = [arm for arm in arms if arm != place]
     findings = []
-    if others:
-        count = sum(len(bag.streams[place + messages.STATES_TOPIC].payloads) for place in others)
+    if others and place in arms:
+        count = sum(len(bag.streams[arm + messages.STATES_TOPIC].payloads) for arm in others)
         text = f"{_named(others)} left out: choose another arm by its namespace (--namespace)"
         findings.append(Finding("other_arm", text, count))
-    return replace(bag, streams=_streams(bag, chosen)), findings
+    streams = _streams(bag, place)
+    kinds = {topic: kind for topic, kind in bag.topics.items() if is_other_states(kind) and _is_within(topic, place)}
+    own = streams.get(messages.STATES_TOPIC)
+    if other := choose_other_states(path, kinds, own, progress) if kinds else None:
+        stream, finding = other
+        topic = stream.channel.topic
+        # A controller's topic is in the namespace of its name.
+        home = topic.rsplit("/", 2 if stream.channel.type_name == messages.CONTROLLER_STATE else 1)[0]
+        streams = _streams(bag, home) | streams | {messages.STATES_TOPIC: stream}
+        if stream.channel.type_name == messages.CONTROLLER_STATE:
+            streams.setdefault(messages.COMMAND_TOPIC, stream)  # it has the set-points as well
+        findings += [finding] if topic != asked else []
+    elif asked is not None and asked not in arms:
+        there = [topic for topic, kind in bag.topics.items() if kind == messages.JOINT_STATE.name]
+        raise UserError(f"{path}: no {asked}{messages.STATES_TOPIC}; it holds {_named(_arms(there)) or 'no arm'}")
+    return replace(bag, streams=streams), findings
+
+
+def _is_within(topic: str, place: str) -> bool:
+    return topic == place or topic.startswith(f"{place}/")
 
 
 def _streams(bag: Bag, namespace: str, states: str | None = None) -> dict[str, Stream]:
