@@ -246,9 +246,9 @@ def test_folder_without_mcap_and_unknown_joint(tmp_path):
     with pytest.raises(UserError, match="no joint hip; the recording has elbow, shoulder, wrist"):
         read_recording(tmp_path / "bag.mcap", joints=["hip"])
     (tmp_path / "metadata.yaml").write_text(
-        json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": ["a.mcap"], "compression_mode": "FILE"}})
+        json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": ["a.mcap"], "compression_format": "lz4"}})
     )
-    with pytest.raises(UserError, match="ros2 bag convert"):
+    with pytest.raises(UserError, match=r"compressed by 'lz4', not zstd; convert it with `ros2 bag convert`"):
         read_recording(tmp_path)
 
 

@@ -1,4 +1,4 @@
-"""Bags that are not MCAP, as `rosbags` writes them, hold what the MCAP bag holds; damaged ones end in one line."""
+"""Bags of other formats, or compressed, as `rosbags` writes them, hold what the plain MCAP bag holds."""
 
 from __future__ import annotations
 
@@ -11,24 +11,32 @@ import small_arm
 import zstandard
 from fuzzing import EXAMPLES, ends_well
 from hypothesis import given
+from made_bags import issues
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from test_fuzz_bags import DAMAGE, damaged
 
+from spacearm_ident.cli.check import is_bag
 from spacearm_ident.errors import UserError
-from spacearm_ident.recording import Recording, cdr, messages, read_recording, recordings_in, ros_bags
+from spacearm_ident.recording import Recording, bag, cdr, messages, read_recording, recordings_in, zstd
+from spacearm_ident.sessions.batch import find_bags
 
 RUN = small_arm.recording(3.0)
 
 
-def write_db3(run: Recording, folder: Path, mode: CompressionMode = CompressionMode.NONE) -> None:
-    """A rosbag2 folder in sqlite3, description and joint states."""
+def write_bag(
+    run: Recording,
+    folder: Path,
+    mode: CompressionMode = CompressionMode.NONE,
+    storage: StoragePlugin = StoragePlugin.SQLITE3,
+) -> None:
+    """A rosbag2 folder, description and joint states."""
     store = get_typestore(Stores.ROS2_JAZZY)
     stamps = run.start_ns + np.rint(run.time * 1e9).astype(np.int64)
     payloads = cdr.encode_joint_states(stamps, run.joints, run.position, run.velocity, run.effort)
-    writer = Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer = Writer2(folder, version=9, storage_plugin=storage)
     if mode is not CompressionMode.NONE:
         writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
@@ -60,9 +68,14 @@ def same(got: Recording, run: Recording) -> None:
     assert np.abs(got.time - run.time).max() < 2e-9
 
 
-@pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.FILE, CompressionMode.MESSAGE])
-def test_sqlite3_bags_hold_the_same_samples_compressed_or_not(tmp_path, mode):
-    write_db3(RUN, tmp_path / "bag", mode)
+STORAGES = [StoragePlugin.SQLITE3, StoragePlugin.MCAP]
+COMPRESSED = [CompressionMode.FILE, CompressionMode.MESSAGE]
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("mode", [CompressionMode.NONE, *COMPRESSED])
+def test_bags_hold_the_same_samples_compressed_or_not(tmp_path, mode, storage):
+    write_bag(RUN, tmp_path / "bag", mode, storage)
     assert recordings_in(tmp_path) == [tmp_path / "bag"]
     got = read_recording(tmp_path / "bag")
     same(got, RUN)
@@ -70,11 +83,64 @@ def test_sqlite3_bags_hold_the_same_samples_compressed_or_not(tmp_path, mode):
 
 
 def test_a_single_db3_file_without_its_metadata_is_read(tmp_path):
-    write_db3(RUN, tmp_path / "bag")
+    write_bag(RUN, tmp_path / "bag")
     (file,) = (tmp_path / "bag").glob("*.db3")
     odd = tmp_path / "50% of?it#.db3"  # what a URI would take for its own
     file.rename(odd)
     same(read_recording(odd), RUN)
+
+
+@pytest.mark.parametrize("mode", COMPRESSED)
+def test_a_single_compressed_mcap_file_without_its_metadata_is_read_by_every_command(tmp_path, mode):
+    write_bag(RUN, tmp_path / "bag", mode, StoragePlugin.MCAP)
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    (file,) = (tmp_path / "bag").iterdir()
+    assert file.name.endswith(".mcap.zstd" if mode is CompressionMode.FILE else ".mcap")
+    fractions: list[float] = []
+    got = read_recording(file, progress=fractions.append)
+    same(got, RUN)
+    assert got.sources[0].bytes == file.stat().st_size and fractions == sorted(fractions) and fractions[-1] == 1.0
+    assert issues(read_recording(tmp_path / "bag")) == {"no_metadata": 1}
+    assert is_bag(file) and is_bag(tmp_path / "bag") and is_bag(tmp_path)
+    assert find_bags([tmp_path]) == {f"bag/{file.name.partition('.')[0]}": file}
+
+
+def test_a_compressed_mcap_file_beside_what_it_holds_is_read_once(tmp_path):
+    """`zstd -d` keeps the compressed file."""
+    write_bag(RUN, tmp_path / "bag", CompressionMode.FILE, StoragePlugin.MCAP)
+    (file,) = (tmp_path / "bag").glob("*.zstd")
+    file.with_suffix("").write_bytes(zstandard.ZstdDecompressor().stream_reader(file.read_bytes()).read())
+    got = read_recording(tmp_path / "bag")
+    same(got, RUN)
+    assert not got.issues and [Path(source.path) for source in got.sources] == [file.with_suffix("")]
+
+
+def test_of_a_compressed_mcap_file_that_breaks_off_the_rest_is_read(tmp_path):
+    write_bag(RUN, tmp_path / "bag", CompressionMode.FILE, StoragePlugin.MCAP)
+    (file,) = (tmp_path / "bag").glob("*.zstd")
+    plain = zstandard.ZstdDecompressor().stream_reader(file.read_bytes()).read()
+    packer = zstandard.ZstdCompressor().compressobj()
+    half = packer.compress(plain[: len(plain) // 2]) + packer.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+    file.write_bytes(half)  # a frame without an end
+    got = read_recording(file)
+    count = len(got.time)
+    assert 0 < count < len(RUN.time) and "cut_off" in issues(got)
+    assert np.array_equal(got.effort, RUN.effort[:count])
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_damaged_compressed_message_is_left_out_and_counted(tmp_path, monkeypatch, storage):
+    write_bag(RUN, tmp_path / "bag", CompressionMode.MESSAGE, storage)
+    inflate, seen = bag.inflated_message, []
+
+    def third_is_damaged(data: bytes) -> bytes:
+        seen.append(data)
+        return inflate(data[:20] + bytes(8) + data[28:] if len(seen) == 4 else data)  # the first is the description
+
+    monkeypatch.setattr(bag, "inflated_message", third_is_damaged)
+    got = read_recording(tmp_path / "bag")
+    assert issues(got) == {"undecodable_message": 1}
+    assert np.array_equal(got.effort, np.delete(RUN.effort, 2, axis=0))
 
 
 def test_ros_1_bags_hold_the_same_samples(tmp_path):
@@ -113,7 +179,7 @@ def _kept(tmp_path_factory, kind: str) -> Path:
         folder = tmp_path_factory.mktemp("kept")
         short = RUN.between(0.0, 0.5)
         if kind == "db3":
-            write_db3(short, folder / "bag")
+            write_bag(short, folder / "bag")
             KEPT[kind] = next((folder / "bag").glob("*.db3"))
         else:
             write_ros1(short, folder / "run.bag")
@@ -129,8 +195,9 @@ def test_a_database_that_would_run_something_is_no_bag(tmp_path):
         read_recording(tmp_path / "bag.db3")
 
 
-def test_a_compressed_bag_that_grows_beyond_reason_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(ros_bags, "MAX_INFLATED", 2)
-    (tmp_path / "bag.db3.zstd").write_bytes(zstandard.compress(bytes(50_000_000)))
+@pytest.mark.parametrize("name", ["bag.db3.zstd", "bag.mcap.zstd"])
+def test_a_compressed_bag_that_grows_beyond_reason_is_refused(tmp_path, monkeypatch, name):
+    monkeypatch.setattr(zstd, "MAX_INFLATED", 2)
+    (tmp_path / name).write_bytes(zstandard.compress(bytes(50_000_000)))
     with pytest.raises(UserError, match="grows by more than 2 times"):
-        read_recording(tmp_path / "bag.db3.zstd")
+        read_recording(tmp_path / name)

@@ -21,7 +21,7 @@ from ..conventions.check import check_conventions
 from ..conventions.finding import ConventionReport, sureness
 from ..conventions.finding import Level as Weight
 from ..errors import UserError
-from ..recording.ros_bags import is_ros_bag
+from ..recording.ros_bags import is_mcap, is_ros_bag
 from ..recording.tables import is_log
 from ..sessions.identification import corrected, locked_words, within
 from . import common
@@ -81,8 +81,8 @@ def is_bag(path: Path) -> bool:
     if is_log(path) or is_ros_bag(path):
         return True
     if not path.is_dir():
-        return path.suffix == ".mcap"
-    return (path / "metadata.yaml").is_file() or any(path.glob("*.mcap")) or any(path.glob("*/*.mcap"))
+        return is_mcap(path)
+    return (path / "metadata.yaml").is_file() or any(map(is_mcap, (*path.glob("*"), *path.glob("*/*"))))
 
 
 def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:

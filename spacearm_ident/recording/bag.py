@@ -6,9 +6,9 @@ Decides which files belong to a path, in which order, and reads them with `McapF
 
 from __future__ import annotations
 
-import hashlib
 import mmap
 import re
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -17,14 +17,15 @@ from pathlib import Path
 import numpy as np
 from mcap.writer import MCAP0_MAGIC
 
-from spacearm_ident.documents import parse_yaml, read_text
+from spacearm_ident.documents import file_sha256, parse_yaml, read_text
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording.contents import Bag, Stream
 from spacearm_ident.recording.mcap_reader import Channel, Defect, McapFile, Message, Progress
 from spacearm_ident.recording.messages import STATES_TOPIC
 from spacearm_ident.recording.recording import Source
-from spacearm_ident.recording.ros_bags import is_ros_bag, ros_bag_files, ros_messages
+from spacearm_ident.recording.ros_bags import is_ros_bag, mcap_files, ros_bag_files, ros_messages
 from spacearm_ident.recording.tables import is_log
+from spacearm_ident.recording.zstd import ZSTD_MAGIC, ZSTD_SUFFIX, inflate_file, inflated_message
 
 MAX_KEPT_BYTES = 4 * 2**30
 """Most message bytes held at once (three hours of six joints at 1 kHz); beyond it, the bag must be cut."""
@@ -43,12 +44,12 @@ def _listed(folder: Path) -> list[str] | None:
         text = read_text(folder / "metadata.yaml", "the bag's")
         information = parse_yaml(text, "metadata.yaml")["rosbag2_bagfile_information"]
         names = [Path(str(name)).name for name in information["relative_file_paths"]]
-        compression = str(information.get("compression_mode") or "").lower()
+        compression = str(information.get("compression_format") or "zstd").lower()
     except (UserError, ValueError, LookupError, TypeError, AttributeError):
         return None
-    if compression in ("file", "message") or any(name.endswith(".zstd") for name in names):
-        raise UserError(f"{folder}: compressed mcap is not read; convert it with `ros2 bag convert` to plain mcap")
-    return names
+    if compression != "zstd":
+        raise UserError(f"{folder}: compressed by {compression!r}, not zstd; convert it with `ros2 bag convert`")
+    return [name.removesuffix(ZSTD_SUFFIX) for name in names]
 
 
 def bag_files(path: Path) -> tuple[list[Path], list[Defect]]:
@@ -67,7 +68,7 @@ def bag_files(path: Path) -> tuple[list[Path], list[Defect]]:
         raise UserError(f"{path}: no such file or folder; give an .mcap file or a rosbag2 folder") from error
     if not path.is_dir():
         return [path], []
-    found = sorted(path.glob("*.mcap"), key=_natural)
+    found = sorted(mcap_files(path), key=_natural)
     listed = _listed(path)
     if not found:
         raise UserError(f"{path}: no .mcap file in this folder; give an .mcap file or a rosbag2 folder")
@@ -80,7 +81,7 @@ def bag_files(path: Path) -> tuple[list[Path], list[Defect]]:
             )
         text = "no usable metadata.yaml (recording not closed?); all .mcap files are read in order of name"
         return found, [Defect("no_metadata", text)]
-    present = {file.name: file for file in found}
+    present = {file.name.removesuffix(ZSTD_SUFFIX): file for file in found}
     missing = [name for name in listed if name not in present]
     unlisted = [name for name in present if name not in listed]
     defects = []
@@ -106,7 +107,7 @@ def recordings_in(path: Path) -> list[Path]:
     """
     if not path.is_dir() or (path / "metadata.yaml").is_file() or is_log(path) or is_ros_bag(path):
         return [path]
-    found = sorted(path.glob("*.mcap"), key=_natural)
+    found = sorted(mcap_files(path), key=_natural)
     if found:
         return [path] if len(found) == 1 or _parts_of_one(found) else found
     inner = [one for one in sorted(path.iterdir(), key=_natural) if one.is_dir() and _holds_a_bag(one)]
@@ -114,12 +115,12 @@ def recordings_in(path: Path) -> list[Path]:
 
 
 def _holds_a_bag(folder: Path) -> bool:
-    return any(folder.glob("*.mcap")) or is_ros_bag(folder) or is_log(folder)
+    return bool(mcap_files(folder)) or is_ros_bag(folder) or is_log(folder)
 
 
 def _parts_of_one(files: list[Path]) -> bool:
     """Whether files are what a recorder split one recording into: one name, numbered, one after the other in time."""
-    numbered = [re.fullmatch(r"(.*)_(\d+)", file.stem) for file in files]
+    numbered = [re.fullmatch(r"(.*)_(\d+)\.mcap", file.name.removesuffix(ZSTD_SUFFIX)) for file in files]
     stems = {match.group(1) for match in numbered if match}
     numbers = [int(match.group(2)) for match in numbered if match]
     if len(numbers) < len(files) or len(stems) > 1 or np.any(np.diff(numbers) < 1):
@@ -142,11 +143,6 @@ def _is_states(channel: Channel) -> bool:
     return channel.topic == STATES_TOPIC
 
 
-_FOREIGN = {
-    b"\x28\xb5\x2f\xfd": "a zstd-compressed file; decompress it first (`zstd -d`)",
-}
-
-
 def _open(path: Path) -> mmap.mmap:
     try:
         if not path.is_file():
@@ -155,12 +151,18 @@ def _open(path: Path) -> mmap.mmap:
             head = file.read(16)
             if head.startswith(MCAP0_MAGIC):
                 return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        if head.startswith(ZSTD_MAGIC):
+            with tempfile.TemporaryFile(prefix="spacearm_") as plain:
+                inflate_file(path, plain)
+                plain.seek(0)
+                if plain.read(16).startswith(MCAP0_MAGIC):
+                    return mmap.mmap(plain.fileno(), 0, access=mmap.ACCESS_READ)
+            raise UserError(f"{path}: compressed, but not an MCAP file; `zstd -d` gives what it holds")
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: cannot be read ({error}); check the file and its permissions") from error
     if not head:
         raise UserError(f"{path}: the file is empty; record again or give another file")
-    what = next((text for start, text in _FOREIGN.items() if head.startswith(start)), None)
-    raise UserError(f"{path}: {what or 'not an MCAP file; give an .mcap file or a rosbag2 folder'}")
+    raise UserError(f"{path}: not an MCAP file; give an .mcap file or a rosbag2 folder")
 
 
 def messages(
@@ -170,7 +172,7 @@ def messages(
     bag: Bag | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Message]:
-    """All sound messages of a bag, file by file in recorded order.
+    """All sound messages of a bag, file by file in recorded order, inflated.
 
     Args:
         path: MCAP file or rosbag2 folder.
@@ -183,9 +185,19 @@ def messages(
     """
     bag = bag if bag is not None else Bag()
     if is_ros_bag(Path(path)):
-        yield from ros_messages(Path(path), wanted, bag, progress)
-        return
-    files, defects = bag_files(Path(path))
+        found = ros_messages(Path(path), wanted, bag, progress)
+    else:
+        found = _mcap_messages(Path(path), wanted, bag, progress)
+    # Without metadata, which a power cut leaves a recording, nothing else says that its messages are compressed.
+    for message in found:
+        packed = message.payload.startswith(ZSTD_MAGIC)
+        yield message._replace(payload=inflated_message(message.payload)) if packed else message
+
+
+def _mcap_messages(
+    path: Path, wanted: Callable[[Channel], bool], bag: Bag, progress: Progress | None
+) -> Iterator[Message]:
+    files, defects = bag_files(path)
     bag.defects += defects
     total = max(1, sum(file.stat().st_size for file in files))
     done = 0
@@ -198,17 +210,18 @@ def messages(
                 raise
             bag.defects.append(Defect("unreadable_file", f"{error}; not used"))
             continue
+        size = path.stat().st_size
         with data:
             file = McapFile(data, wanted)
             for count, message in enumerate(file.messages()):
                 if progress is not None and count % 4096 == 0:
-                    progress((done + file.position) / total)
+                    progress((done + size * file.position / len(data)) / total)
                 yield message
-            done += len(data)
+            done += size
             name = f"{path.name}: " if len(files) > 1 else ""
             bag.defects += [replace(defect, text=name + defect.text) for defect in file.defects]
             bag.topics |= {channel.topic: channel.type_name for channel in file.channels.values()}
-            bag.sources.append(Source(str(path), len(data), hashlib.sha256(data).hexdigest()))
+            bag.sources.append(Source(str(path), size, file_sha256(path)))
     if not bag.sources:
         raise UserError(f"{files[0].parent}: none of its .mcap files can be read; record again")
     if progress is not None:

@@ -1,8 +1,7 @@
 """Bags that are not MCAP: rosbag2 in sqlite3 (`.db3`, compressed or not) and ROS 1 (`.bag`), through `rosbags`.
 
 Their messages come out as those of an MCAP bag do, raw and in CDR, so that everything behind works alike. A ROS 1
-message of a type that a recording is made of is decoded and encoded again; any other is not read. What is compressed is
-inflated within `MAX_INFLATED` times its size.
+message of a type that a recording is made of is decoded and encoded again; any other is not read.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zstandard
 
 from spacearm_ident.documents import parse_yaml, read_text
 from spacearm_ident.errors import UserError
@@ -25,20 +23,30 @@ from spacearm_ident.recording.contents import Bag
 from spacearm_ident.recording.mcap_reader import Channel, Defect, Message, Progress
 from spacearm_ident.recording.recording import Source
 from spacearm_ident.recording.tables.optional import optional
+from spacearm_ident.recording.zstd import ZSTD_SUFFIX, inflate_file
 
-MAX_INFLATED = 64
-"""Most a compressed file or message may grow by (and 1 MiB): joint states shrink to a third or so."""
-_DB3, _ZSTD, _ROS1 = ".db3", ".zstd", ".bag"
+_DB3, _ROS1 = ".db3", ".bag"
 _SQLITE, _ROS1_MAGIC = b"SQLite format 3", b"#ROSBAG"
+
+
+def mcap_files(folder: Path) -> list[Path]:
+    """The MCAP files of a folder, compressed ones among them unless they lie beside what they hold."""
+    plain = list(folder.glob("*.mcap"))
+    return plain + [file for file in folder.glob(f"*.mcap{ZSTD_SUFFIX}") if file.with_suffix("") not in plain]
+
+
+def is_mcap(path: Path) -> bool:
+    """Whether the name of a file is that of an MCAP file, compressed or not."""
+    return path.name.removesuffix(ZSTD_SUFFIX).endswith(".mcap")
 
 
 def is_ros_bag(path: Path) -> bool:
     """Whether a path is a bag in sqlite3 or of ROS 1: a file by its first bytes or suffix, a folder by its files."""
     if path.is_dir():
-        return bool(_db3_files(path)) and not any(path.glob("*.mcap"))
+        return bool(_db3_files(path)) and not mcap_files(path)
     try:
         # A pipe would be waited for.
-        if not path.is_file() or path.name.endswith((_DB3, _DB3 + _ZSTD, _ROS1)):
+        if not path.is_file() or path.name.endswith((_DB3, _DB3 + ZSTD_SUFFIX, _ROS1)):
             return path.is_file()
         with path.open("rb") as file:
             return file.read(16).startswith((_SQLITE, _ROS1_MAGIC))
@@ -52,12 +60,12 @@ def ros_bag_files(path: Path) -> list[Path]:
         return [path]
     found = _db3_files(path)
     listed = [str(name).rpartition("/")[2] for name in _metadata(path).get("relative_file_paths") or ()]
-    in_order = [file for name in listed for file in found if file.name in (name, name + _ZSTD)]
+    in_order = [file for name in listed for file in found if file.name in (name, name + ZSTD_SUFFIX)]
     return in_order or found
 
 
 def _db3_files(folder: Path) -> list[Path]:
-    return sorted([*folder.glob(f"*{_DB3}"), *folder.glob(f"*{_DB3}{_ZSTD}")])
+    return sorted([*folder.glob(f"*{_DB3}"), *folder.glob(f"*{_DB3}{ZSTD_SUFFIX}")])
 
 
 def _metadata(folder: Path) -> dict[str, Any]:
@@ -85,7 +93,6 @@ def ros_messages(
         UserError: rosbags is missing, or the bag cannot be read.
     """
     optional("rosbags", "rosbags", "reading sqlite3 and ROS 1 bags")
-    each = str(_metadata(path).get("compression_mode") or "").lower() == "message" if path.is_dir() else False
     files = ros_bag_files(path)
     for number, file in enumerate(files):
         if progress is not None:
@@ -96,7 +103,7 @@ def ros_messages(
             bag.sources.append(Source(str(file), file.stat().st_size, digest.hexdigest()))
         except OSError as error:
             raise UserError(f"{file}: cannot be read ({error.strerror}); check the file") from error
-        yield from _ros1(file, wanted, bag) if _is_ros1(file) else _sqlite(file, wanted, bag, each)
+        yield from _ros1(file, wanted, bag) if _is_ros1(file) else _sqlite(file, wanted, bag)
     if progress is not None:
         progress(1.0)
 
@@ -111,14 +118,14 @@ def _is_ros1(file: Path) -> bool:
         return stream.read(16).startswith(_ROS1_MAGIC)
 
 
-def _sqlite(file: Path, wanted: Callable[[Channel], bool], bag: Bag, compressed: bool) -> Iterator[Message]:
+def _sqlite(file: Path, wanted: Callable[[Channel], bool], bag: Bag) -> Iterator[Message]:
     """Messages of one sqlite3 file; what follows a damaged page is lost, and reported."""
     from rosbags.rosbag2.errors import ReaderError
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
     last: int | None = None
     with ExitStack() as stack:
-        place = _inflated(file, stack) if file.name.endswith(_ZSTD) else file
+        place = _inflated(file, stack) if file.name.endswith(ZSTD_SUFFIX) else file
         _require_tables(place, file)
         try:
             # Characters that mean something in a URI would name another file.
@@ -131,9 +138,8 @@ def _sqlite(file: Path, wanted: Callable[[Channel], bool], bag: Bag, compressed:
             bag.topics |= {channel.topic: channel.type_name for channel in channels.values()}
             chosen = [one for one in reader.connections if wanted(channels[one.id])]
             for one, stamp, data in reader.messages(chosen) if chosen else ():
-                payload = _inflated_message(bytes(data), file) if compressed else bytes(data)
                 last = max(0, int(stamp))
-                yield Message(channels[one.id], last, last, 0, payload)
+                yield Message(channels[one.id], last, last, 0, bytes(data))
         except (UserError, GeneratorExit):
             raise
         except ReaderError as error:
@@ -166,36 +172,11 @@ def _linked(place: Path, stack: ExitStack) -> Path:
 
 
 def _inflated(file: Path, stack: ExitStack) -> Path:
-    """A compressed file, inflated beside nothing that stays.
-
-    Raises:
-        UserError: It is damaged, or grows beyond `MAX_INFLATED`.
-    """
-    target = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="spacearm_"))) / "bag.db3"
-    room = MAX_INFLATED * file.stat().st_size + 2**20
-    try:
-        with file.open("rb") as packed, target.open("wb") as plain:
-            reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
-            while piece := reader.read(2**20):
-                room -= len(piece)
-                if room < 0:
-                    raise UserError(f"{file}: grows by more than {MAX_INFLATED} times; decompress it (`zstd -d`) first")
-                plain.write(piece)
-    except (zstandard.ZstdError, OSError) as error:
-        raise UserError(f"{file}: cannot be decompressed ({error}); record again") from error
-    return target
-
-
-def _inflated_message(data: bytes, file: Path) -> bytes:
-    room = MAX_INFLATED * len(data) + 2**20
-    try:
-        reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
-        plain = bytes(reader.read(room + 1))
-    except zstandard.ZstdError as error:
-        raise UserError(f"{file}: a message cannot be decompressed ({error}); record again") from error
-    if len(plain) > room:
-        raise UserError(f"{file}: a message grows by more than {MAX_INFLATED} times; convert the bag first")
-    return plain
+    """A compressed file, inflated beside nothing that stays."""
+    place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="spacearm_"))) / "bag.db3"
+    with place.open("wb") as target:
+        inflate_file(file, target)
+    return place
 
 
 def _channel(topic: str, kind: str, encoding: str) -> Channel:

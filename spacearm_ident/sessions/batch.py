@@ -25,8 +25,9 @@ from ..errors import UnfitDataError, UserError, one_line
 from ..identification.identify import Progress
 from ..recording.bag import bag_files
 from ..recording.log_mapping import mapping_beside
-from ..recording.ros_bags import is_ros_bag
+from ..recording.ros_bags import is_mcap, is_ros_bag
 from ..recording.tables import is_log
+from ..recording.zstd import ZSTD_SUFFIX
 from ..report.folder import REPORT
 from ..report.summary import FAILED, IDENTIFIED, UNFIT, Row, write_summary
 from ..results.provenance import FITTED, OPTIONS, VALIDATED, versions
@@ -179,7 +180,7 @@ def find_bags(paths: Sequence[Path]) -> dict[str, Path]:
             raise UserError(f"{path}: no bag in it (.mcap files, or rosbag2 folders with {METADATA})")
         for bag in found:
             inside = bag.relative_to(path) if bag != path else Path(bag.resolve().name)
-            named.setdefault(bag.resolve(), inside.as_posix().removesuffix(".mcap"))
+            named.setdefault(bag.resolve(), inside.as_posix().removesuffix(ZSTD_SUFFIX).removesuffix(".mcap"))
     names = Counter(named.values())
     bags = {name if names[name] == 1 else _from_above(bag, name, named): bag for bag, name in named.items()}
     if len(bags) < len(named):
@@ -198,7 +199,7 @@ def _bags_in(path: Path) -> Iterator[Path]:
             continue
         if entry.is_dir() and not entry.is_symlink():
             yield from _bags_in(entry)
-        elif (entry.suffix == ".mcap" or is_ros_bag(entry) or _is_mapped(entry)) and not entry.is_dir():
+        elif (is_mcap(entry) or is_ros_bag(entry) or _is_mapped(entry)) and not entry.is_dir():
             yield entry
 
 
