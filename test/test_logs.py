@@ -20,7 +20,7 @@ from spacearm_ident.dynamics.regressor import rigid_body_torque
 from spacearm_ident.errors import UnfitDataError, UserError
 from spacearm_ident.identification.effort import in_newton_metres
 from spacearm_ident.logs.propose import propose
-from spacearm_ident.logs.read import propose_for, read_log
+from spacearm_ident.logs.read import propose_for, read_log, recording_by
 from spacearm_ident.logs.words import meaning_of
 from spacearm_ident.recording import Recording, read_recording, write_recording
 from spacearm_ident.recording.log_mapping import LogMapping, mapping_beside, read_mapping, save_mapping
@@ -519,6 +519,35 @@ def test_a_line_above_the_names_is_not_taken_for_them(tmp_path, above):
     log = csv_of(tmp_path, ["t", "q1", "q2", "tau1", "tau2"], run.time, run.position, run.effort)
     log.write_text(f"{above}\n{log.read_text()}")
     assert list(read_table(log).columns) == ["t", "q1", "q2", "tau1", "tau2"]
+
+
+@pytest.mark.parametrize("above", ["", "# made by a robot\n\n"], ids=["header", "header and a line above"])
+@pytest.mark.parametrize("head", ["t", "n"], ids=["time", "rate told"])
+def test_logs_one_after_the_other_in_a_file_are_read_whole_with_a_pause(tmp_path, above, head):
+    run = small_arm.recording(8.0)
+    time = run.time if head == "t" else np.arange(len(run.time))
+    log = csv_of(tmp_path, [head, "q1", "q2", "tau1", "tau2"], time, run.position, run.effort)
+    log.write_text(above + log.read_text() + "\n" + above + log.read_text() + "\n")
+    arm = arm_file(tmp_path, small_arm.URDF)
+    table, found = propose_for(log, arm, {} if head == "t" else {"rate_hz": "200"})
+    got = recording_by(table, found.mapping, arm, "log")
+    n = len(run.time)
+    assert got.segments == (slice(0, n), slice(n, 2 * n))
+    assert np.abs(got.position - np.tile(run.position, (2, 1))).max() < 1e-9
+    assert got.time[n] - got.time[n - 1] == pytest.approx(1.0)
+    assert {issue.kind: issue.count for issue in got.issues if issue.kind not in ("log", "gap")} == {
+        "repeated_header": 1
+    }
+
+
+def test_logs_of_dates_one_after_the_other_keep_their_dates(tmp_path):
+    run = small_arm.recording(4.0)
+    stamps = 1_732_958_860_900_000_000 + np.rint(run.time * 1e9).astype(np.int64)
+    parts = [dates_csv(tmp_path / "log.csv", list(map(str, s.astype("datetime64[ns]"))), run).read_text()
+             for s in (stamps, stamps + 60 * 10**9)]  # fmt: skip
+    (tmp_path / "log.csv").write_text("\n".join(parts))
+    got = read_log(tmp_path / "log.csv", arm_file(tmp_path, small_arm.URDF)).recording
+    assert len(got.time) == 2 * len(run.time) and got.time[len(run.time)] == pytest.approx(60.0)
 
 
 def test_joints_are_told_by_name_in_any_order(tmp_path):

@@ -57,6 +57,8 @@ UNITS: dict[str, dict[str, float]] = {
     "command": POSITION_UNITS,
 }
 SI = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
+PAUSE_NS = 1_000_000_000
+"""Pause put between two stretches of a log, ns: a gap at any rate that is read."""
 _LONGEST_S = 2.0**62 / 1e9  # times that 64 bits of nanoseconds hold
 
 
@@ -142,6 +144,15 @@ def column(table: Table, name: str, where: str) -> Column:
 
 
 def _stamps_ns(table: Table, mapping: LogMapping, where: str) -> IntArray:
+    """(N,) nanoseconds; a stretch whose time does not go on from that of the one before begins `PAUSE_NS` after it."""
+    stamps = _own_stamps_ns(table, mapping, where)
+    for start in table.starts[1:]:
+        if stamps[start] <= stamps[start - 1] or mapping.time is None:
+            stamps[start:] += stamps[start - 1] - stamps[start] + PAUSE_NS
+    return stamps
+
+
+def _own_stamps_ns(table: Table, mapping: LogMapping, where: str) -> IntArray:
     """(N,) nanoseconds; of whole nanoseconds none is lost."""
     if mapping.time is None:
         assert mapping.rate_hz is not None  # read_mapping and the proposal see to it

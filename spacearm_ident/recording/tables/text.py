@@ -63,9 +63,13 @@ def read_text_table(path: Path, source: Source) -> Table:
     require_room(data.count(b"\n") * len(dialect.names) * 8, str(path))
     bad = 0
     columns = _with_pyarrow(data, dialect)
-    body = ""
+    body, issues = "", []
+    starts: tuple[int, ...] = (0,)
     if columns is None:
-        body = _decoded(data, path).split("\n", dialect.skipped)[-1]
+        body, starts, repeated = _without_heads(_decoded(data, path), dialect)
+        if repeated:
+            text = f"{repeated} header lines within the table left out: logs one after the other, with pauses between"
+            issues.append(Issue("repeated_header", text, repeated))
         columns, bad = _read_body(body, dialect, str(path))
     if len(columns[0]) < FEWEST_ROWS:
         raise UserError(f"{path}: fewer than two rows of numbers; is it a log of joint signals?")
@@ -76,8 +80,9 @@ def read_text_table(path: Path, source: Source) -> Table:
     named |= {name: stamps for name, (stamps, _) in dates.items()}
     if not named:
         raise UserError(f"{path}: no column of numbers; is it a log of joint signals?")
-    issues = (Issue("cell", f"{bad} cells that are no number taken as missing", bad),) if bad else ()
-    return Table(named, (source,), issues=issues, dates=frozenset(dates), lists=_lists(texts))
+    if bad:
+        issues.append(Issue("cell", f"{bad} cells that are no number taken as missing", bad))
+    return Table(named, (source,), starts, issues=tuple(issues), dates=frozenset(dates), lists=_lists(texts))
 
 
 def _decoded(data: bytes, path: Path) -> str:
@@ -220,6 +225,27 @@ def _read_body(body: str, dialect: Dialect, where: str) -> tuple[list[FloatArray
     if not rows:
         raise UserError(f"{where}: no rows of {width} cells; is it a log of joint signals?")
     return list(np.array(rows, dtype=np.float64).T), bad
+
+
+def _without_heads(text: str, dialect: Dialect) -> tuple[str, tuple[int, ...], int]:
+    """The lines below the head without repetitions of it, the rows before which it stood, and how often it was there.
+
+    Logs one after the other in a file (`cat`) have the lines above the numbers once more.
+    """
+    *head, body = text.split("\n", dialect.skipped)
+    above = {line for line in head if line.strip()}
+    lines = body.split("\n")
+    last = next((line for line in reversed(head) if line.strip()), None)
+    if last not in lines:
+        return body, (0,), 0
+    kept, starts, rows = [], [0], 0
+    for line in lines:
+        if line == last:
+            starts.append(rows)
+        elif line not in above:
+            kept.append(line)
+            rows += _row(line, dialect, len(dialect.names)) is not None
+    return "\n".join(kept), tuple(start for start in dict.fromkeys(starts) if start < rows), len(starts) - 1
 
 
 def _row(line: str, dialect: Dialect, width: int) -> list[str] | None:
