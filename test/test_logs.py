@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -602,6 +603,86 @@ def test_a_list_of_other_names_leaves_the_order_to_the_arm_and_is_told(tmp_path)
     _, found = propose_for(log, arm_file(tmp_path, small_arm.URDF))
     assert found.mapping.columns["shoulder"]["position"] == "position_0"
     assert any("j_a, j_b, none of them a joint" in line for line in found.left_out)
+
+
+def numpy_cell(row: np.ndarray) -> str:
+    """An array as numpy prints it, which breaks it into lines."""
+    return np.array2string(row, precision=17, max_line_width=30)
+
+
+@pytest.mark.parametrize("cell", [lambda row: str(row.tolist()), numpy_cell, lambda row: f"array('d', {row.tolist()})"],
+                         ids=["list", "numpy", "array"])  # fmt: skip
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("listed", [True, False])
+def test_an_array_in_a_cell_is_a_column_for_each_number(tmp_path, cell, separator, listed):
+    run = small_arm.recording(4.0)
+    order = slice(None, None, -1) if listed else slice(None)
+    with (tmp_path / "log.csv").open("w", newline="") as file:
+        writer = csv.writer(file, delimiter=separator)
+        writer.writerow(["time", "position", "velocity", "effort", *(["name"] if listed else [])])
+        for k, time in enumerate(run.time):
+            arrays = (cell(values[k, order]) for values in (run.position, run.velocity, run.effort))
+            writer.writerow([repr(float(time)), *arrays, *(["['elbow', 'shoulder']"] if listed else [])])
+    got = read_log(tmp_path / "log.csv", arm_file(tmp_path, small_arm.URDF))
+    place = 1 if listed else 0
+    columns = {signal: f"{signal}[{place}]" for signal in ("position", "velocity", "effort")}
+    assert got.mapping.columns["shoulder"] == columns
+    same_samples(got.recording, run)
+    assert [issue.kind for issue in got.recording.issues] == ["log"]
+
+
+def test_a_row_whose_array_is_short_is_left_out_alone(tmp_path):
+    run = small_arm.recording(4.0)
+    lines = [
+        f'{t},"{list(q)}","{list(tau)}"' for t, q, tau in zip(run.time, run.position.tolist(), run.effort.tolist())
+    ]
+    lines[50] = f'{run.time[50]},"[0.1]","{run.effort[50].tolist()}"'
+    (tmp_path / "log.csv").write_text("\n".join(["time,position,effort", *lines]))
+    got = read_log(tmp_path / "log.csv", arm_file(tmp_path, small_arm.URDF)).recording
+    assert np.array_equal(got.position, np.delete(run.position, 50, axis=0))
+    assert [issue.count for issue in got.issues if issue.kind == "cell"] == [2]
+
+
+def echoed(run: Recording, path: Path, frame: str = "", signals=("position", "velocity", "effort")) -> Path:
+    """What `ros2 topic echo --csv /joint_states` prints, joints in another order than the arm's."""
+    stamps = run.start_ns + np.rint(run.time * 1e9).astype(np.int64)
+    rows = np.column_stack([getattr(run, signal)[:, ::-1] for signal in signals]).tolist()
+    head = f"{frame},elbow,shoulder"
+    lines = [f"{s // 10**9},{s % 10**9},{head},{','.join(map(repr, row))}" for s, row in zip(stamps.tolist(), rows)]
+    path.write_text("\n".join([*lines, ""]))
+    return path
+
+
+@pytest.mark.parametrize("frame", ["", "base_link"])
+def test_what_ros2_topic_echo_prints_of_joint_states_is_known_by_its_shape(tmp_path, frame):
+    run = small_arm.recording(4.0)
+    got = read_log(echoed(run, tmp_path / "log.csv", frame), arm_file(tmp_path, small_arm.URDF))
+    same_samples(got.recording, run)
+    assert got.recording.start_ns == run.start_ns and np.array_equal(got.recording.velocity, run.velocity)
+    assert got.mapping.units == {"position": "rad", "velocity": "rad/s", "effort": "N m"}
+
+
+@pytest.mark.parametrize("signal", ["velocity", "effort"])
+def test_which_second_signal_ros2_topic_echo_printed_is_told_by_the_numbers(tmp_path, signal):
+    run = small_arm.recording(4.0)
+    log = echoed(run, tmp_path / "log.csv", signals=("position", signal))
+    arm = arm_file(tmp_path, small_arm.URDF)
+    if signal == "velocity":
+        with pytest.raises(UnfitDataError, match="no torque or current"):
+            read_log(log, arm)
+    else:
+        same_samples(read_log(log, arm).recording, run)
+
+
+def test_joints_that_ros2_topic_echo_printed_in_another_order_later_are_asked(tmp_path):
+    run = small_arm.recording(4.0)
+    log = echoed(run, tmp_path / "log.csv")
+    lines = log.read_text().split("\n")
+    log.write_text(
+        "\n".join([*lines[:100], *(line.replace("elbow,shoulder", "shoulder,elbow") for line in lines[100:])])
+    )
+    _, found = propose_for(log, arm_file(tmp_path, small_arm.URDF))
+    assert found.mapping is None and any("'name' changes" in question for question in found.questions)
 
 
 def test_arrays_of_numpy_are_in_the_order_of_the_names_beside_them(tmp_path):

@@ -4,6 +4,8 @@ The separator and the decimal mark are those under which most of the first lines
 with the most numbers among them. Lines that begin with `#`, `%` or `//` are comments; the last of them, or the line
 above the first row of numbers, names the columns; a line of units below the names is added to them. pyarrow reads the
 body where it is installed (several times as fast); numpy does otherwise. Cells that are no number are NaN, and counted.
+An array in a cell is a column for each of its numbers. What `ros2 topic echo --csv` prints of joint states, without any
+names of columns, is known by its shape.
 A column of dates with times (ISO 8601) is whole nanoseconds.
 """
 
@@ -12,6 +14,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +36,9 @@ _DATE_TIME = re.compile(
     r"((?:19|20)\d\d-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d)?)?"
 )  # ISO 8601, and as pandas writes it; 64 bits of nanoseconds hold no year far beyond
 _LIST = re.compile(r"\[[^\[\]]*\]|\([^()]*\)")
+_ARRAY = re.compile(r"[\[(]\s*(?:[-+.\d]|nan)[^\[\]()]*[\s,;][^\[\]()]*[\])]")  # of two numbers or more, as it seems
+_ARRAY_CELL = re.compile(r"\s*(?:array\('d',\s*)?[\[(]([^\[\]()]*)[\])]\)?\s*")  # of lists, numpy and array.array
+_NUMBERED = re.compile(r"(.+)\[(\d+)\]")
 _SEPARATORS = (";", "\t", ",", "|", " ")  # " " stands for any run of white space
 _MAX_PREAMBLE = 200
 _WHOLE_DIGITS = 15  # digits a float64 keeps
@@ -59,6 +65,8 @@ def read_text_table(path: Path, source: Source) -> Table:
         UserError: Not text, or no table of numbers in it.
     """
     data = path.read_bytes()
+    if _ARRAY.search(_decoded(data[:_HEAD_BYTES], path)):
+        data = _with_arrays_apart(_decoded(data, path)).encode()
     dialect = find_dialect(_decoded(data[:_HEAD_BYTES], path), str(path))
     require_room(data.count(b"\n") * len(dialect.names) * 8, str(path))
     bad = 0
@@ -75,14 +83,18 @@ def read_text_table(path: Path, source: Source) -> Table:
         raise UserError(f"{path}: fewer than two rows of numbers; is it a log of joint signals?")
     named = _named(dialect, columns, lambda: body or _decoded(data, path).split("\n", dialect.skipped)[-1])
     texts = _texts(dialect, columns, body)
-    dates = _dates(texts)
-    bad -= sum(count for _, count in dates.values())
+    dates, lists = _dates(texts), _lists(texts)
+    bad -= sum(dates[name][1] if name in dates else len(cells_of) for name, cells_of in texts.items())
     named |= {name: stamps for name, (stamps, _) in dates.items()}
     if not named:
         raise UserError(f"{path}: no column of numbers; is it a log of joint signals?")
+    words = [name for name, cells_of in texts.items() if name not in {*dates, *lists} and any(cells_of)]
+    words = [name for name in words if not _NUMBERED.fullmatch(name)]
+    if words:
+        issues.append(Issue("column_left_out", f"columns without a number left out: {', '.join(words)}", len(words)))
     if bad:
         issues.append(Issue("cell", f"{bad} cells that are no number taken as missing", bad))
-    return Table(named, (source,), starts, issues=tuple(issues), dates=frozenset(dates), lists=_lists(texts))
+    return Table(named, (source,), starts, issues=tuple(issues), dates=frozenset(dates), lists=lists)
 
 
 def _decoded(data: bytes, path: Path) -> str:
@@ -95,6 +107,71 @@ def _decoded(data: bytes, path: Path) -> str:
     if any("\udc80" <= character <= "\udcff" for character in text[:_HEAD_BYTES]):
         text = data.decode("cp1252", "replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _with_arrays_apart(text: str) -> str:
+    """A text with the arrays in its cells taken apart, a column `NAME[k]` for each number; as it is where none are.
+
+    A row whose array is of another length than most has empty cells there.
+    """
+    best: list[list[str]] = []
+    most = 0
+    for separator in (",", ";", "\t", "|"):
+        try:
+            rows = list(csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True))
+        except csv.Error:
+            continue
+        count = sum(_array(cell) is not None for row in rows[:_LOOKED_AT] for cell in row)
+        if count > most:
+            best, most = rows, count
+    lengths: dict[int, Counter[int]] = {}
+    for row in best:
+        for place, cell in enumerate(row):
+            if numbers := _array(cell):
+                lengths.setdefault(place, Counter())[len(numbers)] += 1
+    width = {place: of.most_common(1)[0][0] for place, of in lengths.items()}
+    if not width:
+        return text
+    apart = io.StringIO()
+    writer = csv.writer(apart, lineterminator="\n")
+    first = next(k for k, row in enumerate(best) if any(_array(cell) for cell in row))
+    names = best[first - 1] if first and len(best[first - 1]) == len(best[first]) else None
+    for row in best:
+        whole: list[str] = []
+        for place, cell in enumerate(row):
+            if place not in width or len(row) <= max(width):
+                whole.append(cell)
+            elif row == names:
+                whole += [f"{cell}[{k}]" for k in range(width[place])]
+            else:
+                numbers = _array(cell) or []
+                whole += numbers if len(numbers) == width[place] else [""] * width[place]
+        writer.writerow(whole)
+    return apart.getvalue()
+
+
+def _array(cell: str) -> list[str] | None:
+    """The numbers of a cell that is an array; None of any other."""
+    match = _ARRAY_CELL.fullmatch(cell)
+    numbers = re.split(r"[\s,;]+", match[1].strip()) if match else []
+    return numbers if numbers and all(_number(number, ".") is not None for number in numbers) else None
+
+
+def _echoed(row: list[str]) -> tuple[str, ...] | None:
+    """The columns of `ros2 topic echo --csv` on joint states, by the cells of a row; None of any other row.
+
+    They are the stamp in two, the frame, the joints' names, and of each signal that is not empty a number a joint.
+    """
+    is_number = [_number(cell, ".") is not None for cell in row]
+    joints = next((k for k, number in enumerate(is_number[3:]) if number), 0)
+    signals, rest = divmod(len(row) - 3 - joints, joints) if joints else (0, 1)
+    if rest or signals not in (1, 2, 3) or is_number[:3] != [True, True, False] or not all(is_number[3 + joints :]):
+        return None
+    if not (row[0].isdecimal() and row[1].isdecimal()) or len({*row[3 : 3 + joints], ""}) <= joints:
+        return None
+    # Of two signals the second may be the velocity or the effort, which its name leaves open.
+    named = {1: ("position",), 2: ("position", "signal"), 3: ("position", "velocity", "effort")}[signals]
+    return ("sec", "nanosec", "frame_id", *(f"{what}[{k}]" for what in ("name", *named) for k in range(joints)))
 
 
 def find_dialect(text: str, where: str) -> Dialect:
@@ -138,8 +215,10 @@ def _as_laid_out(lines: list[str], separator: str, decimal: str) -> tuple[int, i
     rows = [[cell.strip() for cell in cells(_COMMENT_MARK.sub("", line, count=1), separator)] for line in heads[-2:]]
     names = _with_units(*rows) if len(rows) == 2 else rows[0] if rows else []
     named = len(names) == width
-    unique = _unique(names) if named else tuple(f"column {k + 1}" for k in range(width))
-    return count, named, Dialect(separator, decimal, first, unique)
+    if named:
+        return count, True, Dialect(separator, decimal, first, _unique(names))
+    echoed = _echoed(cells(lines[first], separator)) if separator == "," else None
+    return count, False, Dialect(separator, decimal, first, echoed or tuple(f"column {k + 1}" for k in range(width)))
 
 
 def _with_units(above: list[str], last: list[str]) -> list[str]:
@@ -337,8 +416,14 @@ def _dates(texts: dict[str, list[str]]) -> dict[str, tuple[NDArray[np.int64], in
 
 
 def _lists(texts: dict[str, list[str]]) -> dict[str, tuple[tuple[str, ...], ...]]:
-    """Columns whose cells are lists of words, `['a', 'b']` or `(a, b)`: the different ones."""
+    """Columns whose cells are lists of words, `['a', 'b']` or `(a, b)`, or columns of one list: the different ones."""
     found = {}
+    numbered: dict[str, list[list[str]]] = {}
+    for name, cells_of in texts.items():
+        if match := _NUMBERED.fullmatch(name):
+            numbered.setdefault(match[1], []).append(cells_of)
+    for name, columns in numbered.items():
+        found[name] = tuple(sorted(set(zip(*columns, strict=True))))
     for name, cells_of in texts.items():
         different = sorted({cell for cell in cells_of if cell})
         if different and all(_LIST.fullmatch(cell) for cell in different):
