@@ -424,6 +424,21 @@ def test_dates_with_times_in_text_are_a_time_of_utc(tmp_path, form, ahead_h):
     assert not [issue for issue in got.recording.issues if issue.kind == "cell"]
 
 
+@pytest.mark.parametrize("mark", [".", ","])
+@pytest.mark.parametrize("first_s", [49_502.123, 86_398.0, 3_599.5], ids=["day", "midnight", "1 o'clock"])
+def test_a_time_of_the_day_is_a_time_that_goes_on_after_midnight(tmp_path, first_s, mark):
+    run = small_arm.recording(4.0)
+    start = round(first_s * 1e9)
+    stamps = start + np.rint(run.time * 1e9).astype(np.int64)
+    clocks = [str(stamp).split("T")[1][:12].lstrip("0").replace(".", mark) for stamp in stamps.astype("datetime64[ns]")]
+    clocks = [f"0{clock}" if clock.startswith(":") else clock for clock in clocks]  # 9:59:59 and 0:00:00
+    log = dates_csv(tmp_path / "log.csv", clocks, run)
+    got = read_log(log, arm_file(tmp_path, small_arm.URDF)).recording
+    assert got.start_ns == start and len(got.time) == len(run.time)
+    assert np.abs(got.time - run.time).max() < 1e-9
+    assert [issue.kind for issue in got.issues] == ["log"]
+
+
 def test_a_row_whose_date_is_none_is_left_out_and_counted(tmp_path):
     run = small_arm.recording(4.0)
     dates = [str(stamp) for stamp in np.rint(run.time * 1e9).astype("datetime64[ns]")]

@@ -32,7 +32,8 @@ class Table:
         starts: First rows of the stretches that follow each other in time (episodes of a data set); the first is 0.
         rate_hz: Rows a second where the format itself says so.
         issues: What was found wrong and what was done about it.
-        dates: Columns of dates with times, whole nanoseconds since 1970, UTC where the log names no zone.
+        dates: Columns of dates with times, whole nanoseconds since 1970, UTC where the log names no zone; times of the
+            day without a date are on the first of 1970.
         lists: Lists of words beside the numbers, such as the joints' names -> the different values that they take.
     """
 

@@ -6,7 +6,7 @@ above the first row of numbers, names the columns; a line of units below the nam
 body where it is installed (several times as fast); numpy does otherwise. Cells that are no number are NaN, and counted.
 An array in a cell is a column for each of its numbers. What `ros2 topic echo --csv` prints of joint states, without any
 names of columns, is known by its shape.
-A column of dates with times (ISO 8601) is whole nanoseconds.
+A column of dates with times (ISO 8601), or of times of the day, is whole nanoseconds.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ _DATE_TIME = re.compile(
     r"((?:19|20)\d\d-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d)?)?"
 )  # ISO 8601, and as pandas writes it; 64 bits of nanoseconds hold no year far beyond
 _LIST = re.compile(r"\[[^\[\]]*\]|\([^()]*\)")
+_TIME_OF_DAY = re.compile(r"(\d?\d):(\d\d):(\d\d)(?:[.,](\d{1,9}))?")
+_DAY_NS = 86_400 * 10**9
 _ARRAY = re.compile(r"[\[(]\s*(?:[-+.\d]|nan)[^\[\]()]*[\s,;][^\[\]()]*[\])]")  # of two numbers or more, as it seems
 _ARRAY_CELL = re.compile(r"\s*(?:array\('d',\s*)?[\[(]([^\[\]()]*)[\])]\)?\s*")  # of lists, numpy and array.array
 _NUMBERED = re.compile(r"(.+)\[(\d+)\]")
@@ -404,12 +406,17 @@ def _texts(dialect: Dialect, columns: list[FloatArray], body: str) -> dict[str, 
 
 
 def _dates(texts: dict[str, list[str]]) -> dict[str, tuple[NDArray[np.int64], int]]:
-    """Columns of which most cells are dates with times: nanoseconds since 1970, and how many cells are dates."""
+    """Columns of which most cells are dates with times, or times of the day: nanoseconds, and how many cells are such.
+
+    A time of the day counts from 1970; where it falls by more than half a day, midnight has passed.
+    """
     found = {}
     for name, cells_of in texts.items():
         instants = np.array([_date(cell) for cell in cells_of], dtype="datetime64[ns]")
         count = int((~np.isnat(instants)).sum())
         stamps = since_1970(instants) if 2 * count > len(cells_of) else None
+        if stamps is not None and any(_TIME_OF_DAY.fullmatch(cell) for cell in cells_of):
+            stamps += _DAY_NS * np.cumsum(np.diff(stamps, prepend=stamps[0]) < -_DAY_NS // 2)
         if stamps is not None:
             found[name] = (stamps, count)
     return found
@@ -432,7 +439,9 @@ def _lists(texts: dict[str, list[str]]) -> dict[str, tuple[tuple[str, ...], ...]
 
 
 def _date(cell: str) -> np.datetime64:
-    """A date with a time, in UTC where it names no zone; not a time where it is none."""
+    """A date with a time, in UTC where it names no zone; a time of the day on the first of 1970; else not a time."""
+    if of_day := _TIME_OF_DAY.fullmatch(cell):
+        cell = f"1970-01-01T{of_day[1]:0>2}:{of_day[2]}:{of_day[3]}.{of_day[4] or 0}"
     match = _DATE_TIME.fullmatch(cell)
     if match is None:
         return np.datetime64("NaT", "ns")
