@@ -235,6 +235,23 @@ def test_the_command_says_the_verdict_first_and_describes_its_recordings_last(ba
     assert "Warning" not in done.stdout and "with velocity" in lines[-1]
 
 
+def test_of_unfit_data_the_command_says_that_alone_and_nothing_for_the_model(tmp_path, capsys):
+    for seed in (0, 1):
+        run_ = small_arm.recording(seed=seed)
+        degrees = replace(run_, position=np.degrees(run_.position), velocity=np.degrees(run_.velocity))
+        write_recording(tmp_path / f"{seed}.mcap", degrees)
+    words = ["identify", tmp_path / "0.mcap", "--validate", tmp_path / "1.mcap", "--out", tmp_path / "out", "--quiet"]
+    words += ["--friction", "coulomb-viscous"]
+    out, _ = run(*words, expect=1, capsys=capsys)
+    lines = out.splitlines()
+    assert lines[0].startswith("data unfit: ") and lines[1].startswith("next: apply the remedies below (->)")
+    assert lines[2] == f"report: {tmp_path / 'out' / 'report.html'}"
+    assert any("->" in line for line in lines[3:]) and "do not use the model" in out
+    told = json.loads(run(*words, "--json", expect=1, capsys=capsys)[0])
+    assert told["headline"] and told["headline"] not in out, "the verdict on the fit is for programs"
+    assert not told["conventions"]["fit"] and "spacearm export" not in out
+
+
 @pytest.mark.parametrize(
     "values, places",
     [((2.3, 0.031), 3), ((0.02, 0.0004, float("nan"), 0.0), 5), ((8123.0, 0.0004), 3), ((41.0, 0.0004), 5), ((), 3)],

@@ -6,6 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
+from ..conventions.finding import ConventionReport
 from ..dynamics.model import FRICTION_LAWS
 from ..environment.gravity import GRAVITY_CHOICES, VECTOR
 from ..estimate.counts import counts
@@ -168,10 +169,7 @@ def run(options: argparse.Namespace) -> int:
         data = {"conventions": conventions.as_dict()}
         common.print_json({"result": str(options.out), **figures, **data, "environment": surroundings})
     else:
-        about = "\n".join(conventions.lines()) if conventions.findings else ""
-        result = summary(identified, validation, session.page)
-        # Data that are unfit come before the model made from them, all other data after it.
-        print("\n".join(part for part in ((result, about) if conventions.fit else (about, result)) if part))
+        print(summary(identified, validation, session.page, conventions))
     for line in findings:
         common.note(options, line)
     if conventions.certain:
@@ -196,21 +194,37 @@ def _symbols(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def summary(identified: Identified, validation: Validation, page: Path) -> str:
+UNFIT_NEXT = "apply the remedies below (->) or record again, then identify again"
+"""Next step where the data are unfit."""
+
+
+def summary(
+    identified: Identified, validation: Validation, page: Path, conventions: ConventionReport | None = None
+) -> str:
     """The result as text for a terminal: verdict, next step, figures of merit, and how they were obtained.
+
+    Of unfit data the verdict is theirs: how well a model repeats data with a mistake says nothing for it.
 
     Args:
         identified: Identified model with estimates and bandwidth.
         validation: Figures of merit of that model by joint.
         page: The HTML report written.
+        conventions: What was found wrong with the data; None: they were not tested.
     """
     bandwidth = identified.bandwidth
     units = {joint.name: joint.units.effort for joint in identified.model.model.arm.joints}
     verdict = judge_result(identified, validation)
+    about = conventions.lines() if conventions is not None and conventions.findings else []
+    unfit = conventions is not None and not conventions.fit
     lines = [
-        *verdict.lines,
-        f"next: {_next_step(verdict.usable, page, identified.coupling)}",
+        *(about[:1] if unfit else verdict.lines),
+        f"next: {UNFIT_NEXT if unfit else _next_step(verdict.usable, page, identified.coupling)}",
         f"report: {page}",
+        *(
+            [*about[1:], "do not use the model: its figures only say how well it repeats the unfit data"]
+            if unfit
+            else []
+        ),
         f"validated {validation.what}",
         f"{'joint':<24}{'RMSE':>10}{'max':>10} {'unit':<5}{'R':>8}{'rel. RMS':>10}{'moving':>9}{'unfiltered':>12}",
     ]
@@ -236,7 +250,7 @@ def summary(identified: Identified, validation: Validation, page: Path) -> str:
             "confidence intervals assume exact torque gains; parameters.csv has them with the gains' error as well, "
             f"{GAIN_DEVIATION:.0%} without a known mass (--weighed): ci95_with_gain_low, ci95_with_gain_high"
         )
-    return "\n".join(lines)
+    return "\n".join(lines if unfit else [*lines, *about])
 
 
 def _next_step(usable: bool, page: Path, coupling: CouplingTrial | None) -> str:
