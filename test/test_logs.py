@@ -337,26 +337,28 @@ def test_a_number_of_the_row_is_no_time_and_the_rate_is_asked(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "names",
+    ("names", "key", "size_ns"),
     [
-        ("header.stamp.sec", "header.stamp.nanosec"),
-        ("sec", "nsec"),
-        ("secs", "nsecs"),
-        ("timestamp_sec", "timestamp_nanosec"),
-        ("/joint_states/header/stamp/sec", "/joint_states/header/stamp/nanosec"),
-        ("stamp [s]", "stamp [ns]"),
+        (("header.stamp.sec", "header.stamp.nanosec"), "nanoseconds", 1),
+        (("sec", "nsec"), "nanoseconds", 1),
+        (("secs", "nsecs"), "nanoseconds", 1),
+        (("timestamp_sec", "timestamp_nanosec"), "nanoseconds", 1),
+        (("/joint_states/header/stamp/sec", "/joint_states/header/stamp/nanosec"), "nanoseconds", 1),
+        (("stamp [s]", "stamp [ns]"), "nanoseconds", 1),
+        (("tv_sec", "tv_usec"), "microseconds", 1000),
+        (("seconds", "microseconds"), "microseconds", 1000),
+        (("secs", "msecs"), "milliseconds", 1_000_000),
     ],
 )
-def test_seconds_and_nanoseconds_in_two_columns_are_one_time(tmp_path, names):
+def test_seconds_and_the_rest_of_the_second_in_two_columns_are_one_time(tmp_path, names, key, size_ns):
     run = small_arm.recording(4.0)
-    stamps = 1_732_958_860_900_000_123 + np.rint(run.time * 1e9).astype(np.int64)
-    log = csv_of(
-        tmp_path, [*names, "q1", "q2", "tau1", "tau2"], stamps // 10**9, stamps % 10**9, run.position, run.effort
-    )
+    stamps = 1_732_958_860_900_000_123 // size_ns * size_ns + np.rint(run.time * 1e9).astype(np.int64)
+    rest = stamps % 10**9 // size_ns
+    log = csv_of(tmp_path, [*names, "q1", "q2", "tau1", "tau2"], stamps // 10**9, rest, run.position, run.effort)
     arm = arm_file(tmp_path, small_arm.URDF)
     got = read_log(log, arm)
-    assert (got.mapping.time, got.mapping.nanoseconds) == names
     save_mapping(got.mapping, tmp_path / "m.yaml")
+    assert yaml.safe_load((tmp_path / "m.yaml").read_text())["time"] == {"column": names[0], "unit": "s", key: names[1]}
     again = read_log(log, arm, tmp_path / "m.yaml").recording
     assert again.start_ns == stamps[0]
     assert np.array_equal(np.rint(again.time * 1e9), stamps - stamps[0])
@@ -369,6 +371,14 @@ def test_a_row_without_its_nanoseconds_is_left_out_alone(tmp_path):
     head = ["sec", "nsec", "q1", "q2", "tau1", "tau2"]
     log = csv_of(tmp_path, head, stamps // 1e9, nanoseconds, run.position, run.effort)
     assert len(read_log(log, arm_file(tmp_path, small_arm.URDF)).recording.time) == len(run.time) - 1
+
+
+def test_microseconds_that_go_on_beyond_the_second_are_not_its_rest(tmp_path):
+    """A time in two units, each whole: the finer one is the time."""
+    run = small_arm.recording(4.0)
+    head = ["t_sec", "t_usec", "q1", "q2", "tau1", "tau2"]
+    found = proposal(tmp_path, head, np.floor(run.time), np.rint(run.time * 1e6), run.position, run.effort)
+    assert (found.mapping.time, found.mapping.time_unit, found.mapping.fraction) == ("t_usec", "us", None)
 
 
 @pytest.mark.parametrize("name", ["header.stamp.nanosec", "nsec", "n", "column"])
@@ -384,7 +394,13 @@ def test_nanoseconds_that_begin_again_every_second_are_no_time(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    "time", ["{column: t, unit: ms, nanoseconds: n}", "{unit: s, nanoseconds: n}"], ids=["not in s", "no seconds"]
+    "time",
+    [
+        "{column: t, unit: ms, microseconds: n}",
+        "{unit: s, nanoseconds: n}",
+        "{column: t, nanoseconds: n, microseconds: n}",
+    ],
+    ids=["not in s", "no seconds", "twice"],
 )
 def test_nanoseconds_without_whole_seconds_are_no_mapping(tmp_path, time):
     text = f"schema: spacearm_ident/log_mapping/1\ntime: {time}\njoints: {{a: {{position: q, effort: u}}}}\n"

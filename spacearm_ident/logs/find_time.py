@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import UserError
-from ..recording.log_mapping import TIME_UNITS
+from ..recording.log_mapping import FRACTIONS, TIME_UNITS
 from .groups import RESTARTS, Clock
 from .search import Search, too_slow
 from .signals import FASTEST_HZ, SLOWEST_HZ, steps_s
@@ -40,7 +40,7 @@ def time_of(log: Search) -> tuple[Clock | None, str, float | None, FloatArray]:
         return None, "s", None, rows
     own = clock.values(log.table)
     step, _ = steps_s(own)
-    known = clock.nanoseconds is not None or clock.name in log.table.dates
+    known = clock.fraction is not None or clock.name in log.table.dates
     unit = clock.unit if known else log.answers.get("time_unit") or clock.unit
     possible = [one for one, size in TIME_UNITS.items() if SLOWEST_HZ <= 1.0 / (size * step) <= FASTEST_HZ]
     if unit is None and len(possible) == 1:
@@ -54,16 +54,16 @@ def time_of(log: Search) -> tuple[Clock | None, str, float | None, FloatArray]:
     else:
         why = "told" if "time_unit" in log.answers else "written"
         if known:
-            why = "dates" if clock.nanoseconds is None else "seconds and nanoseconds"
+            why = "dates" if clock.fraction is None else f"seconds and {FRACTIONS[clock.fraction_unit]}"
         log.tell("time", clock.columns, unit, f"{why}; {1 / (step * _unit(unit)):.5g} Hz")
     _require_rate(log, 1.0 / (step * _unit(unit)))
     return clock, unit, None, own * _unit(unit)
 
 
 def _asked(log: Search, name: str) -> Clock:
-    """The time that the user names, with its nanoseconds where it has them; a fraction of a second stays one."""
+    """The time that the user names, with what is added where it has two columns; a fraction of a second stays one."""
     found = next((clock for clock in log.clocks if clock.name == name), None)
-    if found is not None and (found.nanoseconds is not None or found.flaw == RESTARTS or name in log.table.dates):
+    if found is not None and (found.fraction is not None or found.flaw == RESTARTS or name in log.table.dates):
         return found
     return Clock(name, None, None, True)
 

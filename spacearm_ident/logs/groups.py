@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
-from ..recording.log_mapping import TIME_UNITS
+from ..recording.log_mapping import FRACTIONS, TIME_UNITS
 from ..recording.tables import Table
 from .signals import FASTEST_HZ, steps_s
 from .words import INDEX, OTHER, TIME, Meaning, meaning_of, split_unit
@@ -59,33 +59,36 @@ class Clock:
         unit: The unit that its name gives; None: none.
         flaw: Why it is no time after all, `COUNTS_ROWS` or `RESTARTS`; None: it can be one.
         named: Whether its name says that it is a time.
-        nanoseconds: Column of the nanoseconds within each of its whole seconds; None: none.
+        fraction: Column of the part of a second to be added to each of its whole seconds; None: none.
+        fraction_unit: Unit of that, one of `FRACTIONS`.
     """
 
     name: str
     unit: str | None
     flaw: str | None
     named: bool
-    nanoseconds: str | None = None
+    fraction: str | None = None
+    fraction_unit: str = "ns"
 
     @property
     def columns(self) -> str:
         """Its columns, for the user."""
-        return self.name if self.nanoseconds is None else f"{self.name}, {self.nanoseconds}"
+        return self.name if self.fraction is None else f"{self.name}, {self.fraction}"
 
     def values(self, table: Table) -> FloatArray:
         """(N,) in its unit; from the first row or second on where a float may not keep it."""
         values = table.columns[self.name]
         own = np.asarray(values - values[0] if values.dtype.kind == "i" else values, dtype=np.float64)
-        if self.nanoseconds is None:
+        if self.fraction is None:
             return own
-        return own - float(np.fmin.reduce(own)) + 1e-9 * np.asarray(table.columns[self.nanoseconds], dtype=np.float64)
+        fraction = np.asarray(table.columns[self.fraction], dtype=np.float64)
+        return own - float(np.fmin.reduce(own)) + TIME_UNITS[self.fraction_unit] * fraction
 
 
 def find_clocks(table: Table) -> list[Clock]:
     """Columns that can be a time, the likeliest first: named so and even, then even; those with a flaw last."""
     found = _split_clocks(table)
-    split = {name for clock in found for name in (clock.name, clock.nanoseconds)}
+    split = {name for clock in found for name in (clock.name, clock.fraction)}
     for name in table.columns:
         meaning = meaning_of(name)
         of_a_joint = meaning.quantity is None and meaning.number is not None and not _nameless(name)
@@ -110,23 +113,25 @@ def _unit_alone(name: str) -> str | None:
 
 
 def _split_clocks(table: Table) -> list[Clock]:
-    """Times in two columns that differ in the unit of their names alone, whole seconds and nanoseconds within them."""
+    """Times in two columns that differ in the unit of their names alone, whole seconds and what is added."""
     by_rest: dict[str, dict[str, str]] = {}
     for name in table.columns:
         rest, unit = split_unit(name)
-        if unit in ("s", "ns"):
+        if unit in ("s", *FRACTIONS):
             by_rest.setdefault(rest, {}).setdefault(unit, name)
     found = []
     for pair in by_rest.values():
-        if len(pair) < 2:
-            continue
-        seconds, nanoseconds = (np.asarray(table.columns[pair[unit]], dtype=np.float64) for unit in ("s", "ns"))
-        clock = Clock(pair["s"], "s", None, True, pair["ns"])
-        sound = np.isfinite(seconds) & np.isfinite(nanoseconds)
-        within = (nanoseconds[sound] >= 0.0) & (nanoseconds[sound] < 1e9)
-        whole = seconds[sound] == np.rint(seconds[sound])
-        if within.all() and whole.all() and steps_s(clock.values(table))[1] >= EVEN:
-            found.append(clock)
+        for part in FRACTIONS:
+            if "s" not in pair or part not in pair:
+                continue
+            seconds, fraction = (np.asarray(table.columns[pair[unit]], dtype=np.float64) for unit in ("s", part))
+            clock = Clock(pair["s"], "s", None, True, pair[part], part)
+            sound = np.isfinite(seconds) & np.isfinite(fraction)
+            within = (fraction[sound] >= 0.0) & (fraction[sound] * TIME_UNITS[part] < 1.0)
+            whole = seconds[sound] == np.rint(seconds[sound])
+            if within.all() and whole.all() and steps_s(clock.values(table))[1] >= EVEN:
+                found.append(clock)
+                break
     return found
 
 
@@ -160,7 +165,7 @@ def find_groups(
         clocks: Columns that are stamps, which belong to no group.
         listed: The joints in the order of the numbers, as the log lists them; empty: it does not.
     """
-    taken = {name for clock in clocks for name in (clock.name, clock.nanoseconds)}
+    taken = {name for clock in clocks for name in (clock.name, clock.fraction)}
     meanings = {name: meaning_of(name) for name in table.columns if name not in taken}
     nameless = [name for name in meanings if _nameless(name)]
     members: dict[tuple[object, ...], list[tuple[str, int | str]]] = {}

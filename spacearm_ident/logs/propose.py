@@ -60,8 +60,10 @@ def propose(
     log.found.rows = _by_signal(log.found.rows)
     if not log.found.questions:
         columns = _columns(chosen, arm)
-        name, nanoseconds = (None, None) if time is None else (time.name, time.nanoseconds)
-        log.found.mapping = LogMapping(columns, units, name, time_unit, rate_hz, of_drives, {}, arm_file, nanoseconds)
+        mapping = LogMapping(columns, units, None, time_unit, rate_hz, of_drives, {}, arm_file)
+        if time is not None:
+            mapping = replace(mapping, time=time.name, fraction=time.fraction, fraction_unit=time.fraction_unit)
+        log.found.mapping = mapping
     return log.found
 
 

@@ -96,8 +96,8 @@ UNITS: dict[str, str] = {
     **dict.fromkeys(_words("‰ permille promille"), "permille"),
     **dict.fromkeys(_words("counts count cnt ticks tick inc increments inkremente pulses"), "counts"),
     **dict.fromkeys(_words("s sec secs second seconds sek sekunden segundos"), "s"),
-    **dict.fromkeys(_words("ms msec millis milliseconds millisekunden"), "ms"),
-    **dict.fromkeys(_words("us usec µs μs micros microseconds"), "us"),
+    **dict.fromkeys(_words("ms msec msecs millis milliseconds millisekunden"), "ms"),
+    **dict.fromkeys(_words("us usec usecs µs μs micros microseconds"), "us"),
     **dict.fromkeys(_words("ns nsec nsecs nanos nanosec nanosecs nanosecond nanoseconds"), "ns"),
 }
 """Unit as written -> as it is called here."""

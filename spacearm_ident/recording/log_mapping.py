@@ -4,6 +4,7 @@
     arm: arm.urdf                       # URDF or arm YAML, seen from this file; optional
     time: {column: Zeit [s], unit: s}   # or {rate_hz: 500}: evenly sampled, nothing else known
                                         # or {column: sec, unit: s, nanoseconds: nanosec}: whole seconds and the rest
+                                        # (nanoseconds, microseconds or milliseconds)
     units: {position: deg, velocity: deg/s, effort: mA}
     joints:
       joint_1: {position: Winkel 1, velocity: Tempo 1, effort: Strom 1, command: Soll 1}
@@ -38,6 +39,8 @@ FOLDER_MAPPING = "mapping.yaml"
 TURN = 2.0 * np.pi
 TIME_UNITS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Unit of time -> seconds."""
+FRACTIONS = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds"}
+"""Unit of what is added to whole seconds -> its key in a mapping file."""
 POSITION_UNITS: dict[str, float] = {"rad": 1.0, "deg": TURN / 360.0, "turn": TURN, "mrad": 1e-3, "counts": TURN}
 """Unit of angle -> rad; `counts` are divided by the counts a turn first. A joint that slides is in m."""
 VELOCITY_UNITS: dict[str, float] = {"rad/s": 1.0, "deg/s": TURN / 360.0, "rpm": TURN / 60.0, "turn/s": TURN}
@@ -72,10 +75,11 @@ class LogMapping:
         time: Column of time; None: rows are `1 / rate_hz` apart.
         time_unit: One of `TIME_UNITS`.
         rate_hz: Rows a second, where there is no time.
-        nanoseconds: Column of the nanoseconds that are added to a time in whole seconds; None: the time is whole.
+        fraction: Column of what is added to a time in whole seconds; None: the time is whole.
         constants: Joint -> N·m on the output side for each A, or at 100 %; those missing are the arm's to know.
         counts: Joint -> encoder counts a turn of the joint, signed.
         arm: URDF or arm YAML.
+        fraction_unit: Unit of `fraction`, one of `FRACTIONS`.
     """
 
     columns: Mapping[str, Mapping[str, str]]
@@ -86,7 +90,8 @@ class LogMapping:
     constants: Mapping[str, float] = field(default_factory=dict)
     counts: Mapping[str, float] = field(default_factory=dict)
     arm: Path | None = None
-    nanoseconds: str | None = None
+    fraction: str | None = None
+    fraction_unit: str = "ns"
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -158,10 +163,11 @@ def _own_stamps_ns(table: Table, mapping: LogMapping, where: str) -> IntArray:
         assert mapping.rate_hz is not None  # read_mapping and the proposal see to it
         return np.asarray(np.rint(np.arange(table.rows) * (1e9 / mapping.rate_hz)), dtype=np.int64)
     values = column(table, mapping.time, where)
-    if mapping.nanoseconds is not None:
-        values = _joined_ns(values, column(table, mapping.nanoseconds, where))
+    if mapping.fraction is not None:
+        size = round(TIME_UNITS[mapping.fraction_unit] * 1e9)
+        values = _joined_ns(values, column(table, mapping.fraction, where), size)
     if values.dtype.kind == "i":
-        factor = 1 if mapping.nanoseconds is not None else round(TIME_UNITS[mapping.time_unit] * 1e9)
+        factor = 1 if mapping.fraction is not None else round(TIME_UNITS[mapping.time_unit] * 1e9)
         if np.abs(values).max() < 2**62 // factor:
             return np.asarray(values * factor, dtype=np.int64)
         raise UserError(f"{where}: {mapping.time!r} in {mapping.time_unit} is no time of this age; correct the unit")
@@ -172,8 +178,9 @@ def _own_stamps_ns(table: Table, mapping: LogMapping, where: str) -> IntArray:
     return np.asarray(np.rint(filled(seconds, sound) * 1e9), dtype=np.int64)
 
 
-def _joined_ns(seconds: Column, nanoseconds: Column) -> Column:
-    """(N,) nanoseconds of a time in two columns: none is lost, which a float of both would."""
+def _joined_ns(seconds: Column, fraction: Column, size_ns: int) -> Column:
+    """(N,) nanoseconds of a time in two columns, the second in `size_ns`: none is lost, which a float of both would."""
+    nanoseconds = np.asarray(fraction, dtype=np.float64) * size_ns
     sound = np.isfinite(seconds) & (np.abs(seconds) < _LONGEST_S) & (np.abs(nanoseconds) < 1e9)
     if not sound.any():
         return np.full(len(seconds), np.nan)
@@ -206,8 +213,8 @@ def _constant(mapping: LogMapping, joint: str, unit: str) -> float:
 def mapping_to_dict(mapping: LogMapping, beside: Path) -> dict[str, Any]:
     """Plain data of a mapping file in the folder `beside`."""
     time: dict[str, Any] = {"column": mapping.time, "unit": mapping.time_unit}
-    if mapping.nanoseconds is not None:
-        time["nanoseconds"] = mapping.nanoseconds
+    if mapping.fraction is not None:
+        time[FRACTIONS[mapping.fraction_unit]] = mapping.fraction
     data: dict[str, Any] = {"schema": MAPPING_SCHEMA}
     if mapping.arm is not None:
         arm = mapping.arm.resolve()
@@ -308,11 +315,15 @@ def _time(value: Any, where: str) -> dict[str, Any]:
             raise UserError(f"{where}: rate_hz: {rate:g} rows a second cannot be")
         return {"rate_hz": rate}
     unit = str(given.get("unit", "s"))
-    if not set(given) <= {"column", "unit", "nanoseconds"} or "column" not in given or unit not in TIME_UNITS:
+    if not set(given) <= {"column", "unit", *FRACTIONS.values()} or "column" not in given or unit not in TIME_UNITS:
         raise UserError(f"{where} needs 'column' and 'unit' (one of {', '.join(TIME_UNITS)}), or 'rate_hz' alone")
     time = {"time": str(given["column"]), "time_unit": unit}
-    if given.get("nanoseconds") is None:
+    fractions = [(unit, name) for unit, name in FRACTIONS.items() if given.get(name) is not None]
+    if not fractions:
         return time
+    if len(fractions) > 1:
+        raise UserError(f"{where}: one column is added to the seconds: name one of {', '.join(FRACTIONS.values())}")
+    ((fraction_unit, name),) = fractions
     if unit != "s":
-        raise UserError(f"{where}: 'nanoseconds' are added to a column of whole seconds: its unit is s, not {unit}")
-    return time | {"nanoseconds": str(given["nanoseconds"])}
+        raise UserError(f"{where}: {name!r} are added to a column of whole seconds: its unit is s, not {unit}")
+    return time | {"fraction": str(given[name]), "fraction_unit": fraction_unit}
