@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model import TorqueModel
+from spacearm_ident.errors import UserError
 from spacearm_ident.layers.compare import compare
 from spacearm_ident.layers.comparison import Comparison
 from spacearm_ident.layers.conventions import find_wiring
@@ -31,6 +32,7 @@ from spacearm_ident.mismatch.preparation import banded
 from spacearm_ident.recording import Recording
 from spacearm_ident.recording.recording import Series
 from spacearm_ident.recording.writer import write_recording
+from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.simulations import Simulation, read_simulation
 
 
@@ -539,6 +541,59 @@ def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, c
     assert now["elbow"] < 0.5 * was["elbow"] and now["shoulder"] < 0.5 * was["shoulder"]
     page = (out / "report.html").read_text()
     assert "mass of fore" in page and "mended.xml" in page and "In closed loop" in page
+
+
+def _compared_in_a_shell(tmp_path: Path, suffix: str) -> tuple[dict, str]:
+    """The document and the page of a comparison with the arm as this kind of file."""
+    simulation = read_simulation(_written(tmp_path))
+    sim, out = tmp_path / f"three.{suffix}", tmp_path / "out"
+    if suffix == "urdf":
+        sim.write_text(simulation.arm.urdf)
+    for name, seed in (("real.mcap", 4), ("real_2.mcap", 5)):
+        write_recording(tmp_path / name, recorded(mjcf(fore_mass=2.3, armature=0.4), seed))
+    bags = [str(tmp_path / "real.mcap"), "--validate", str(tmp_path / "real_2.mcap")]
+    without = ["--without", *EFFECTS]
+    assert main(["mismatch", *bags, "--simulation", str(sim), "--out", str(out), *without]) == 0
+    return json.loads((out / "mismatch.json").read_text()), (out / "report.html").read_text()
+
+
+def _written(tmp_path: Path) -> Path:
+    path = tmp_path / "three.xml"
+    path.write_text(mjcf())
+    return path
+
+
+def test_corrected_column_is_of_the_file_where_its_format_cannot_hold_what_differs(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """A URDF has no rotor inertia: 0.4 kg m^2 of three joints stay in the residual."""
+    mujoco_or_skip()
+    document, _ = _compared_in_a_shell(tmp_path, "urdf")
+    assert "cannot hold: rotor inertia J_m" in capsys.readouterr().out
+    file = read_simulation(tmp_path / "out" / "mended.urdf").model
+    motions, _ = prepare([recorded(mjcf(fore_mass=2.3, armature=0.4), 5)], JOINTS)
+    left = np.concatenate([motion.torque_rows - motion.reduce(file.torque(motion)) for motion in motions])
+    moving = np.concatenate([motion.moving for motion in motions])
+    for k, joint in enumerate(JOINTS):
+        rms = np.sqrt(np.mean(left[moving[:, k], k] ** 2))
+        assert document["mended_Nm"][joint] == pytest.approx(rms, rel=0.15)
+        assert document["mended_Nm"][joint] > 3.0 * document["residual_after_Nm"][joint]
+
+
+def test_comparison_stands_where_no_corrected_file_can_be_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mujoco_or_skip()
+
+    def refused(*_: object) -> None:
+        raise UserError("no body has such moments")
+
+    monkeypatch.setattr("spacearm_ident.sessions.simulation.mend", refused)
+    document, page = _compared_in_a_shell(tmp_path, "xml")
+    assert document["verdict"] == "mismatch" and document["mended_simulation"] is None
+    said = "there is no corrected file: no body has such moments"
+    assert said in capsys.readouterr().out
+    assert said[1:] in page  # It begins a sentence there.
 
 
 def test_simulation_that_the_result_would_replace_is_refused_and_kept(

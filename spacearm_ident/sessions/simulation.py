@@ -19,7 +19,7 @@ from ..identification.identify import Progress, Settings, identify
 from ..layers.compare import compare
 from ..layers.comparison import Comparison
 from ..layers.discrete import Mistake, find_mistakes
-from ..layers.item import CONVENTIONS, Item, Mended
+from ..layers.item import CONVENTIONS, PARAMETERS, Item, Mended
 from ..recording import Recording
 from ..report.folder import refuse_to_replace
 from ..report.layers_folder import write_comparison
@@ -84,9 +84,13 @@ def compare_session(
     comparison = _with_mistakes(comparison, undoing.mistakes)
     mended = None
     if comparison.model is not None and len(simulation) == 1:
-        motions, _ = prepare(right[1] or right[0], read.arm.joint_names)
+        motions, _ = prepare(right[1] or right[0], read.arm.joint_names, comparison.cutoff_hz)
         motions = comparison.wiring.undone(motions, comparison.model)
-        mended = mend(read, simulation[0], comparison.model, motions)
+        try:
+            mended = mend(read, simulation[0], comparison.model, motions)
+        except UserError as error:
+            # The comparison stands by itself.
+            comparison = _noted(comparison, f"there is no corrected file: {error}")
         comparison = comparison.of_file(mended)
     page = write_comparison(comparison, read, mended, fitted, held, directory, command)
     return SimulationSession(comparison, mended, page, (*fitted, *held), read)
@@ -155,6 +159,14 @@ def _of_recordings(simulation: Simulation, recordings: Sequence[Recording]) -> S
             "give them the same names"
         )
     return without(simulation, lacking)
+
+
+def _noted(comparison: Comparison, note: str) -> Comparison:
+    """With a note in the layer of parameters."""
+    layers = [
+        replace(layer, notes=(*layer.notes, note)) if layer.name == PARAMETERS else layer for layer in comparison.layers
+    ]
+    return replace(comparison, layers=tuple(layers))
 
 
 def _with_mistakes(comparison: Comparison, mistakes: Sequence[Mistake]) -> Comparison:
