@@ -7,7 +7,7 @@ parameters asks for, whatever the recording's length (Golub and Van Loan 2013, c
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from ..arrays import FloatArray
 from ..regression.held_out import folds_of, time_blocks
@@ -77,13 +77,15 @@ class BlockGrams:
         """
         found = np.zeros((2, len(self._parts)))
         for joint, (numbers, grams) in enumerate(self._parts):
-            whole = np.pad(factor[numbers], ((0, 1), (0, 0)))
-            vector = np.append(-parameters[numbers], 1.0)
+            # Of all v only what this joint's parameters depart by counts: as many combinations as it has columns.
+            own = np.linalg.qr(factor[numbers].T, mode="r").T
+            vector, count = np.append(-parameters[numbers], 1.0), own.shape[1]
             for gram in grams[blocks]:
-                size, directions = np.linalg.eigh(whole.T @ gram @ whole)
-                size = np.maximum(size, 0.0)
-                score = directions.T @ (whole.T @ (gram @ vector))
-                found[:, joint] += np.sum(score**2 / (1.0 + size)), np.sum(size / (1.0 + size))
+                root = cholesky(np.eye(count) + own.T @ gram[:-1, :-1] @ own, lower=True)
+                inverse = solve_triangular(
+                    root, np.column_stack([own.T @ (gram @ vector)[:-1], np.eye(count)]), lower=True
+                )
+                found[:, joint] += np.sum(inverse[:, 0] ** 2), count - np.sum(inverse[:, 1:] ** 2)
         return found
 
     def information(self, blocks: np.ndarray) -> FloatArray:
