@@ -9,9 +9,12 @@ is what ros2_control puts there, at its rates:
 - `arm_controller/joint_trajectory` is taken by a JointTrajectoryController as that does: times count from arrival,
   quintics between the points, from the state before to the first of them, the last one held; `forward/commands` by a
   forward_command_controller. Only the active one of them moves the arm.
-- `/mock/switch` (std_srvs/srv/SetBool): activate or deactivate the controller.
+- `mock/switch` (std_srvs/srv/SetBool): activate or deactivate the controller.
 
-    python mock_controllers.py arm_controller|forward [slow]
+In a namespace all names but `/diagnostics` lie below it; the status there is `controller_manager: ...` even so, or with
+`full_name` (`diagnostic_updater.use_fqn`) `/right/controller_manager: ...`.
+
+    python mock_controllers.py arm_controller|forward [slow] [full_name] [--ros-args -r __ns:=/right]
 """
 
 from __future__ import annotations
@@ -91,7 +94,7 @@ class MockArm:
         self.diagnostics = self.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.node.create_subscription(JointTrajectory, "arm_controller/joint_trajectory", self.take_path, 10)
         self.node.create_subscription(Float64MultiArray, "forward/commands", self.take_positions, 100)
-        self.node.create_service(SetBool, "/mock/switch", self.switch)
+        self.node.create_service(SetBool, "mock/switch", self.switch)
 
     def take_path(self, message: JointTrajectory) -> None:
         if self.active and self.controller == "arm_controller":
@@ -130,8 +133,9 @@ class MockArm:
 
     def tell(self) -> None:
         states = {self.controller: "active" if self.active else "inactive", "joint_state_broadcaster": "active"}
+        manager = self.node.get_fully_qualified_name() if "full_name" in sys.argv else self.node.get_name()
         status = DiagnosticStatus(
-            name="controller_manager: Controllers Activity",
+            name=f"{manager}: Controllers Activity",
             message="All controllers are active",
             hardware_id="ros2_control",
             values=[KeyValue(key=name, value=state) for name, state in states.items()],

@@ -16,8 +16,10 @@ import yaml
 pytest.importorskip("rclpy", reason="needs ROS 2 (pip install '.[ros]')")
 
 import mock_controllers
+from diagnostic_msgs.msg import DiagnosticArray
 from live_nodes import LIVE, Probe, Processes, output
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
 
 from spacearm_ident.canbus.realtime import come_first
 from spacearm_ident.cli.main import main
@@ -68,36 +70,50 @@ class Graph(Probe):
     """The mock, nodes of ours beside it, and what they say."""
 
     def __init__(self, folder: Path) -> None:
-        from std_msgs.msg import String
-
         super().__init__()
         self.folder, self.processes = folder, Processes(folder)
         self.said: list[dict] = []
+        self.place = ""
+        self._hear_runs()
+
+    def _hear_runs(self) -> None:
         every = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(
-            String, "/excitation/state", lambda message: self.said.append(json.loads(message.data)), every
+            String, f"{self.place}/excitation/state", lambda message: self.said.append(json.loads(message.data)), every
         )
+
+    def enter(self, place: str) -> None:
+        """Heed the nodes of a namespace from now on, where their diagnostics may be, too."""
+        self.place = place
+        self._hear_runs()
+        self.node.create_subscription(DiagnosticArray, f"{place}/diagnostics", self._keep, 100)
+
+    def name(self, node: str) -> str:
+        """A node as its diagnostics name it."""
+        return f"{self.place}/{node}".lstrip("/")
 
     def mock(self, *words: str):
         process = self.processes.python(str(Path(__file__).with_name("mock_controllers.py")), *words)
         come_first(process.pid)
         return process
 
-    def ours(self, *names: str, extra: tuple[str, ...] = ()) -> None:
+    def ours(self, *names: str, extra: tuple[str, ...] = (), words: tuple[str, ...] = ()) -> None:
         """Start nodes as the page does."""
         shown = {words[1]: words[2:] for words in commands("spacearm") if words[0] == "node"}
         for name in names:
             patient = PATIENT if name == "trajectory" else ()
-            words = [word for value in (*patient, *extra) for word in ("-p", value)]
+            given = [*words, *(word for value in (*patient, *extra) for word in ("-p", value))]
             code = f"import sys; from spacearm_ident.nodes.main import start; sys.exit(start({name!r}, sys.argv[1:]))"
-            node = self.processes.python("-c", code, *shown[name], *words)
+            node = self.processes.python("-c", code, *shown[name], *given)
             come_first(node.pid)
-            self.wait_for(lambda n=name, p=node: n in self.statuses or p.poll() is not None, name, PATIENCE_S)
+            full = self.name(name)
+            self.wait_for(lambda n=full, p=node: n in self.statuses or p.poll() is not None, full, PATIENCE_S)
             assert node.poll() is None, output(node)
 
     def start(self) -> None:
-        self.wait_for(lambda: self.values("trajectory").get("drives_enabled") == "true", "the controller is heard")
-        done, reply = self.call("/excitation/start")
+        name = self.name("trajectory")
+        self.wait_for(lambda: self.values(name).get("drives_enabled") == "true", "the controller is heard")
+        done, reply = self.call(f"{self.place}/excitation/start")
         assert done, reply
 
     def reach(self, *states: str) -> dict:
@@ -163,6 +179,36 @@ def test_a_controller_that_is_deactivated_stops_the_run_with_that_reason(graph):
     graph.wait_for(lambda: graph.values("trajectory").get("drives_enabled") == "false", "the controller's word")
     done, reply = graph.call("/excitation/start")
     assert not done and "the controller arm_controller is inactive; activate it" in reply
+
+
+@pytest.mark.parametrize("told_by", ["name", "topic"])
+def test_of_two_arms_on_one_graph_the_trajectory_node_obeys_its_own_controller(graph, told_by):
+    remapped = ("-r", "/diagnostics:=/right/diagnostics") if told_by == "topic" else ()
+    told = ("full_name",) if told_by == "name" else ()
+    graph.mock("arm_controller", *told, "--ros-args", "-r", "__ns:=/left")
+    graph.mock("arm_controller", *told, "--ros-args", "-r", "__ns:=/right", *remapped)
+    assert graph.call("/left/mock/switch", False)[0]
+    graph.enter("/right")
+    graph.ours("trajectory", words=("-r", "__ns:=/right", *remapped))
+    graph.start()
+    graph.reach("running")
+    assert graph.call("/left/mock/switch", True)[0]
+    graph.spin(0.5)
+    assert graph.call("/left/mock/switch", False)[0]
+    graph.spin(1.5)
+    assert graph.said[-1]["state"] == "running", graph.said[-1]["reason"]
+    assert graph.call("/right/mock/switch", False)[0]
+    assert re.match("the controller arm_controller is no longer active|the arm does not", graph.reach("done")["reason"])
+
+
+def test_of_two_arms_whose_managers_cannot_be_told_apart_neither_is_moved(graph):
+    for place in ("/left", "/right"):
+        graph.mock("arm_controller", "--ros-args", "-r", f"__ns:={place}")
+    graph.enter("/right")
+    graph.ours("trajectory", words=("-r", "__ns:=/right"))
+    both = "may be that of /left/controller_manager, /right/controller_manager"
+    graph.wait_for(lambda: both in graph.call("/right/excitation/start")[1], "the refusal")
+    assert {state["state"] for state in graph.said} <= {"idle"}
 
 
 def test_a_stop_is_a_way_to_rest_along_the_path_within_the_limits(graph):

@@ -3,9 +3,8 @@
 The parameter `enabled_from` names one source or several; all of them must agree.
 
 - `driver`: this package's CANopen driver; `operation_enabled` of its status on `/diagnostics`.
-- `controller`: a controller of ros2_control; controller_manager publishes the state of each once a second on
-  `/diagnostics`, in the status `controller_manager: Controllers Activity` under the controller's name (since a later
-  release of Jazzy `NAME.state`): only `active` will do.
+- `controller`: a controller of ros2_control, by controller_manager's status on `/diagnostics`
+  (`trajectory_controller`): only `active` will do.
 - `topic`: a std_msgs/msg/Bool, latched or not, such as `robot_program_running` of Universal Robots' driver. A value
   holds as long as its publisher is there.
 """
@@ -22,12 +21,9 @@ from std_msgs.msg import Bool
 
 from ..errors import UserError
 from .runtime import LiveNode, local_name
+from .trajectory_controller import DIAGNOSTICS, STATUS_AGE_S, ControllerSource
 
-STATUS_AGE_S: Final = 3.0
-"""A status older than this says nothing: diagnostics come every second."""
 DRIVER: Final = "canopen_driver"
-ACTIVITY: Final = "Controllers Activity"
-"""Name of controller_manager's status of its controllers, behind the node's name."""
 
 
 class Source(Protocol):
@@ -86,50 +82,6 @@ class DriverSource:
         """They were, and are no longer."""
         faults = [fault for _, fault, _ in self._said.values() if fault]
         return "the drives are no longer enabled" + (f" ({faults[0]})" if faults else "")
-
-
-class ControllerSource:
-    """A controller of ros2_control.
-
-    Args:
-        controller: Its name.
-        manager: Name of controller_manager's node.
-    """
-
-    def __init__(self, controller: str, manager: str) -> None:
-        self._controller = controller
-        self._status = f"{manager.strip('/')}: {ACTIVITY}"
-        self._state, self._at = "", float("-inf")
-
-    def hear(self, status: DiagnosticStatus, values: Mapping[str, str]) -> None:
-        """Take in a status of `/diagnostics`."""
-        if status.name.lstrip("/") == self._status:
-            name = self._controller
-            self._state = values.get(f"{name}.state", values.get(name, "not loaded"))
-            self._at = time.monotonic()
-
-    @property
-    def enabled(self) -> bool | None:
-        """Whether it is active."""
-        return self._state == "active" if time.monotonic() - self._at < STATUS_AGE_S else None
-
-    @property
-    def refusal(self) -> str:
-        """It is not, or that is not known."""
-        if self.enabled is None:
-            return (
-                f"the controller {self._controller} is not known to be active: no status '{self._status}' came on "
-                "/diagnostics; start controller_manager, or name its node in the parameter controller_manager"
-            )
-        return (
-            f"the controller {self._controller} is {self._state}; activate it "
-            f"(ros2 control switch_controllers --activate {self._controller})"
-        )
-
-    @property
-    def loss(self) -> str:
-        """It was, and is no longer."""
-        return f"the controller {self._controller} is no longer active ({self._state})"
 
 
 class TopicSource:
@@ -198,7 +150,7 @@ class Interlock:
         manager = node.parameter(
             "controller_manager",
             "controller_manager",
-            "enabled_from controller: node name of its controller_manager",
+            "enabled_from controller: node name of its controller_manager; with a namespace that node alone",
         )
         topic = node.parameter("enabled_topic", "", "enabled_from topic: a std_msgs/msg/Bool that must be true")
         required = node.parameter("require_enabled", True, "false: enabled_from is shown, and binds nothing")
@@ -214,9 +166,9 @@ class Interlock:
         if "driver" in named:
             self._speaking.append(DriverSource(node))
         if "controller" in named:
-            self._speaking.append(ControllerSource(controller, manager))
+            self._speaking.append(ControllerSource(node, controller, manager))
         self._sources: list[Source] = [*self._speaking, *self._topics]
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._hear, 100)
 
     @property
     def of_driver(self) -> bool:
