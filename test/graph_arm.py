@@ -2,6 +2,8 @@
 
 Reads commands from standard input and answers each with `ok` when it is done:
 `run NAME BAG [stopped]` (states and samples), `play BAG` (samples only), `say TEXT` (a raw /excitation/state).
+
+    python graph_arm.py [best_effort]
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import sys
 import time
 
 import rclpy
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -29,7 +31,10 @@ class Player:
         rclpy.init()
         self.node = rclpy.create_node("small_arm")
         self.description = self.node.create_publisher(String, DESCRIPTION_TOPIC, LATCHED)
-        self.states = self.node.create_publisher(JointState, STATES_TOPIC, QoSProfile(depth=1000))
+        offered = QoSProfile(depth=1000)
+        if "best_effort" in sys.argv:
+            offered.reliability = ReliabilityPolicy.BEST_EFFORT
+        self.states = self.node.create_publisher(JointState, STATES_TOPIC, offered)
         self.excitation = self.node.create_publisher(String, "/excitation/state", LATCHED)
         while not self.states.get_subscription_count():
             time.sleep(0.02)

@@ -64,6 +64,7 @@ class Graph(Probe):
         super().__init__()
         self._processes = processes
         self._player: subprocess.Popen[str] | None = None
+        self.player_words: tuple[str, ...] = ()
         self.residuals: list[JointState] = []
         self.predicted: list[JointState] = []
         self.node.create_subscription(JointState, "/identifier/residuals", self.residuals.append, STREAM)
@@ -83,7 +84,7 @@ class Graph(Probe):
         """A command to the player, to its end."""
         if self._player is None:
             script = str(Path(__file__).with_name("graph_arm.py"))
-            self._player = self._processes.python(script, stdin=subprocess.PIPE, text=True)
+            self._player = self._processes.python(script, *self.player_words, stdin=subprocess.PIPE, text=True)
         assert self._player.stdin is not None
         done = output(self._player).count("ok\n")
         self._player.stdin.write(line + "\n")
@@ -197,6 +198,16 @@ def test_two_runs_give_parameters_residuals_and_a_result_folder(bags, processes,
         assert np.sqrt(np.mean(column**2)) < 2.0 * float(figures[f"rmse_Nm[{joint}]"])
         assert float(figures[f"r[{joint}]"]) > 0.999
     assert 0.3 < float(live["delay_s"]) < 0.6
+
+
+def test_joint_states_published_best_effort_are_identified_and_said(bags, graph, tmp_path):
+    graph.player_words = ("best_effort",)
+    node = graph.identifier(f"result_directory:={tmp_path / 'live'}", *QUICK)
+    graph.tell(f"run 1 {bags['first']}")
+    graph.wait_for(graph.said("identifier: identification", "of the fit itself"), "the identification")
+    assert "/joint_states is published BEST_EFFORT by /small_arm, and taken so" in output(node)
+    assert float(graph.latched_parameters()["f_c[shoulder]"]["value"]) == pytest.approx(small_arm.COULOMB[0], rel=0.05)
+    assert end(node) == 0 and "Traceback" not in output(node)
 
 
 def test_a_field_run_is_explained_where_asked(bags, processes, graph, tmp_path):

@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import Any, Final
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
@@ -25,6 +25,7 @@ from ..recording.background_writer import Topic
 from ..recording.definitions import definition_text
 from ..recording.messages import MessageType
 from ..recording.qos import Qos
+from .offers import common_offer, meets
 from .runtime import STREAM
 
 _TAKE_S: Final = 0.02
@@ -127,11 +128,11 @@ class GraphReader:
 
     def _attend(self, name: str, kinds: Sequence[str], publishers: Sequence[TopicEndpointInfo]) -> None:
         """Subscribe to a new topic; again, more modestly, where a new publisher offers less than the others."""
-        wanted = _profile([publisher.qos_profile for publisher in publishers])
+        wanted = common_offer([publisher.qos_profile for publisher in publishers], _DEPTH)
         tap = self._taps.get(name)
         if tap is not None:
             tap.single = len(publishers) == 1
-            if _offers(wanted, tap.qos):
+            if meets(wanted, tap.qos):
                 return
             self._node.destroy_subscription(tap.subscription)
         elif len(kinds) > 1:
@@ -192,18 +193,6 @@ class GraphReader:
         tap.last_number = number if tap.single else None
 
 
-def _profile(offered: Sequence[QoSProfile]) -> QoSProfile:
-    """The most that all publishers offer."""
-    reliable = all(qos.reliability != ReliabilityPolicy.BEST_EFFORT for qos in offered)
-    latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
 def _offer(profile: QoSProfile) -> Qos:
     """A publisher's offer as discovery tells it, in the words of a bag."""
     return Qos(
@@ -216,16 +205,6 @@ def _offer(profile: QoSProfile) -> Qos:
         lifespan_ns=profile.lifespan.nanoseconds,
         lease_ns=profile.liveliness_lease_duration.nanoseconds,
         avoid_ros_names=profile.avoid_ros_namespace_conventions,
-    )
-
-
-def _offers(offered: QoSProfile, requested: QoSProfile) -> bool:
-    """Whether a subscription's request is met."""
-    return not (
-        (requested.reliability == ReliabilityPolicy.RELIABLE and offered.reliability == ReliabilityPolicy.BEST_EFFORT)
-        or (
-            requested.durability == DurabilityPolicy.TRANSIENT_LOCAL and offered.durability == DurabilityPolicy.VOLATILE
-        )
     )
 
 

@@ -45,6 +45,7 @@ from .identifier_settings import declare
 from .jobs import Compared, CompareJob, Done, Explained, ExplainJob, IdentifyJob, Job
 from .live_tracking import LiveTracking, sentence
 from .message_buffer import Capture, MessageBuffer
+from .offers import RawStream
 from .residual_stream import ResidualStream
 from .runtime import LATCHED, STREAM, Level, LiveNode, Status, relative, run
 from .worker import Failed, Step, Worker
@@ -52,6 +53,8 @@ from .worker import Failed, Step, Worker
 RATE_HZ = 1000.0
 """Rate for which `buffer_s` is meant: slower joint states are kept for longer."""
 WATCH_S = 0.05
+LOOK_S = 0.25
+"""How often publishers are looked for: as often as the recorder does."""
 STREAM_S = 0.2
 """Residual and tracking are computed in pieces of this length: shorter ones cost more."""
 UNDER_WAY = frozenset({"approach", "running", "returning", "stopping"})
@@ -103,6 +106,7 @@ class Identifier(LiveNode):
         self._subscribe()
         self.offer("identifier/identify", self._identify_buffer)
         self.every(WATCH_S, self._watch)
+        self.every(LOOK_S, self._look)
         self.every(STREAM_S, self._go_on)
         if self._model_file:
             self._use(load_model(self._model_file), None)
@@ -111,20 +115,25 @@ class Identifier(LiveNode):
 
     def _subscribe(self) -> None:
         # In no executor: a wake-up a message would cost three times what taking them by the fifty does.
-        self._arriving = self.subscribe_unspun(JointState, relative(STATES_TOPIC), STREAM)
-        self.create_subscription(Temperature, relative(TEMPERATURES_TOPIC), self._on_temperature, STREAM, raw=True)
+        unspun = self.unspun_node()
+        self._arriving = [
+            (RawStream(unspun, kind, self.resolve_topic_name(relative(buffer.topic))), buffer)
+            for kind, buffer in ((JointState, self._states), (Temperature, self._temperatures))
+        ]
         self.create_subscription(String, relative(DESCRIPTION_TOPIC), self._on_description, LATCHED, raw=True)
         self.create_subscription(String, "excitation/state", self._on_excitation, LATCHED)
 
-    def _take_states(self) -> None:
-        """Joint states that have arrived, with the time at which each did."""
-        handle = self._arriving.handle
-        with handle:
-            while (taken := handle.take_message(self._arriving.msg_type, True)) is not None:
-                self._states.append(taken[1]["received_timestamp"], taken[0])
+    def _take(self) -> None:
+        """Joint states and temperatures that have arrived, with the time at which each did."""
+        for stream, buffer in self._arriving:
+            for payload, arrived_ns in stream.take():
+                buffer.append(arrived_ns, payload)
 
-    def _on_temperature(self, payload: bytes) -> None:
-        self._temperatures.append(time.time_ns(), payload)
+    def _look(self) -> None:
+        """Take the streams as they are published."""
+        for stream, _ in self._arriving:
+            if sentence := stream.look():
+                self.get_logger().info(sentence)
 
     def _on_description(self, payload: bytes) -> None:
         self._description = Capture.of_one(DESCRIPTION_TOPIC, time.time_ns(), payload)
@@ -152,7 +161,7 @@ class Identifier(LiveNode):
 
     def _watch(self) -> None:
         """Twenty times a second: what has arrived, news of the worker, the next run."""
-        self._take_states()
+        self._take()
         self._hear()
         if self._worker is not None:
             return
@@ -176,7 +185,7 @@ class Identifier(LiveNode):
 
     def _identify_buffer(self) -> str:
         """The service."""
-        self._take_states()
+        self._take()
         if self._worker is not None:
             raise UserError(
                 f"an identification is under way ({self._step.share:.0%}: {self._step.what}): wait for it to end"

@@ -16,10 +16,10 @@ from collections.abc import Mapping
 from typing import Final, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 from ..errors import UserError
+from .offers import common_offer
 from .runtime import LiveNode, local_name
 from .trajectory_controller import DIAGNOSTICS, STATUS_AGE_S, ControllerSource
 
@@ -104,10 +104,7 @@ class TopicSource:
             self._value = None
         elif not self._subscribed:
             self._subscribed = True
-            qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-            qos.durability = publishers[0].qos_profile.durability
-            if all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE for info in publishers):
-                qos.reliability = ReliabilityPolicy.RELIABLE
+            qos = common_offer([info.qos_profile for info in publishers], depth=1)
             self._node.create_subscription(Bool, self._topic, self._hear, qos)
 
     def _hear(self, message: Bool) -> None:

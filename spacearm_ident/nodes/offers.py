@@ -1,0 +1,88 @@
+"""Subscriptions that ask for what a topic's publishers offer.
+
+A subscription that asks for more (RELIABLE of a BEST_EFFORT publisher) gets nothing, and its node no word of that.
+Drivers publish `/joint_states` either way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from .runtime import STREAM
+
+
+def common_offer(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
+    """The most that all publishers offer.
+
+    Args:
+        offered: What each offers.
+        depth: Messages kept until they are taken.
+    """
+    reliable = all(qos.reliability != ReliabilityPolicy.BEST_EFFORT for qos in offered)
+    latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def meets(offered: QoSProfile, requested: QoSProfile) -> bool:
+    """Whether a subscription's request is met."""
+    return not (
+        (requested.reliability == ReliabilityPolicy.RELIABLE and offered.reliability == ReliabilityPolicy.BEST_EFFORT)
+        or (
+            requested.durability == DurabilityPolicy.TRANSIENT_LOCAL and offered.durability == DurabilityPolicy.VOLATILE
+        )
+    )
+
+
+class RawStream:
+    """Serialised messages of a stream in the order of arrival: RELIABLE, unless a publisher offers less.
+
+    RELIABLE, because samples that are lost on their way leave gaps in what is identified.
+
+    Args:
+        node: A node in no executor (`LiveNode.unspun_node`).
+        kind: Message type.
+        topic: Full name of the topic.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str) -> None:
+        self._node, self._kind, self._topic = node, kind, topic
+        self._subscription = self._subscribe(STREAM)
+        self._before: list[tuple[bytes, int]] = []
+        self._reliable = True
+
+    def look(self) -> str:
+        """Ask for less where a publisher offers less; returns a sentence on that, once. Call it now and then."""
+        publishers = self._node.get_publishers_info_by_topic(self._topic) if self._reliable else []
+        less = [info for info in publishers if not meets(info.qos_profile, STREAM)]
+        if not less:
+            return ""
+        self._before = list(self.take())
+        self._node.destroy_subscription(self._subscription)
+        qos = QoSProfile(depth=STREAM.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._subscription, self._reliable = self._subscribe(qos), False
+        names = sorted({f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in less})
+        return (
+            f"{self._topic} is published BEST_EFFORT by {', '.join(names)}, and taken so: what is lost on its way is "
+            "not sent again"
+        )
+
+    def take(self) -> Iterator[tuple[bytes, int]]:
+        """What has arrived since: message and time of arrival, ns since 1970."""
+        before, self._before = self._before, []
+        yield from before
+        handle = self._subscription.handle
+        with handle:
+            while (taken := handle.take_message(self._subscription.msg_type, True)) is not None:
+                yield taken[0], taken[1]["received_timestamp"]
+
+    def _subscribe(self, qos: QoSProfile) -> Any:
+        return self._node.create_subscription(self._kind, self._topic, lambda _: None, qos, raw=True)
