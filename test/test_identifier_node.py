@@ -378,3 +378,34 @@ def test_a_friction_step_is_found_dated_and_explained(graph, tmp_path):
     begun = 1e-9 * (explained.start_ns - run.start_ns)
     assert at_s - 0.5 < begun < at_s + 3.0 and 13.0 < explained.time[-1] < 19.0
     assert end(node) == 0 and "Traceback" not in output(node)
+
+
+def test_a_run_of_an_arm_that_has_changed_does_not_replace_its_model_until_asked(graph, tmp_path):
+    out = tmp_path / "live"
+    out.mkdir()
+    model, kept = out / "model.yaml", out / "model_before_change.yaml"
+    save_model(small_arm.identified(), model)  # Where the result of the run goes as well.
+    motion = small_arm.with_step(small_arm.recording(65.0), 25.0)
+    write_recording(tmp_path / "step.mcap", motion.between(0.0, 45.0))
+    write_recording(tmp_path / "later.mcap", motion.between(45.0, 65.0))
+    # Longer than what the run has behind the change: it is explained when the run has been identified.
+    options = ("mismatch_on_change:=true", "mismatch_window_s:=25", f"model:={model}", f"result_directory:={out}")
+    node = graph.identifier(*options, *QUICK)
+    graph.tell(f"run 1 {tmp_path / 'step.mcap'}")
+    graph.wait_for(graph.said("identifier: identification", "of the fit itself"), "the identification")
+    assert "at elbow changed by +0.5" in graph.statuses["identifier: tracking"].message
+    assert graph.values("identifier: identification")["model_in_use"] == str(kept)
+    assert f"residual and tracking stay those of {kept}; {model} is the arm of this run" in output(node)
+    assert load_model(kept).parameters.tolist() == small_arm.identified().parameters.tolist()
+    assert load_model(model).parameters.tolist() != small_arm.identified().parameters.tolist()
+    assert graph.latched_parameters()["f_c[elbow]"]["value"] == "1.5"
+
+    graph.tell(f"play {tmp_path / 'later.mcap'}")
+    graph.wait_for(graph.said("identifier: mismatch", "friction_drift at elbow"), "the explanation of the change")
+    assert graph.values("identifier: mismatch")["reference"] == str(kept) and (out / "change" / "report.html").is_file()
+    granted, answer = graph.call("/identifier/identify")
+    assert granted, answer
+    graph.wait_for(lambda: "residual and tracking are those of the model now in" in output(node), "the other model")
+    graph.wait_for(lambda: float(graph.latched_parameters()["f_c[elbow]"]["value"]) > 1.6, "its parameters")
+    assert "at elbow changed by +0.5" in graph.statuses["identifier: tracking"].message
+    assert end(node) == 0 and "Traceback" not in output(node)

@@ -74,6 +74,9 @@ class Fed:
     def __init__(self, stream: object) -> None:
         self.news: list[object] = []
 
+    def stop(self) -> None:
+        pass
+
     def poll(self) -> list[object]:
         news, self.news = self.news, []
         return news
@@ -118,6 +121,36 @@ def test_a_change_warns_for_a_while_and_is_told_from_then_on(clock):
     assert (status.level, status.message) == (Level.OK, f"follows; the last change: {words}")
 
 
+def test_a_change_found_with_one_model_stays_said_with_the_next(clock):
+    first = LiveTracking(small_arm.identified(), TrackingChoice())
+    clock.thread.tell(CHANGE)
+    first.poll()
+    second = LiveTracking(small_arm.identified(), TrackingChoice(), before=first)
+    assert "f_c at elbow changed by +0.5" in second.status().message  # No joint state has come yet.
+    clock.thread.tell()
+    assert second.poll() == []
+    assert second.status().level is Level.WARN and "f_c at elbow changed by +0.5" in second.status().message
+    clock.s += live_tracking.WARN_S + 1.0
+    assert second.status().level is Level.OK and "the last change: f_c at elbow" in second.status().message
+
+
+def test_a_change_that_will_not_be_explained_is_told_once_with_the_reason(clock):
+    for spoil, reason in (
+        (lambda tracking: clock.thread.tell(time_s=T0 - 1000.0), "the clock of the joint states was set back"),
+        (lambda tracking: clock.thread.news.append(Broken("the tracking broke")), "the tracking broke"),
+        (lambda tracking: tracking.stop("the node was ended"), "the node was ended"),
+    ):
+        tracking = LiveTracking(small_arm.identified(), TrackingChoice(), 30.0)
+        clock.thread.tell(CHANGE)
+        tracking.poll()
+        assert tracking.given_up() == ""
+        spoil(tracking)
+        tracking.poll()
+        assert (tracking.given_up(), tracking.given_up()) == (reason, "")
+        tracking.stop("nothing waits any more")
+        assert tracking.given_up() == ""
+
+
 def test_values_are_due_once_a_second_while_rows_come_and_at_once_after_a_change(clock):
     tracking = LiveTracking(small_arm.identified(), TrackingChoice())
     clock.thread.tell(time_s=float("nan"))  # Samples, but no row yet.
@@ -160,10 +193,10 @@ def test_a_model_change_in_the_middle_of_the_work():
     first = LiveTracking(small_arm.identified(), TrackingChoice(payload=True))
     for start in range(0, 4000, 100):
         first.feed(payloads[start : start + 100], [], start)
-    first.stop()
+    first.stop("over")
     assert "tracking" not in {thread.name for thread in threading.enumerate()}
     second = LiveTracking(small_arm.identified(), TrackingChoice())
     second.feed(payloads, [], 1)
     wait_for(lambda: second.poll() == [] and second.due(), "the second at work")
     assert {item.symbol for item in second.state.parameters} == {"f_c", "f_b", "k_v1"}
-    second.stop()
+    second.stop("over")

@@ -9,7 +9,8 @@ well, as `spacearm mismatch` would; with `simulation`, with that simulation, lay
 `/diagnostics`. All of it runs in a process of its own (`worker`).
 
 With a model, the friction levels are followed on line (`tracking`) and published beside the identified ones; a jump is
-a warning on `/diagnostics`, and with `mismatch_on_change` the stretch behind it is explained like a run.
+a warning on `/diagnostics`, and with `mismatch_on_change` the stretch behind it is explained like a run. A run of an
+arm that has changed is identified, but does not take the place of the model in use.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 
 from ..dynamics.model import IdentifiedModel
-from ..dynamics.model_file import load_model
+from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
 from ..estimate.identified import Identified
 from ..layers.document import verdict
@@ -62,6 +63,8 @@ SHORTEST_S = 2.0
 LONGEST_PENDING = 4
 MISMATCH_FOLDER, CHANGE_FOLDER = "mismatch", "change"
 """Within the result folder."""
+MODEL_FILE, KEPT_MODEL_FILE = "model.yaml", "model_before_change.yaml"
+"""Within the result folder: what a result has, and the model in use where a result has taken the place of its file."""
 LATEST_TEMPERATURES = 100
 """So many messages before a model came hold a temperature of every joint."""
 
@@ -96,6 +99,7 @@ class Identifier(LiveNode):
         self._to_explain: ExplainJob | CompareJob | None = None
         self._verdict = Status(Level.OK, "nothing compared yet", part="mismatch")
         self._model_file = self._settings.model
+        self._model: IdentifiedModel | None = None
         self._statuses: list[DiagnosticStatus] = []
         self._stream: ResidualStream | None = None
         self._tracking: LiveTracking | None = None
@@ -171,7 +175,7 @@ class Identifier(LiveNode):
             job, self._to_explain = self._to_explain, None
             self._start(job)
         elif self._tracking is not None and (stretch := self._tracking.to_explain()) is not None:
-            self._start(self._change_job(*stretch))
+            self._explain_change(*stretch)
 
     def _start_run(self, mark: RunMark) -> None:
         """Identify from a finished run, or validate on it."""
@@ -230,15 +234,27 @@ class Identifier(LiveNode):
             known=known,
         )
 
-    def _change_job(self, start_ns: int, stop_ns: int) -> ExplainJob:
+    def _explain_change(self, start_ns: int, stop_ns: int) -> None:
         """Explain what came between two times of arrival, behind a change."""
+        captures = self._captures(start_ns, stop_ns)
+        if not any(capture.topic == STATES_TOPIC for capture in captures):
+            self._leave_unexplained("the joint states behind it are no longer buffered: enlarge the parameter buffer_s")
+            return
         bag, healthy = self._settings.directory / "change.mcap", self._settings.reference
         model = self._model_file
         assert model is not None
         how, folder = self._settings.how, self._settings.directory / CHANGE_FOLDER
         # The model in use knows its arm and gravity.
         place = (None, None) if healthy is None else (how.arm, how.gravity)
-        return ExplainJob((bag,), (), (healthy or model,), folder, *place, self._captures(start_ns, stop_ns), bag)
+        self._start(ExplainJob((bag,), (), (healthy or model,), folder, *place, captures, bag))
+
+    def _leave_unexplained(self, reason: str) -> None:
+        """Say why a change will not be explained."""
+        if not reason:
+            return
+        sentence = f"a change found by the tracking is not explained: {reason}"
+        self._verdict = Status(Level.WARN, sentence, part="mismatch")
+        self.get_logger().warning(sentence)
 
     def _start(self, job: IdentifyJob | ExplainJob | CompareJob) -> None:
         self._step = Step(0.0, "starting")
@@ -282,11 +298,11 @@ class Identifier(LiveNode):
         if job.known is None:
             # Runs of a fit with a hold-out are not validated further: the fit has not seen all of its bag.
             self._known, self._fitted = (session.identified, job.fitted) if job.holds_nothing_out else (None, ())
-            self._model_file = job.directory / "model.yaml"
-            self._use(session.identified.model, session.identified)
+            self._adopt(job, session.identified)
         for line in done.findings:
             self.get_logger().info(line)
         figures = {"report": session.page, "bags": _files(job.bags), **validation_figures(session.validation)}
+        figures["model_in_use"] = self._model_file
         message = f"identified and validated {session.validation.what}"
         self._last = Status(Level.OK, message, figures, "identification")
         self.get_logger().info(f"{message}; report: {session.page}")
@@ -318,6 +334,31 @@ class Identifier(LiveNode):
         self._verdict = Status(level, message, {**figures, **layer_figures(comparison)}, job.name)
         self.get_logger().info(f"{message}; report: {compared.page}")
 
+    def _adopt(self, job: IdentifyJob, identified: Identified) -> None:
+        """Go on with the model that a job identified, unless a run did and a change was found since the present one.
+
+        A model of the changed arm would make of the change what is healthy. Who asks for it by the service gets it.
+        """
+        new, old = job.directory / MODEL_FILE, self._model_file
+        change = self._tracking.last_change if self._tracking is not None else None
+        if old is None or change is None or not job.holds_nothing_out:
+            self._model_file = new
+            self._use(identified.model, identified)
+            if old is not None:
+                instead = "" if new.resolve() == old.resolve() else f", no longer those of {old}"
+                self.get_logger().info(f"residual and tracking are those of the model now in {new}{instead}")
+            return
+        if new.resolve() == old.resolve():
+            # The result has taken its place in the folder; a change is explained against it.
+            assert self._model is not None
+            self._model_file = old = job.directory / KEPT_MODEL_FILE
+            save_model(self._model, old)
+        self.get_logger().warning(
+            f"the arm has changed since its model was made ({sentence(change)}): residual and tracking stay those of "
+            f"{old}; {new} is the arm of this run. {self.resolve_service_name('identifier/identify')} identifies the "
+            "arm as it is now, and goes on with that"
+        )
+
     def _use(self, model: IdentifiedModel, identified: Identified | None) -> None:
         """Publish a model's parameters; from now on the residual is its, and what is followed begins at it."""
         self.hardware_id = model.model.arm.name
@@ -325,10 +366,15 @@ class Identifier(LiveNode):
         self._publish_parameters()
         self._stream = ResidualStream(model, self._settings.row_rate_hz)
         self._seen, self._seen_warm = self._states.stored, self._temperatures.stored - LATEST_TEMPERATURES
+        self._model, before = model, self._tracking
+        self._end_tracking("the model in use was replaced before there were enough joint states behind the change")
+        choice, window_s = self._settings.tracking, self._settings.change_window_s
+        self._tracking = None if choice is None else LiveTracking(model, choice, window_s, before)
+
+    def _end_tracking(self, reason: str) -> None:
         if self._tracking is not None:
-            self._tracking.stop()
-        choice = self._settings.tracking
-        self._tracking = None if choice is None else LiveTracking(model, choice, self._settings.change_window_s)
+            self._tracking.stop(reason)
+            self._leave_unexplained(self._tracking.given_up())
 
     def _publish_parameters(self, tracked: Sequence[DiagnosticStatus] = ()) -> None:
         now = self.get_clock().now().to_msg()
@@ -353,6 +399,7 @@ class Identifier(LiveNode):
         self._seen_warm = self._temperatures.stored
         tracking.feed(payloads, temperatures, self._states.span_ns()[1])
         found = tracking.poll()
+        self._leave_unexplained(tracking.given_up())
         for change in found:
             self.get_logger().warning(sentence(change))
         if (state := tracking.due()) is not None:
@@ -405,8 +452,7 @@ class Identifier(LiveNode):
 
     def close(self) -> None:
         """End the tracking, and the worker; what that was writing is discarded."""
-        if self._tracking is not None:
-            self._tracking.stop()
+        self._end_tracking("the node was ended before there were enough joint states behind the change")
         if self._worker is not None:
             self._worker.stop()
 

@@ -31,15 +31,23 @@ class LiveTracking:
         model: Model with values.
         choice: What to follow.
         window_s: Length of the stretch behind a change that is to be explained; None: none is.
+        before: Tracking of the model before: the changes it found stay said.
     """
 
-    def __init__(self, model: IdentifiedModel, choice: TrackingChoice, window_s: float | None = None) -> None:
+    def __init__(
+        self,
+        model: IdentifiedModel,
+        choice: TrackingChoice,
+        window_s: float | None = None,
+        before: LiveTracking | None = None,
+    ) -> None:
         self._thread = TrackingThread(TrackingStream(model, choice))
         self._window = None if window_s is None else ChangeWindow(window_s)
-        self._changes: list[Change] = []
-        self._warn_until = self._published = float("-inf")
+        self._changes: list[Change] = [] if before is None else list(before._changes)
+        self._warn_until: float = float("-inf") if before is None else before._warn_until
+        self._published = float("-inf")
         self._figures: dict[str, object] = {}
-        self._broken = ""
+        self._broken = self._given_up = ""
         self._told_s = float("nan")
         self.state: TrackingState | None = None
 
@@ -60,11 +68,12 @@ class LiveTracking:
         for news in self._thread.poll():
             if isinstance(news, Broken):
                 self._broken = news.reason
+                self._give_up(news.reason)
                 continue
             self.state, self._figures = news.state, dict(news.figures)
             found += news.changes
-            if self._window is not None:
-                self._window.add(news.newest_s, news.arrived_ns, news.changes)
+            if self._window is not None and self._window.add(news.newest_s, news.arrived_ns, news.changes):
+                self._given_up = "the clock of the joint states was set back"
         if found:
             self._changes += found
             self._warn_until = time.monotonic() + WARN_S
@@ -83,13 +92,27 @@ class LiveTracking:
         """Times of arrival between which the joint states behind a change lie, once there are enough; told once."""
         return None if self._window is None else self._window.take()
 
+    @property
+    def last_change(self) -> Change | None:
+        """The change found last."""
+        return self._changes[-1] if self._changes else None
+
+    def given_up(self) -> str:
+        """Why a change that was to be explained will not be; told once, empty where there is none."""
+        reason, self._given_up = self._given_up, ""
+        return reason
+
+    def _give_up(self, reason: str) -> None:
+        if self._window is not None and self._window.drop():
+            self._given_up = reason
+
     def status(self) -> Status:
         """For `/diagnostics`."""
         if self._broken:
             return Status(Level.ERROR, f"{self._broken}; it restarts with the next model", self._figures, PART)
-        if self.state is None:
+        if self.state is None and not self._changes:
             return Status(Level.OK, "waiting for joint states", part=PART)
-        parameters = self.state.parameters
+        parameters = () if self.state is None else self.state.parameters
         figures: dict[str, object] = {
             "changes": len(self._changes),
             "informed": f"{sum(item.informed for item in parameters)} of {len(parameters)}",
@@ -103,8 +126,9 @@ class LiveTracking:
         message = f"{'' if fresh else 'follows; the last change: '}{sentence(last)}"
         return Status(Level.WARN if fresh else Level.OK, message, figures | _figures(last), PART)
 
-    def stop(self) -> None:
-        """End the thread."""
+    def stop(self, reason: str) -> None:
+        """End the thread; `reason` is why a change that waits for its explanation has none (`given_up`)."""
+        self._give_up(reason)
         self._thread.stop()
 
 
@@ -120,21 +144,28 @@ class ChangeWindow:
         self._marks: deque[tuple[float, int]] = deque(maxlen=LONGEST_MARKS)
         self._from_s: float | None = None
 
-    def add(self, newest_s: float, arrived_ns: int, changes: Sequence[Change]) -> None:
-        """Note a block of joint states and the changes found in it.
+    def add(self, newest_s: float, arrived_ns: int, changes: Sequence[Change]) -> bool:
+        """Note a block of joint states and the changes found in it; returns whether a stretch was dropped.
 
         Args:
             newest_s: Stamp of the last joint state of the block, s since 1970.
             arrived_ns: When that joint state arrived, ns.
             changes: Changes found in the block.
         """
+        dropped = False
         if self._marks and newest_s < self._marks[-1][0]:
             # The clock was set back: what it showed before says nothing of what it shows now.
             self._marks.clear()
-            self._from_s = None
+            dropped = self.drop()
         self._marks.append((newest_s, arrived_ns))
         if changes and self._from_s is None:
             self._from_s = min(change.time_s for change in changes)
+        return dropped
+
+    def drop(self) -> bool:
+        """Forget the stretch that has begun; returns whether there was one."""
+        begun, self._from_s = self._from_s is not None, None
+        return begun
 
     def take(self) -> tuple[int, int] | None:
         """First and last time of arrival, ns, of a stretch that is complete; told once."""
