@@ -11,7 +11,9 @@ import os
 import stat
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 from xml.parsers.expat import ExpatError, ParserCreate
 
@@ -57,6 +59,30 @@ def read_text(path: Path, what: str) -> str:
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a NUL in the path
         reason = getattr(error, "strerror", None) or str(error)
         raise UserError(f"cannot read {what} {path} ({reason}): check the path") from error
+
+
+def try_folder(directory: Path) -> None:
+    """Find out whether files can be written to a folder, which need not be there yet; leaves nothing behind.
+
+    Args:
+        directory: The folder; made, with those around it, for the trial.
+
+    Raises:
+        OSError: It is no folder, cannot be made, or no file can be made in it.
+    """
+    made: list[Path] = []
+    try:
+        for folder in (*reversed(directory.parents), directory):
+            if not folder.exists():
+                folder.mkdir(exist_ok=True)
+                made.append(folder)
+        with TemporaryFile(dir=directory):
+            pass
+    finally:
+        for folder in reversed(made):
+            # Not empty: another process has written there meanwhile.
+            with suppress(OSError):
+                folder.rmdir()
 
 
 def write_whole(path: Path, text: str) -> None:

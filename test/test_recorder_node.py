@@ -253,8 +253,9 @@ def test_what_a_killed_recorder_left_can_be_identified(processes, probe, tmp_pat
 
 def test_replies_name_what_is_wrong(processes, probe, tmp_path):
     place = tmp_path / "file"
-    place.write_text("")
-    recorder = processes.node("recorder", f"directory:={place}", "start_immediately:=true")
+    recorder = processes.node("recorder", f"directory:={place}")
+    probe.wait_for(lambda: "recorder" in probe.statuses, "the recorder")
+    place.write_text("")  # The place was good when the node started, and is no longer.
     success, reply = probe.call("/recorder/start")
     assert not success and "cannot be written" in reply and str(place) in reply
     probe.wait_for(lambda: probe.level("recorder") == 2, "an ERROR on /diagnostics")
@@ -266,6 +267,25 @@ def test_replies_name_what_is_wrong(processes, probe, tmp_path):
     assert probe.call("/recorder/stop")[0]
     assert probe.call("/recorder/stop") == (False, "not recording; start first")
     assert end(recorder) == 0
+
+
+@pytest.mark.parametrize(("node", "parameter"), [("recorder", "directory"), ("identifier", "result_directory")])
+@pytest.mark.parametrize("place", ["file", "file/below", "/proc/nope"])
+def test_a_place_that_cannot_be_written_ends_the_start_with_exit_code_2(processes, tmp_path, node, parameter, place):
+    (tmp_path / "file").write_text("kept")
+    started = processes.node(node, f"{parameter}:={tmp_path / place}")
+    assert started.wait(60) == 2
+    (line,) = output(started).splitlines()
+    assert line.startswith(f"parameter {parameter}: {tmp_path / place} cannot be written (")
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_a_place_that_is_not_there_yet_is_made_for_the_first_bag(processes, probe, tmp_path):
+    place = tmp_path / "some" / "where"
+    processes.node("recorder", f"directory:={place}")
+    probe.wait_for(lambda: "recorder" in probe.statuses, "the recorder")
+    assert not (tmp_path / "some").exists()
+    assert started(probe).parent == place
 
 
 def test_an_interrupt_finishes_the_bag(processes, probe, tmp_path):

@@ -12,7 +12,7 @@ from ..sessions.bags import Options
 from ..sessions.identification import AUTO
 from ..solvers.choice import SEPARABLE, require_solver
 from .identifier_environment import surroundings_of
-from .runtime import LiveNode
+from .runtime import LiveNode, require_folder
 from .tracking_stream import TrackingChoice
 
 DEFAULT_FOLDER = "identified"
@@ -95,7 +95,8 @@ def _result_directory(node: LiveNode) -> Path:
     place = node.get_namespace().strip("/")
     text = "Result folder; in a namespace and left at its default: a folder of that name in it"
     chosen = Path(node.parameter("result_directory", DEFAULT_FOLDER, text)).expanduser()
-    return chosen / place if place and chosen == Path(DEFAULT_FOLDER) else chosen
+    folder = chosen / place if place and chosen == Path(DEFAULT_FOLDER) else chosen
+    return require_folder("result_directory", folder)
 
 
 def _how(node: LiveNode) -> Options:

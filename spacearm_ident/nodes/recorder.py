@@ -18,7 +18,7 @@ from pathlib import Path
 from ..errors import UserError
 from ..recording.background_writer import BackgroundWriter, Topic
 from .graph_reader import GraphReader, Sink
-from .runtime import Level, LiveNode, Status, run
+from .runtime import Level, LiveNode, Status, require_folder, run
 
 
 class Recorder(LiveNode):
@@ -26,9 +26,8 @@ class Recorder(LiveNode):
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        self._directory = Path(
-            self.parameter("directory", ".", "folder the bags are put into; made if missing")
-        ).expanduser()
+        given = self.parameter("directory", ".", "folder the bags are put into; made if missing")
+        self._directory = require_folder("directory", Path(given).expanduser())
         # Two recorders that are started in one folder name their bags by their arms.
         usual = "_".join([*filter(None, self.get_namespace().split("/")), "run"])
         self._prefix = self.parameter("prefix", usual, "first part of a bag's name; date and time follow")
@@ -49,10 +48,7 @@ class Recorder(LiveNode):
         self.offer("recorder/start", self.start)
         self.offer("recorder/stop", self.stop)
         if immediately:
-            try:
-                self.start()
-            except UserError as error:
-                self.get_logger().error(str(error))
+            self.start()
 
     def start(self) -> str:
         """Begin a new bag; returns the reply.

@@ -24,6 +24,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import rclpy
@@ -38,6 +39,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from ..canbus.realtime import give_way, prepare_thread
+from ..documents import try_folder
 from ..errors import UserError
 from .ending import heed_signals, ignore_signals
 from .params_file import holding_in_namespace
@@ -117,6 +119,26 @@ def local_name(status: str, namespace: str) -> str | None:
     node, colon, part = status.partition(":")
     place, _, name = node.rpartition("/")
     return name + colon + part if place == namespace.strip("/") else None
+
+
+def require_folder(parameter: str, directory: Path) -> Path:
+    """The folder, if what a node will have to write can be written there: known before an arm is moved for it.
+
+    Args:
+        parameter: Name of the parameter that names it.
+        directory: The folder; need not be there yet.
+
+    Raises:
+        UserError: It cannot.
+    """
+    try:
+        try_folder(directory)
+    except OSError as error:
+        why = error.strerror or error
+        raise UserError(
+            f"parameter {parameter}: {directory} cannot be written ({why}); name a folder that can be"
+        ) from error
+    return directory
 
 
 class LiveNode(Node):
