@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import re
 import signal
 import threading
 import time
@@ -169,7 +170,7 @@ def done(arm):
 
 
 def test_a_run_from_where_the_arm_is_and_back(processes, probe, arm, file, series):
-    node(processes, file)
+    process = node(processes, file)
     start(probe, arm)
     success, reply = probe.call("/excitation/start")
     assert not success and reply.startswith("already ")
@@ -178,6 +179,9 @@ def test_a_run_from_where_the_arm_is_and_back(processes, probe, arm, file, serie
     assert [s["period"] for s in arm.states if s["state"] == "running"] == [1, 2, 3]
     last = arm.states[-1]
     assert last["complete"] is True and last["reason"] == ""
+    probe.wait_for(lambda: f"run {last['run']} is over: its periods are complete" in output(process), "the log")
+    assert f"run {last['run']} begins: " in output(process) and f"3 periods, of {file}" in output(process)
+    assert "is being stopped" not in output(process)
     check_smooth(arm)
     stamps = arm.stamps()
     q = arm.q()[: len(stamps)]
@@ -209,7 +213,7 @@ def test_a_run_asked_for_the_moment_another_is_done_is_a_stream_of_its_own(proce
 
 @pytest.mark.parametrize("moment", ["approach", "running", "returning"])
 def test_stopped_smoothly(processes, probe, arm, file, moment):
-    node(processes, file)
+    process = node(processes, file)
     start(probe, arm)
     probe.wait_for(lambda: arm.seen()[-1:] == [moment], moment)
     probe.spin(0.4)
@@ -221,6 +225,7 @@ def test_stopped_smoothly(processes, probe, arm, file, moment):
     q, last = arm.q(), arm.states[-1]
     assert np.array_equal(q[-1], q[-200]), "it holds the last set-point"
     assert last["reason"] == "stopped by /excitation/stop"
+    assert re.search(rf"\[WARN\].*run {last['run']} is being stopped: stopped by /excitation/stop", output(process))
     assert last["complete"] is (moment == "returning")
     assert last["t0_ns"] <= last["t1_ns"] <= arm.stamps()[-1]
     assert (last["t0_ns"] == last["t1_ns"]) is (moment == "approach")
@@ -249,7 +254,7 @@ def disable(arm):
     ],
 )
 def test_an_unsafe_state_stops_the_run_and_says_why(processes, probe, arm, file, fault, reason):
-    node(processes, file)
+    process = node(processes, file)
     start(probe, arm)
     probe.wait_for(lambda: arm.seen()[-1:] == ["running"], "running")
     fault(arm)
@@ -259,6 +264,9 @@ def test_an_unsafe_state_stops_the_run_and_says_why(processes, probe, arm, file,
     assert last["complete"] is False and last["restarts"] == 0
     check_smooth(arm)
     probe.wait_for(lambda: reason in probe.statuses["trajectory"].message, "the reason on /diagnostics")
+    probe.wait_for(lambda: f"run {last['run']} is over: stopped early" in output(process), "its end in the log")
+    said = re.findall(rf"\[ERROR\].*run {last['run']} is being stopped: {reason}", output(process))
+    assert len(said) == 1, output(process)
 
 
 def test_interrupted_it_stops_the_arm_before_itself(processes, probe, arm, file):

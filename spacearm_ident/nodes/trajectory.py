@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import gc
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -52,6 +52,8 @@ _WATCH_S = 0.05
 _AT_REST = 0.05
 """An arm that stands may seem to move with this share of its velocity limit."""
 _LONGEST_STOP_S = 15.0
+STOPPED, ENDED = "stopped by /excitation/stop", "the trajectory node was ended"
+"""Reasons of stops that somebody asked for; any other is a fault."""
 LONGEST_LAG_S = 1.0
 """A run the arm is further behind, s, is not at the pace it was planned with: the way of a message and a controller's
 delay are a tenth of it, and on a machine with a load of 16 on two cores half of it was seen."""
@@ -153,12 +155,12 @@ class TrajectoryNode(LiveNode):
             UserError: None is running.
         """
         if self._restart is not None:
-            self._give_up("stopped by /excitation/stop")
+            self._give_up(STOPPED)
             return "not beginning again"
         if self._stream is None or not self._stream.moving:
             raise UserError("nothing is running")
         self._may_restart = False
-        self._stream.stop("stopped by /excitation/stop")
+        self._stream.stop(STOPPED)
         self._announce()
         return "stopping within the limits"
 
@@ -172,10 +174,10 @@ class TrajectoryNode(LiveNode):
     def close(self) -> None:
         """Bring the arm to rest."""
         if self._restart is not None:
-            self._give_up("the trajectory node was ended")
+            self._give_up(ENDED)
         if self._stream is not None:
             if self._stream.moving:
-                self._stream.stop("the trajectory node was ended")
+                self._stream.stop(ENDED)
                 self._announce()
             self._stream.wait(_LONGEST_STOP_S)
             self._announce()
@@ -261,10 +263,24 @@ class TrajectoryNode(LiveNode):
         now = self._describe()
         if now != self._said:
             changed = now["state"] != self._said.get("state")
+            self._log(self._said, now)
             self._said = now
             self._state.publish(String(data=json.dumps(now)))
             if changed:
                 self.publish_diagnostics()
+
+    def _log(self, before: Mapping[str, object], now: Mapping[str, object]) -> None:
+        """Say in the log that a run begins, is being stopped and why, or is over."""
+        name, log = f"run {now['run']}", self.get_logger()
+        fresh = now["run"] != before.get("run")
+        if fresh and self._run is not None:
+            file = self.get_parameter("trajectory_file").value
+            log.info(f"{name} begins: {self._run.duration_s:.1f} s, {self._run.periods} periods, of {file}")
+        if now["reason"] and (fresh or not before["reason"]):
+            say = log.warning if now["reason"] in (STOPPED, ENDED) else log.error
+            say(f"{name} is being stopped: {now['reason']}")
+        if now["state"] == "done" and (fresh or before["state"] != "done"):
+            log.info(f"{name} is over: {'its periods are complete' if now['complete'] else 'stopped early'}")
 
     def _describe(self) -> dict[str, object]:
         stream, plan = self._stream, self._run
