@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shlex
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -97,8 +98,9 @@ class Graph(Probe):
         come_first(process.pid)
         return process
 
-    def ours(self, *names: str, extra: tuple[str, ...] = (), words: tuple[str, ...] = ()) -> None:
-        """Start nodes as the page does."""
+    def ours(self, *names: str, extra: tuple[str, ...] = (), words: tuple[str, ...] = ()) -> list:
+        """Start nodes as the page does; their processes."""
+        started = []
         shown = {words[1]: words[2:] for words in commands("spacearm") if words[0] == "node"}
         for name in names:
             patient = PATIENT if name == "trajectory" else ()
@@ -109,6 +111,8 @@ class Graph(Probe):
             full = self.name(name)
             self.wait_for(lambda n=full, p=node: n in self.statuses or p.poll() is not None, full, PATIENCE_S)
             assert node.poll() is None, output(node)
+            started.append(node)
+        return started
 
     def start(self) -> None:
         name = self.name("trajectory")
@@ -234,6 +238,35 @@ def test_a_stop_is_a_way_to_rest_along_the_path_within_the_limits(graph):
     assert np.abs(acceleration).max() <= 6.0 * 1.1
     done, reply = graph.call("/excitation/start")
     assert done, reply
+
+
+def test_an_interrupted_node_stays_until_the_arm_is_at_rest(graph):
+    from sensor_msgs.msg import JointState
+
+    seen = []
+    graph.node.create_subscription(JointState, "/joint_states", seen.append, QoSProfile(depth=1000))
+    graph.mock("arm_controller")
+    (node,) = graph.ours("trajectory")
+    graph.start()
+    graph.reach("running")
+    graph.spin(1.0)
+    node.send_signal(signal.SIGINT)
+    graph.wait_for(lambda: node.poll() is not None, "its end")
+    moving = np.abs(np.array(seen[-1].velocity)).max()
+    assert node.returncode == 0 and moving == 0.0
+    assert graph.said[-1]["reason"] == "the trajectory node was ended"
+    assert "not known to have stopped" not in output(node)
+
+
+def test_an_interrupted_node_whose_stop_nobody_took_says_so(graph):
+    mock = graph.mock("arm_controller")
+    (node,) = graph.ours("trajectory", extra=("feedback_timeout_s:=0.5",))
+    graph.start()
+    graph.reach("running")
+    mock.send_signal(signal.SIGSTOP)
+    node.send_signal(signal.SIGINT)
+    assert node.wait(30) == 0
+    assert "[ERROR]" in output(node) and "the arm is not known to have stopped: no feedback" in output(node)
 
 
 def test_a_robot_whose_speed_is_scaled_down_is_no_run_of_this_excitation(graph):

@@ -34,6 +34,7 @@ from pathlib import Path
 import numpy as np
 from std_msgs.msg import String
 
+from ..arrays import FloatArray
 from ..canbus.realtime import prepare_process
 from ..config import config_path
 from ..dynamics.arm import load_arm
@@ -88,6 +89,7 @@ class TrajectoryNode(LiveNode):
         self.hardware_id = self._arm.name
         self._stream: Stream | None = None
         self._path: PathWatch | None = None
+        self._slow: FloatArray = np.zeros(0)
         self._run: Run | None = None
         self._run_id: str | None = None
         self._begun_as: str | None = None
@@ -135,7 +137,8 @@ class TrajectoryNode(LiveNode):
         limits = limits_of(self._arm, excitation.joints)
         self._output.require(excitation.joints, self._arm.joint_names)
         self._feedback.follow(excitation.joints)
-        position = self._feedback.standing(self._timeout_s, _AT_REST * limits.velocity)
+        self._slow = _AT_REST * limits.velocity
+        position = self._feedback.standing(self._timeout_s, self._slow)
         self._interlock.require()
         plan = plan_run(excitation, limits, position)
         rate_hz = self._output.rate_hz
@@ -179,8 +182,17 @@ class TrajectoryNode(LiveNode):
             if self._stream.moving:
                 self._stream.stop(ENDED)
                 self._announce()
+                self._stream.wait(_LONGEST_STOP_S)
+                self._confirm_rest()
             self._stream.wait(_LONGEST_STOP_S)
             self._announce()
+
+    def _confirm_rest(self) -> None:
+        """Say in the log where the arm does not stand after the node's last stop: nobody watches it from now on."""
+        try:
+            self._feedback.standing(self._timeout_s, self._slow)
+        except UserError as error:
+            self.get_logger().error(f"run {self._run_id}: the arm is not known to have stopped: {error}")
 
     def _watch(self) -> None:
         """Stop a run that is no longer safe, begin one again that may; tell of the progress."""
