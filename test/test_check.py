@@ -252,6 +252,13 @@ def params(folder: Path, text: str) -> list[CheckResult]:
             "configured for different arms",
         ),
         ("/**: {ros__parameters: {buffer_mb: 8, use_sim_time: false}}", Level.OK, "every parameter exists"),
+        (
+            "/right/recorder: {ros__parameters: {buffer_mb: 8}}",
+            Level.OK,
+            "/right/recorder: every parameter exists; for the namespace /right alone",
+        ),
+        ("/recorder: {ros__parameters: {}}", Level.OK, "exists; for nodes outside any namespace alone"),
+        ("recorder: {ros__parameters: {}}", Level.OK, "recorder: every parameter exists; for any namespace"),
         ("/**: {ros__parameters: {bufer_mb: 8}}", Level.FAIL, "** has no parameter 'bufer_mb'"),
         ("/arm_1/recorder: {ros__parameters: {directry: x}}", Level.FAIL, "recorder has no parameter 'directry'"),
         (

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from ..errors import UserError
 from ..nodes.main import NODES
-from .result import CheckResult, fail, ok, warn
+from .result import CheckResult, Level, fail, ok, warn
 from .yaml_file import read_yaml
 
 FILES: Final = frozenset({"arm", "can_config", "model", "structure", "replay", "mismatch_reference", "trajectory_file"})
@@ -30,7 +30,13 @@ def check_params(path: Path) -> list[CheckResult]:
     results = [result for node, given in data.items() for result in _node(str(node), given)]
     for place in sorted({_place(node) for node in data}):
         results += _one_arm({node: given for node, given in data.items() if _place(node) == place})
-    return results or [ok("parameters", f"{', '.join(map(str, data))}: every parameter exists")]
+    if any(result.level is Level.FAIL for result in results):
+        return results
+    told: dict[str, list[str]] = {}
+    for key in map(str, data):
+        told.setdefault(_scope(key), []).append(key)
+    fine = [f"{', '.join(keys)}: every parameter exists; for {scope}" for scope, keys in told.items()]
+    return [*(ok("parameters", sentence) for sentence in fine), *results]
 
 
 DECLARING = {"parameter": 0, "_file": 1}
@@ -59,6 +65,16 @@ def _declared(call: ast.Call) -> list[str]:
 def _place(node: str) -> str:
     """The namespace in a node's full name; empty where it stands for any."""
     return str(node).rpartition("/")[0]
+
+
+def _scope(key: str) -> str:
+    """Which nodes heed a section of the file: ROS passes over those of other namespaces without a word."""
+    place, slash, node = key.rpartition("/")
+    if node == EVERY:
+        return "every node" + (f" in {place} and below" if place else "")
+    if not slash:
+        return "any namespace"
+    return f"the namespace {place} alone" if place else "nodes outside any namespace alone"
 
 
 def _node(key: str, given: Any) -> Iterator[CheckResult]:
