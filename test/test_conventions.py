@@ -15,18 +15,21 @@ from planted_arm import Friction, Link, incommensurate, plant, urdf_of
 
 from spacearm_ident.conventions.change import Change, Kind
 from spacearm_ident.conventions.check import check_conventions
+from spacearm_ident.conventions.clock import clock_error_s
 from spacearm_ident.conventions.description import compare_description
 from spacearm_ident.conventions.finding import ConventionReport, Level
 from spacearm_ident.conventions.fixed_joints import moving_though_fixed
+from spacearm_ident.conventions.plain import without_motion
 from spacearm_ident.conventions.rows import rows_of
 from spacearm_ident.conventions.scorer import Scorer
 from spacearm_ident.conventions.search import is_testable
 from spacearm_ident.conventions.setup import Setup
 from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.dynamics.urdf_chain import locked
+from spacearm_ident.errors import UnfitDataError
 from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.recording.corrections import Corrections, read_corrections
-from spacearm_ident.recording.recording import BaseSensor
+from spacearm_ident.recording.recording import BaseSensor, Issue
 from spacearm_ident.signals.prepare import prepare
 
 REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
@@ -312,6 +315,70 @@ def test_stamps_that_jitter_where_the_samples_are_even_are_found(run, arm):
     jitter = np.clip(0.002 * np.random.default_rng(1).standard_normal(len(run.time)), -0.0024, 0.0024)
     report = check_conventions([replace(run, time=run.time + jitter)], arm)
     assert [f.kind for f in report.findings if f.kind.startswith("clock")] == ["clock_jitter"]
+
+
+def taken_unevenly(run: Recording, error_s: float = 0.0, seed: int = 0) -> Recording:
+    """Half the samples, so that no even clock is right, stamped with an error of so many seconds RMS."""
+    rng = np.random.default_rng(seed)
+    keep = np.sort(rng.choice(len(run.time), len(run.time) // 2, replace=False))
+    time = np.sort(run.time[keep] + error_s * rng.standard_normal(len(keep)))
+    few = replace(run, time=time, position=run.position[keep], velocity=None, effort=run.effort[keep])
+    return replace(few, segments=(slice(0, len(keep)),))
+
+
+def on_arrival(run: Recording, seed: int = 0) -> Recording:
+    """Samples at uneven times, each stamped when it arrives: in bursts, behind pauses of 40 ms; no header stamps."""
+    few = taken_unevenly(run)
+    burst = np.floor(few.time / 0.04)
+    time = 0.04 * (burst + 1.0) + 3e-6 * np.arange(len(few.time))
+    return replace(few, time=time, issues=(Issue("log_time_used", "the stamps carry no time", len(time)),))
+
+
+@pytest.mark.parametrize("error_s", [3e-4, 1e-3])
+def test_the_error_of_stamps_is_measured_where_samples_are_uneven(error_s, run):
+    assert clock_error_s(taken_unevenly(run, error_s)) == pytest.approx(error_s, rel=0.3)
+
+
+def test_noise_of_encoders_and_a_slow_motion_are_no_error_of_the_clock(run):
+    uneven = taken_unevenly(run)
+    noise = 1e-3 * np.random.default_rng(3).standard_normal(uneven.position.shape)
+    for recording in (
+        uneven,
+        replace(uneven, position=uneven.position + noise),
+        replace(uneven, position=0.02 * uneven.position + noise),
+    ):
+        assert clock_error_s(recording) == 0.0
+
+
+def test_times_of_arrival_that_spoil_the_speeds_are_the_reason_and_not_rest(run, arm):
+    report = check_conventions([on_arrival(run)], arm)
+    assert unfit(report) == [("clock_jitter", ())] and report.certain
+    assert not [one for one in report.findings if one.kind == "at_rest"]
+    (found,) = (one for one in report.findings if one.kind == "clock_jitter")
+    assert "times of arrival" in found.statement and "header stamps" in found.remedy
+
+
+@pytest.mark.parametrize(
+    ("share", "error_s", "found"),
+    [
+        (1.0, 5e-4, ("clock_jitter", (), Level.UNFIT)),
+        (1.0, 1e-4, ("position_noise", ("elbow",), Level.NOTE)),
+        (0.003, 5e-4, ("at_rest", ("elbow",), Level.NOTE)),
+    ],
+)
+def test_a_joint_without_motion_is_at_rest_only_if_its_position_is(share, error_s, found, run):
+    recording = replace(run, position=run.position * np.array([1.0, 1.0, share, 1.0]))
+    (said,) = without_motion(recording, ["elbow"], error_s)
+    assert (said.kind, said.joints, said.level) == found
+
+
+def test_joints_whose_speed_is_lost_are_not_said_to_be_at_rest(run):
+    lost = replace(run, position=run.position + 0.3 * np.random.default_rng(4).standard_normal(run.position.shape))
+    with pytest.raises(UnfitDataError, match=r"joints move .*nowhere stand out of the noise.*sampling instant"):
+        prepare([lost], NAMES)
+    issue = Issue("log_time_used", "the stamps carry no time")
+    with pytest.raises(UnfitDataError, match=r"times of arrival.*publish joint states with header stamps"):
+        prepare([replace(lost, issues=(issue,))], NAMES)
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.01, False), (0.2, True)])

@@ -21,13 +21,14 @@ from ..errors import UnfitDataError
 from ..forks import each
 from ..recording.recording import Recording
 from ..signals.bandwidth import BOUNDS_HZ
+from ..signals.motion import STUCK_RAD
 from ..signals.prepare import prepare, require_joints, reversal_cutoff_hz
 from .change import PRIOR, TORQUE_SCALES, UNIT_FACTOR, Change, Kind
 from .description import compare_description
 from .evidence import MASS_SD, log_mass
 from .finding import Alternative, ConventionReport, Finding, Level, merged
 from .fixed_joints import moving_though_fixed
-from .plain import STUCK_RAD, Plain, hardly_moving, read_off
+from .plain import CLOCK_JITTER, Plain, read_off, without_motion
 from .plausible import EFFORT_SLACK
 from .rows import rows_of
 from .scorer import Scored, Scorer, carried, loaded_joints
@@ -46,6 +47,8 @@ ZERO_UNKNOWN = 0.15
 """Standard error of an encoder zero from which the data cannot tell it, rad."""
 VELOCITY_BONUS = 5.0
 """Log-likelihood of a position mistake that explains a recorded velocity as well, a joint."""
+INFERRED = "signs, units, order, zeros and gravity"
+"""What the arm's dynamics decide."""
 
 Progress = Callable[[float, str], None]
 
@@ -88,18 +91,29 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
     findings = [*compare_description(recording, arm), *unmodelled, *plain.findings]
     undecided: list[str] = []
     if recording.base is not None:
-        undecided.append("signs, units, order, zeros and gravity (the base moves: give --fixed-base where it does not)")
+        undecided.append(f"{INFERRED} (the base moves: give --fixed-base where it does not)")
     elif any(one.level is Level.UNFIT for one in unmodelled):
-        undecided.append("signs, units, order, zeros and gravity (joints that carry the arm move)")
+        undecided.append(f"{INFERRED} (joints that carry the arm move)")
     elif len(plain.still) < len(arm.joints) and len(plain.dead) < len(arm.joints):
         try:
             inferred, undecided = _infer(ordered, arm, plain)
-            findings = _explained(findings, inferred) + inferred
+            if any(one.kind == CLOCK_JITTER for one in inferred):
+                # What is inferred of motion that the clock has spoilt is none of the arm's.
+                findings, undecided = _spoilt_by_the_clock(findings, inferred), [f"{INFERRED} (the clock)"]
+            else:
+                findings = _explained(findings, inferred) + inferred
         except UnfitDataError as error:
             findings = _without_rows(findings, str(error))
     name = recording_name(recording)
     found = tuple(replace(finding, recordings=(name,)) for finding in findings)
     return merged([ConventionReport(found, tuple(undecided), (name,))])
+
+
+def _spoilt_by_the_clock(plain: Sequence[Finding], inferred: Sequence[Finding]) -> list[Finding]:
+    """What is read off, and that the clock makes the data unfit: as read off where that was, with its correction."""
+    if any(one.kind == CLOCK_JITTER for one in plain):
+        return [replace(one, level=Level.UNFIT) if one.kind == CLOCK_JITTER else one for one in plain]
+    return [*plain, *(one for one in inferred if one.kind == CLOCK_JITTER)]
 
 
 def _without_rows(findings: Sequence[Finding], reason: str) -> list[Finding]:
@@ -143,7 +157,7 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
             findings = [one for one in findings if one not in units] + far
         elif not units:
             findings += far or _beyond_the_limit(scorer, final)
-    findings += hardly_moving([arm.joint_names[k] for k in sorted(scorer.idle)])
+    findings += without_motion(recording, [arm.joint_names[k] for k in sorted(scorer.idle)], plain.clock_error_s)
     return findings, _undecided(scorer, steps[-1], plain)
 
 

@@ -9,13 +9,14 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..recording.recording import Recording
+from ..signals.motion import STUCK_RAD
+from .clock import clock_error_s
 from .finding import Finding, Level
 
+CLOCK_JITTER = "clock_jitter"
+"""Kind of the findings on stamps that are off the instants of sampling."""
 REST_RAD = 1e-3
 """A joint that ranges over less is at rest: the resolution of common encoders behind a gear is finer."""
-STUCK_RAD = 0.02
-"""A revolute joint that ranges over less may never have slid: the friction of geared joints builds up over 1e-3 to 2e-2
-rad (presliding; Armstrong-Helouvry et al. 1994), and what it holds no model of sliding friction explains."""
 FIXED_RANGE = 0.02
 """Range from which a joint that is fixed in the arm moves, rad or m: a held one sways by less (`STUCK_RAD`), and a base
 that tilts by so much turns 2 % of gravity."""
@@ -31,6 +32,8 @@ JITTER_RATIO = 2.0
 """How many times smoother positions must be over an even clock than over the stamps for the stamps to be wrong."""
 JITTER_S = 0.002
 """RMS error of stamps from which the data are unfit, s: a joint at 1 rad/s is then 2 mrad off, 20 times an encoder."""
+JITTER_SEEN = 0.1
+"""Share of `JITTER_S` from which an error of stamps is told from the noise of positions: a tenth is an encoder's."""
 UNEVEN, FEWEST_UNEVEN = 0.1, 20
 """Distance of a stamp from the middle of its neighbours', as a share of theirs, from which it tells even time from the
 stamps; and the fewest such positions that are judged."""
@@ -38,6 +41,10 @@ LOST_SHARE = 0.05
 """Share of samples lost to stamps out of order from which the clock is not to be believed."""
 LET_MOVE = "record a run in which they move, or take their parameters for CAD's"
 """Remedy for joints at rest."""
+LET_MOVE_FASTER = "record a run in which they move faster, or with finer positions"
+"""Remedy for joints whose speed is lost in the noise of their positions."""
+AT_SAMPLING = "taken at the sampling instant, and record again"
+"""How to stamp, end of a sentence."""
 LOCK = "or lock them where they are (spacearm new-arm URDF --joints NAME ... --lock NAME=VALUE ...) and give that --arm"
 """Further remedy for joints at rest whose torque is constant: often a torso, a head or a gripper, and not the arm's."""
 
@@ -51,12 +58,14 @@ class Plain:
         still: Numbers of the joints at rest.
         dead: Numbers of the joints whose torque says nothing.
         velocity_slopes: (n,) recorded over differentiated velocity; NaN where there is nothing to compare.
+        clock_error_s: RMS error of the stamps as positions show it, s; 0 where they show none.
     """
 
     findings: tuple[Finding, ...]
     still: frozenset[int]
     dead: frozenset[int]
     velocity_slopes: FloatArray
+    clock_error_s: float = 0.0
 
 
 def read_off(recording: Recording) -> Plain:
@@ -67,7 +76,8 @@ def read_off(recording: Recording) -> Plain:
     dead = frozenset(np.flatnonzero(spread <= DEAD_SHARE * max(float(spread.max()), 1e-9)).tolist())
     findings = [*_rest(names, still, dead), *_dead(recording, dead - still)]
     slopes, velocity = compare_velocity(recording, still)
-    return Plain((*findings, *velocity, *_clock(recording)), still, dead, slopes)
+    error_s = clock_error_s(recording)
+    return Plain((*findings, *velocity, *_clock(recording, error_s)), still, dead, slopes, error_s)
 
 
 def _rest(names: tuple[str, ...], still: frozenset[int], dead: frozenset[int]) -> list[Finding]:
@@ -83,12 +93,41 @@ def _rest(names: tuple[str, ...], still: frozenset[int], dead: frozenset[int]) -
     return [Finding("at_rest", level, joints, f"{text} (less than {REST_RAD:g} rad)", what)]
 
 
-def hardly_moving(joints: Sequence[str]) -> list[Finding]:
-    """A note on joints of which no uninterrupted motion remains, though they are not at rest."""
-    if not joints:
-        return []
-    verb = "moves" if len(joints) == 1 else "move"
-    return [Finding("at_rest", Level.NOTE, tuple(joints), f"{', '.join(joints)} hardly {verb}", LET_MOVE)]
+def without_motion(recording: Recording, joints: Sequence[str], clock_error_s: float) -> list[Finding]:
+    """What is said of joints of which no uninterrupted motion remains, though they are not at rest.
+
+    Args:
+        recording: That they are in.
+        joints: Their names.
+        clock_error_s: `Plain.clock_error_s`.
+    """
+    ranges = {name: float(np.ptp(recording.position[:, recording.joints.index(name)])) for name in joints}
+    moving = [name for name in joints if ranges[name] > STUCK_RAD]
+    hardly = tuple(name for name in joints if name not in moving)
+    findings = []
+    if hardly:
+        verb = "moves" if len(hardly) == 1 else "move"
+        findings.append(Finding("at_rest", Level.NOTE, hardly, f"{', '.join(hardly)} hardly {verb}", LET_MOVE))
+    if moving:
+        sizes = ", ".join(f"{name} by {ranges[name]:.2g} rad" for name in moving)
+        text = f"the speed of {', '.join(moving)} nowhere stands out of the noise, though they move ({sizes})"
+        if clock_error_s > JITTER_SEEN * JITTER_S:
+            findings.append(_uneven(recording, clock_error_s, f"; {text}"))
+        else:
+            findings.append(Finding("position_noise", Level.NOTE, tuple(moving), text, LET_MOVE_FASTER))
+    return findings
+
+
+def _uneven(recording: Recording, error_s: float, effect: str = "") -> Finding:
+    """Stamps that are off the sampling instants, where no even clock mends it."""
+    arrival = any(issue.kind == "log_time_used" for issue in recording.issues)
+    what = "times of arrival, used for want of header stamps," if arrival else "stamps"
+    text = (
+        f"the {what} are too uneven to differentiate positions: about {error_s * 1e3:.2g} ms RMS off the sampling "
+        f"instants, or more{effect}"
+    )
+    remedy = f"{'publish joint states with header stamps' if arrival else 'stamp joint states'} {AT_SAMPLING}"
+    return Finding(CLOCK_JITTER, Level.UNFIT, (), text, remedy, values={"rms_s": error_s})
 
 
 def _dead(recording: Recording, dead: frozenset[int]) -> list[Finding]:
@@ -206,8 +245,13 @@ def _velocity_words(slope: float, correlation: float, shift: float) -> str | Non
     return None
 
 
-def _clock(recording: Recording) -> list[Finding]:
-    """What the reader found wrong with stamps, and whether they are less even than the motion."""
+def _clock(recording: Recording, error_s: float) -> list[Finding]:
+    """What the reader found wrong with stamps, and whether they are less even than the motion.
+
+    Args:
+        recording: With its issues.
+        error_s: RMS error of the stamps as positions show it, s.
+    """
     findings = []
     samples = len(recording.time)
     for issue in recording.issues:
@@ -222,20 +266,19 @@ def _clock(recording: Recording) -> list[Finding]:
             findings.append(Finding("clock_order", level, (), text, remedy, values={"share": round(lost, 4)}))
     found = jitter(recording)
     if found is not None:
-        ratio, error_s = found
-        if ratio > JITTER_RATIO and error_s > 0.1 * JITTER_S:
+        ratio, rms_s = found
+        if ratio > JITTER_RATIO and rms_s > JITTER_SEEN * JITTER_S:
             text = (
-                f"the stamps jitter by {error_s * 1e3:.2g} ms RMS where the samples are even: positions are "
+                f"the stamps jitter by {rms_s * 1e3:.2g} ms RMS where the samples are even: positions are "
                 f"{ratio:.1f} times smoother over an even clock"
             )
             remedy = (
                 "stamp at the sampling instant, not on arrival; 'corrections: {clock: even}' in the arm YAML mends it"
             )
-            level = Level.UNFIT if error_s > JITTER_S else Level.NOTE
-            findings.append(
-                Finding("clock_jitter", level, (), text, remedy, values={"rms_s": error_s, "ratio": round(ratio, 2)})
-            )
-    return findings
+            level = Level.UNFIT if rms_s > JITTER_S else Level.NOTE
+            values = {"rms_s": rms_s, "ratio": round(ratio, 2)}
+            return [*findings, Finding(CLOCK_JITTER, level, (), text, remedy, values=values)]
+    return [*findings, _uneven(recording, error_s)] if error_s > JITTER_S else findings
 
 
 def jitter(recording: Recording) -> tuple[float, float] | None:

@@ -8,9 +8,10 @@ together with its `reduce`: the map from full-rate samples to the fewer, indepen
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from scipy.ndimage import convolve1d
@@ -26,8 +27,30 @@ REVERSAL_SHARE = 0.1
 """Rows slower than this share of the speeds a reversal is blurred over are left out."""
 STANDSTILL_SHARE = 0.02
 """A row is at standstill when more than this share of what went into it is."""
+STUCK_RAD = 0.02
+"""A revolute joint that ranges over less may never have slid: the friction of geared joints builds up over 1e-3 to 2e-2
+rad (presliding; Armstrong-Helouvry et al. 1994), and what it holds no model of sliding friction explains. One that
+ranges over more moves, whatever its speed is found to be; for joints that slide the same number in m."""
 PART_SAMPLES = 16_384
 """Full-rate samples that are worked on at once, where there is no need to have all."""
+
+
+def ranges_over(motions: Sequence[HasPosition], joint: int) -> float:
+    """Largest range of a joint's position in one of some motions, rad; 0 where there are none.
+
+    Args:
+        motions: Or anything else with positions (N, n).
+        joint: Its number.
+    """
+    return max((float(np.ptp(one.position[:, joint])) for one in motions if len(one.position)), default=0.0)
+
+
+class HasPosition(Protocol):
+    """What has positions (N, n), rad."""
+
+    @property
+    def position(self) -> FloatArray:
+        """(N, n) rad."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from ..errors import UnfitDataError, UserError
 from ..recording.recording import Recording
 from .bandwidth import BOUNDS_HZ, WINDOW_S, Bandwidth, choose_bandwidth
 from .base_motion import BaseSamples, covered, on_grid
-from .motion import Motion
+from .motion import STUCK_RAD, Motion
 from .periods import Period, find_period, fold, project
 
 SHORTEST_CUTOFF_PERIODS = 6.0
@@ -138,8 +138,23 @@ def prepare(
             f"every stretch is shorter than {SHORTEST_CUTOFF_PERIODS / bandwidth.cutoff_hz:.2g} s: record a longer run"
         )
     if not any(motion.moving.any() for motion in motions):
-        raise UnfitDataError("no joint moves in this recording: record an excitation run")
+        raise UnfitDataError(_why_nothing_moves(recordings, joints))
     return motions, bandwidth
+
+
+def _why_nothing_moves(recordings: Sequence[Recording], joints: Sequence[str]) -> str:
+    """Why no row counts as motion: none of the joints moves, or the speed of those that do is lost in noise."""
+    ranges = np.max([np.ptp(one.in_order(tuple(joints)).position, axis=0) for one in recordings], axis=0)
+    moving = [f"{name} by {size:.2g}" for name, size in zip(joints, ranges) if size > STUCK_RAD]
+    if not moving:
+        return "no joint moves in this recording: record an excitation run"
+    text = f"joints move ({', '.join(moving)} rad), but their speeds nowhere stand out of the noise of their positions"
+    if any(issue.kind == "log_time_used" for one in recordings for issue in one.issues):
+        return (
+            f"{text}: times of arrival stand in for header stamps, and are too uneven to differentiate; publish joint "
+            "states with header stamps taken at the sampling instant, and record again"
+        )
+    return f"{text}: stamp joint states at the sampling instant, or record a faster run or finer positions"
 
 
 def reversal_cutoff_hz(
