@@ -67,6 +67,40 @@ def test_a_joint_at_rest_is_a_reason_and_no_fault(made) -> None:
     assert any("slide: it does not move" in reason for reason in verdict.reasons)
 
 
+def where_slide_ranges_over(figures: Validation, size: float) -> Validation:
+    """The made validation with the slide's positions between 0 and `size`."""
+    (trace,) = figures.traces
+    position = trace.position.copy()
+    position[:, 1] = np.linspace(0.0, size, len(position))
+    return replace(figures, traces=(replace(trace, position=position),))
+
+
+@pytest.mark.parametrize(("size", "level"), [(1.0, Level.POOR), (0.01, Level.UNKNOWN)])
+def test_a_joint_that_moves_in_no_row_is_poor_if_its_position_moves(made, size: float, level: Level) -> None:
+    figures = where_slide_ranges_over(with_moving(made[1], 0.01, 0.01), size)
+    figures.joints["slide"] = JointValidation(fit(0.5), fit(math.nan, 0), fit())
+    verdict = judge_result(made[0], figures)
+    assert verdict.joints["slide"].level is level and verdict.usable == (level is Level.UNKNOWN)
+    (reason,) = verdict.joints["slide"].reasons
+    assert ("does not move" in reason) == (level is Level.UNKNOWN)
+
+
+@pytest.mark.parametrize(("size", "level"), [(1.0, Level.SUSPECT), (0.01, Level.GOOD)])
+def test_a_residual_above_the_torque_is_suspect_though_few_rows_count_as_moving(made, size: float, level) -> None:
+    figures = where_slide_ranges_over(with_moving(made[1], 0.01, 0.01), size)
+    figures.joints["slide"] = JointValidation(fit(4.77), fit(1e-10, 2), fit())
+    verdict = judge_result(made[0], figures)
+    assert verdict.level is level
+    assert any("slide: the residual is 477 %" in reason for reason in verdict.reasons) == (level is Level.SUSPECT)
+
+
+def test_a_joint_whose_speed_is_lost_in_the_fit_is_poor_and_not_said_to_be_at_rest(made) -> None:
+    lost = replace(made[0], joints_at_rest=("slide",), joints_unresolved=("slide",))
+    verdict = judge_result(lost, with_moving(made[1], 0.01, math.nan))
+    assert verdict.level is Level.POOR and not verdict.usable
+    assert "does not move" not in str(verdict.reasons) and "it moves in the data of the fit" in str(verdict.reasons)
+
+
 @pytest.mark.parametrize(
     ("shift", "level", "told"), [(HELD, "good", 0), (HELD + 1, "good", 1), (IMPOSSIBLE + 1, "suspect", 1)]
 )

@@ -23,6 +23,7 @@ from ..estimate.environment import SEEN_SHARE, Environment, judge_vacuum, withou
 from ..estimate.identified import Determination, Estimate, Identified, Move
 from ..recording.recording import Recording
 from ..regression.prior import WIDENING
+from ..signals.motion import STUCK_RAD, ranges_over
 from .from_prior import GroundPrior, Updated, update
 
 REDUCED = 0.5
@@ -69,6 +70,7 @@ def identify_from_prior(
         without_temperature(model, result.motions),
     )
     moves = _moves(ground, result, values)
+    at_rest = tuple(joint for joint, rows in zip(model.arm.joint_names, result.effective_rows) if rows == 0.0)
     return Identified(
         model=replace(result.model.moved_to(values, result.model.constants), provenance=dict(provenance or {})),
         estimates=_estimates(result, values),
@@ -81,7 +83,10 @@ def identify_from_prior(
         rows=result.rows,
         bandwidth=result.bandwidth,
         solver="Bayesian update of the prior model, linear about it",
-        joints_at_rest=tuple(joint for joint, rows in zip(model.arm.joint_names, result.effective_rows) if rows == 0.0),
+        joints_at_rest=at_rest,
+        joints_unresolved=tuple(
+            joint for joint in at_rest if ranges_over(result.motions, model.arm.joint_names.index(joint)) > STUCK_RAD
+        ),
         notes=(*_notes(ground, result, moves), *environment.notes),
         environment=environment,
         moves=moves,

@@ -185,7 +185,8 @@ class Identified:
         bandwidth: Low-pass that torque and regressor went through.
         choices: Decisions about the structure.
         solver: How the solver ended, in words.
-        joints_at_rest: Joints that never moved: nothing is known of their friction.
+        joints_at_rest: Joints that were never seen to move: nothing is known of their friction.
+        joints_unresolved: Those of them whose positions do move, at a speed that is lost in the noise.
         notes: Further things a user should know.
         environment: Vacuum or air, gravity, temperatures.
         moves: What was updated since the prior model, those of an update that have a spread; else empty.
@@ -206,6 +207,7 @@ class Identified:
     choices: tuple[Choice, ...] = ()
     solver: str = ""
     joints_at_rest: tuple[str, ...] = ()
+    joints_unresolved: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default_factory=tuple)
     environment: Environment = field(default_factory=Environment)
     moves: tuple[Move, ...] = ()

@@ -36,7 +36,7 @@ from ..estimate.determination import judge, open_ended
 from ..estimate.environment import Environment, GravityEstimate, judge_vacuum, without_temperature
 from ..estimate.identified import Choice, Identified
 from ..recording.recording import Recording
-from ..signals.motion import Motion
+from ..signals.motion import STUCK_RAD, Motion, ranges_over
 from ..signals.prepare import prepare, require_joints
 from ..solvers import pso_lm
 from ..solvers.choice import CLOE, IDIM_IV, PSO_LM, SEPARABLE, require_solver
@@ -254,6 +254,9 @@ def _conclude(
         for k, joint in enumerate(model.arm.joint_names)
         if not any(motion.moving[:, k].any() for motion in regression.motions)
     )
+    unresolved = tuple(
+        joint for joint in at_rest if ranges_over(regression.motions, model.arm.joint_names.index(joint)) > STUCK_RAD
+    )
     unseen = open_ended(regression, prior, solution)
     estimates = judge(model, prior, base, consistent, solution.constants, spread, regression.grids, at_rest, unseen)
     spread_of_gains = assumed_covariance(len(model.arm.joints)) if gains is None else gains.covariance
@@ -280,7 +283,8 @@ def _conclude(
         choices=choices,
         solver=solver,
         joints_at_rest=at_rest,
-        notes=(*_notes(regression.motions, at_rest), *said.notes, *fit.stages, *prior_note(prior)),
+        joints_unresolved=unresolved,
+        notes=(*_notes(regression.motions, at_rest, unresolved), *said.notes, *fit.stages, *prior_note(prior)),
         environment=environment,
     )
 
@@ -294,7 +298,7 @@ def static_as_coulomb(model: TorqueModel, parameters: FloatArray) -> FloatArray:
     return filled
 
 
-def _notes(motions: Sequence[Motion], at_rest: Sequence[str]) -> tuple[str, ...]:
+def _notes(motions: Sequence[Motion], at_rest: Sequence[str], unresolved: Sequence[str]) -> tuple[str, ...]:
     notes = []
     averaged = [motion for motion in motions if motion.cyclic]
     for motion in averaged:
@@ -303,7 +307,8 @@ def _notes(motions: Sequence[Motion], at_rest: Sequence[str]) -> tuple[str, ...]
             f"{len(motion.position) / motion.rate_hz:.4g} s averaged"
         )
     for joint in at_rest:
-        notes.append(f"{joint} does not move: its friction cannot be identified, its inertia only in part")
+        why = "moves, but its speed nowhere stands out of the noise" if joint in unresolved else "does not move"
+        notes.append(f"{joint} {why}: its friction cannot be identified, its inertia only in part")
     return tuple(notes)
 
 

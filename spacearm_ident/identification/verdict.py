@@ -20,6 +20,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.friction_curve import friction_curve, friction_error, viscosity
 from ..estimate.identified import Determination, Estimate, Identified, JointValidation, Trace, Validation
+from ..signals.motion import STUCK_RAD, ranges_over
 
 GOOD, FAIR = 0.10, 0.25
 """Residual RMS over torque RMS of a moving joint up to which its fit is good, or fair; ratio. Ours: a tenth is what
@@ -133,13 +134,23 @@ def _headline(level: Level, identified: Identified, validation: Validation) -> s
 
 
 def _joint(name: str, identified: Identified, validation: Validation) -> JointVerdict:
-    """The verdict by how well the joint is predicted."""
-    rests = ("it does not move in the data of the fit: its friction cannot be identified, its inertia only in part",)
-    at_rest = rests if name in identified.joints_at_rest else ()
+    """The verdict by how well the joint is predicted.
+
+    Whether it moves is asked of its positions: where its speed is lost in their noise, it counts as moving nowhere, or
+    in few rows that say nothing of the others.
+    """
+    at_rest = _at_rest(name, identified)
     joint = validation.joints.get(name)
-    if joint is None or not math.isfinite(joint.moving.relative_rms):
+    if joint is None:
         return JointVerdict(Level.UNKNOWN, at_rest or (_why_unknown(joint),))
+    number = identified.model.model.arm.joint_names.index(name)
+    moves = ranges_over(validation.traces, number) > STUCK_RAD
     share = joint.moving.relative_rms
+    if moves and joint.everything.relative_rms > NO_BETTER_THAN_NOTHING:
+        share = joint.everything.relative_rms
+    if not math.isfinite(share):
+        unresolved = name in identified.joints_unresolved or (moves and joint.moving.rows == 0)
+        return JointVerdict(Level.POOR if unresolved else Level.UNKNOWN, at_rest or (_why_unknown(joint, moves),))
     if share > NO_BETTER_THAN_NOTHING:
         words = f"the residual is {_percent(share)} of the torque: predicting zero torque would be more accurate"
         return JointVerdict(Level.SUSPECT, (*at_rest, words))
@@ -148,9 +159,20 @@ def _joint(name: str, identified: Identified, validation: Validation) -> JointVe
     return JointVerdict(Level.GOOD if share <= GOOD else Level.FAIR, at_rest)
 
 
-def _why_unknown(joint: JointValidation | None) -> str:
+def _at_rest(name: str, identified: Identified) -> tuple[str, ...]:
+    """What is said of a joint that was not seen to move in the data of the fit; nothing of others."""
+    if name not in identified.joints_at_rest:
+        return ()
+    moves = "it moves in the data of the fit, but its speed nowhere stands out of the noise"
+    what = moves if name in identified.joints_unresolved else "it does not move in the data of the fit"
+    return (f"{what}: its friction cannot be identified, its inertia only in part",)
+
+
+def _why_unknown(joint: JointValidation | None, moves: bool = False) -> str:
     if joint is None:
         return "it is not in the validation data"
+    if joint.moving.rows == 0 and moves:
+        return "it moves in the validation data, but its speed nowhere stands out of the noise: nothing validates it"
     if joint.moving.rows == 0:
         return "it does not move in the validation data"
     return "its torque is zero throughout the validation data"
