@@ -34,6 +34,7 @@ from ..layers.document import verdict
 from ..mismatch.finding import NO_MISMATCH
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
 from .identifier_messages import (
+    doubts_and_notes,
     layer_figures,
     mismatch_figures,
     parameter_statuses,
@@ -301,10 +302,16 @@ class Identifier(LiveNode):
             self._adopt(job, session.identified)
         for line in done.findings:
             self.get_logger().info(line)
+        doubts, notes = doubts_and_notes(session)
+        for line in notes:
+            self.get_logger().info(line)
+        for line in doubts:
+            self.get_logger().warning(line)
         figures = {"report": session.page, "bags": _files(job.bags), **validation_figures(session.validation)}
         figures["model_in_use"] = self._model_file
         message = f"identified and validated {session.validation.what}"
-        self._last = Status(Level.OK, message, figures, "identification")
+        said = "; ".join([message, *doubts[:1]])
+        self._last = Status(Level.WARN if doubts else Level.OK, said, figures, "identification")
         self.get_logger().info(f"{message}; report: {session.page}")
         if self._settings.reference is not None:
             judged = () if job.holds_nothing_out else job.validated

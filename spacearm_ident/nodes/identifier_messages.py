@@ -13,9 +13,11 @@ from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Constant, Parameter
 from ..estimate.identified import Identified, Validation
+from ..identification.verdict import judge_result
 from ..layers.comparison import Comparison
 from ..layers.document import verdict
 from ..mismatch.finding import Explanation
+from ..sessions.identification import Session
 from ..tracking.tracker import TrackingState
 
 FROM_FILE = "from a model file"
@@ -127,6 +129,19 @@ def validation_figures(validation: Validation) -> dict[str, object]:
         figures[f"r[{joint}]"] = fit.correlation
         figures[f"moving_relative_rms[{joint}]"] = judged.moving.relative_rms
     return figures
+
+
+def doubts_and_notes(session: Session) -> tuple[list[str], list[str]]:
+    """What speaks against using a result, and what else is to be said of it, a line each; as `spacearm identify` does.
+
+    Args:
+        session: Result. Data that are unfit come first; a verdict of poor or suspect is a doubt, any other a note.
+    """
+    conventions, judged = session.conventions, judge_result(session.identified, session.validation)
+    about = conventions.lines() if conventions.findings else []
+    doubts = [*(() if conventions.fit else about), *(() if judged.usable else judged.lines)]
+    notes = [*(judged.lines if judged.usable else ()), *(about if conventions.fit else ())]
+    return doubts, notes
 
 
 def mismatch_figures(explanation: Explanation) -> dict[str, object]:
