@@ -358,6 +358,24 @@ def test_times_of_arrival_that_spoil_the_speeds_are_the_reason_and_not_rest(run,
     assert "times of arrival" in found.statement and "header stamps" in found.remedy
 
 
+def test_joints_that_move_for_a_hundredth_of_a_recording_are_not_said_to_hardly_move(run, arm):
+    """Ten minutes at rest before and after ten seconds of motion: as good as the motion by itself."""
+    begin, end = np.searchsorted(run.time, (10.0, 20.0))
+    lead = 120_000
+    rest = np.concatenate((np.full(lead, begin), np.arange(begin, end), np.full(lead, end - 1)))
+    time = np.arange(len(rest)) / 200.0
+    whole = replace(
+        run,
+        time=time,
+        position=run.position[rest],
+        velocity=None,
+        effort=run.effort[rest],
+        segments=(slice(0, len(rest)),),
+    )
+    report = check_conventions([whole], arm)
+    assert report.fit and not [one for one in report.findings if one.kind in ("at_rest", "position_noise")]
+
+
 @pytest.mark.parametrize(
     ("share", "error_s", "found"),
     [
