@@ -30,6 +30,7 @@ from spacearm_ident.errors import UnfitDataError
 from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.recording.corrections import Corrections, read_corrections
 from spacearm_ident.recording.recording import BaseSensor, Issue
+from spacearm_ident.sessions.identification import find_arm
 from spacearm_ident.signals.prepare import prepare
 
 REAL = Path(__file__).parents[2] / "shared" / "recordings" / "real"
@@ -506,6 +507,39 @@ def test_a_joint_that_moves_and_is_fixed_in_the_arm_is_found_with_what_it_does_t
     assert (finding.kind, finding.joints, finding.level) == ("fixed_joint_moves", names, level)
     size = np.ptp(run.position[:, NAMES.index(names[0])])
     assert f"{names[0]} by {size:.2g}" in finding.statement and "whole URDF" in finding.remedy
+
+
+def without_effort(run: Recording, joint: str) -> Recording:
+    """The run as it is read where the effort of a joint is NaN in every message."""
+    rest = run.in_order(tuple(name for name in run.joints if name != joint))
+    own = run.position[:, run.joints.index(joint)]
+    return replace(rest, effortless={joint: (float(own.min()), float(own.max()))})
+
+
+@pytest.mark.parametrize("joint", ["shoulder", "wrist"])
+def test_a_joint_that_moves_without_effort_makes_the_data_unfit_wherever_it_is(joint, run):
+    bare = without_effort(run, joint)
+    report = check_conventions([bare], find_arm(None, None, [bare]))
+    assert unfit(report) == [("fixed_joint_moves", (joint,))] and report.certain
+    (found,) = report.findings
+    assert f"{joint} by" in found.statement and "effort" in found.remedy
+
+
+def test_a_gripper_that_moves_without_effort_is_a_payload_that_changes(run):
+    renamed = replace(run, urdf=run.urdf.replace('name="wrist"', 'name="gripper_jaw"'))
+    bare = without_effort(renamed, "wrist")
+    bare = replace(bare, effortless={"gripper_jaw": bare.effortless["wrist"]})
+    (found,) = moving_though_fixed(bare, find_arm(None, None, [bare]))
+    assert (found.joints, found.level) == (("gripper_jaw",), Level.NOTE)
+
+
+def test_a_joint_that_stands_still_without_effort_is_fixed_where_it_was_recorded(run):
+    bare = replace(without_effort(run, "wrist"), effortless={"wrist": (0.699, 0.701)})
+    fixed = find_arm(None, None, [bare])
+    assert fixed.locked == ("wrist",) and moving_though_fixed(bare, fixed) == []
+    expected = arm_from_urdf(locked(run.urdf, ("wrist",), {"wrist": 0.7}))
+    assert np.allclose(fixed.joints[-1].inertial, expected.joints[-1].inertial, atol=1e-9)
+    assert not np.allclose(fixed.joints[-1].inertial, fixed_in(run, "wrist").joints[-1].inertial, atol=1e-3)
 
 
 def test_joints_that_move_below_the_arm_make_the_data_unfit_and_nothing_is_inferred_of_them(run):

@@ -279,6 +279,7 @@ def test_a_joint_that_never_has_an_effort_is_left_out_unless_chosen(bag):
     recording = bag(rows)
     assert recording.joints == ("shoulder", "wrist") and len(recording.time) == 20
     assert issues(recording) == {"joint_without_effort": 1}
+    assert recording.effortless == {"elbow": (position[:, 1].min(), position[:, 1].max())}
     with pytest.raises(UserError, match="no effort for elbow"):
         bag(rows, joints=JOINTS)
 

@@ -93,7 +93,7 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
     if recording.base is not None:
         undecided.append(f"{INFERRED} (the base moves: give --fixed-base where it does not)")
     elif any(one.level is Level.UNFIT for one in unmodelled):
-        undecided.append(f"{INFERRED} (joints that carry the arm move)")
+        undecided.append(f"{INFERRED} (joints move that carry the arm or belong to it)")
     elif len(plain.still) < len(arm.joints) and len(plain.dead) < len(arm.joints):
         try:
             inferred, undecided = _infer(ordered, arm, plain)

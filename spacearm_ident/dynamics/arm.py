@@ -214,12 +214,13 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     return Arm(model.name, tuple(joints), urdf, vector)
 
 
-def without_joints(arm: Arm, names: Collection[str]) -> Arm:
-    """The arm with some of its joints fixed: at its posture of rest where its file states one, else near zero.
+def without_joints(arm: Arm, names: Collection[str], at: Mapping[str, float] | None = None) -> Arm:
+    """The arm with some of its joints fixed: where measured, at its posture of rest where its file has one, near zero.
 
     Args:
         arm: With at least one joint more.
         names: Joints to fix.
+        at: Positions of those that were measured, rad (m for prismatic joints).
 
     Raises:
         UserError: A coupled motor turns with one of them, or they are all it has.
@@ -230,7 +231,7 @@ def without_joints(arm: Arm, names: Collection[str]) -> Arm:
     if set(names) >= set(arm.joint_names):
         raise UserError(f"none of the arm's joints is in the recordings: it has {', '.join(arm.joint_names)}")
     stated = {joint.name: joint.start for joint in arm.joints if joint.name in names and np.isfinite(joint.start)}
-    smaller = arm_from_urdf(locked(arm.urdf, names, stated))
+    smaller = arm_from_urdf(locked(arm.urdf, names, {**stated, **(at or {})}))
     known = {joint.name: joint for joint in arm.joints}
     joints = tuple(
         replace(

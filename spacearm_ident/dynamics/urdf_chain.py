@@ -143,6 +143,11 @@ def choose_joints(urdf: str, base: str | None = None, tip: str | None = None, na
     )
 
 
+def of_a_hand(joint: str) -> bool:
+    """Whether a joint has the name of a gripper's."""
+    return _HAND_NAMES.search(joint) is not None
+
+
 def mimicking(urdf: str) -> tuple[str, ...]:
     """Joints that mimic others, and so have no drive of their own."""
     return tuple(joint.name for joint in JointTree(urdf).joints if joint.kind in DRIVEN and joint.mimics)

@@ -167,12 +167,14 @@ class Intake:
     Attributes:
         samples: What is left.
         findings: What was left out and why.
+        effortless: Lowest and highest position, rad, of the joints left out since they have no effort.
         seams: Samples that do not continue the one before, whatever their stamps say.
         clock_shift_ns: Median of stamp minus log time: from the recorder's clock to that of the stamps.
     """
 
     def __init__(self, label: str, samples: Samples, *, on_log_time: bool = False, clock_shift_ns: int = 0) -> None:
         self.findings: list[Finding] = []
+        self.effortless: dict[str, tuple[float, float]] = {}
         self.seams: IntArray = np.zeros(0, dtype=np.int64)
         self._label = label
         self._topic = messages.STATES_TOPIC
@@ -283,6 +285,10 @@ class Intake:
             if chosen or not present.any():
                 raise UserError(f"{self._topic} has no {what} for {lacking}; record it, or choose other joints")
             self.note(f"joint_without_{what}", f"{lacking} left out: no {what} in any message")
+            if what == "effort":
+                for k in np.flatnonzero(~present):
+                    own = samples.position[np.isfinite(samples.position[:, k]), k]
+                    self.effortless[samples.joints[k]] = float(own.min()), float(own.max())
             samples = self.samples.columns(present)
             self.samples = samples
             return self.drop_joints_without_effort(chosen)

@@ -243,6 +243,7 @@ def _assembled(
         start_ns=start_ns,
         command=command,
         urdf=urdf,
+        effortless=states.effortless,
         issues=(*(finding.as_issue(start_ns) for finding in findings), *gaps),
         sources=sources,
     )

@@ -98,6 +98,7 @@ class Recording:
         temperatures: Joint name -> °C on its own clock.
         base: What a sensor on the base recorded, where there is one.
         urdf: Robot description, where recorded.
+        effortless: Joint left out for want of effort -> lowest and highest position, rad (m for prismatic joints).
         issues: What was found wrong and what was done about it.
         sources: The files behind it.
     """
@@ -113,6 +114,7 @@ class Recording:
     temperatures: dict[str, Series] = field(default_factory=dict)
     base: BaseSensor | None = None
     urdf: str | None = None
+    effortless: dict[str, tuple[float, float]] = field(default_factory=dict)
     issues: tuple[Issue, ...] = ()
     sources: tuple[Source, ...] = ()
 

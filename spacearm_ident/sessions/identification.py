@@ -200,7 +200,7 @@ def find_arm(
 
 
 def _as_recorded(arm: Arm, recordings: Sequence[Recording]) -> Arm:
-    """The arm with those joints fixed that a recording lacks.
+    """The arm with those joints fixed that a recording lacks; where one has their positions but no effort, at those.
 
     Where a recording has joints that the description does not know, a joint may only have another name there: then the
     arm stays, and is refused for it.
@@ -209,14 +209,16 @@ def _as_recorded(arm: Arm, recordings: Sequence[Recording]) -> Arm:
     strange = {joint for recording in recordings for joint in recording.joints} - set(JointTree(arm.urdf).by_name)
     if not lacking or strange or len(lacking) == len(arm.joints):
         return arm
-    return without_joints(arm, lacking)
+    measured = {name: ends for recording in recordings for name, ends in recording.effortless.items()}
+    return without_joints(arm, lacking, {name: sum(ends) / 2.0 for name, ends in measured.items() if name in lacking})
 
 
 def locked_words(arm: Arm) -> list[str]:
     """A line on the joints that were fixed since the recordings lack them; none where there are none."""
     if not arm.locked:
         return []
-    return [f"not in the recordings, and taken as fixed: {', '.join(arm.locked)} (elsewhere than at 0: new-arm --lock)"]
+    where = "at the positions recorded, else at 0; elsewhere: new-arm --lock"
+    return [f"not in the recordings, and taken as fixed: {', '.join(arm.locked)} ({where})"]
 
 
 def settings_for(
