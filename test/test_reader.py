@@ -15,6 +15,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 from mcap_ros2.decoder import DecoderFactory
 
+from spacearm_ident.conventions.finding import Level
+from spacearm_ident.conventions.plain import read_off
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import Recording, cdr, describe, messages, read_recording, write_recording
 from spacearm_ident.recording.bag import messages as bag_messages
@@ -170,6 +172,31 @@ def test_log_time_when_the_stamps_carry_no_time(bag, stamp):
     assert issues(recording) == {"log_time_used": 50}
     assert numbers(recording) == list(range(50)) and recording.start_ns == START
     assert np.allclose(recording.time, 0.002 * np.arange(50), atol=1e-12)
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_times_of_recording_that_repeat_count_only_where_the_stamps_carry_no_time(bag, stamped):
+    """A recorder under simulated time stamps by the last tick of /clock: two states share each time here."""
+    position, velocity, effort = signals(100)
+    stamps = [START + row * 10**6 for row in range(100)]
+    rows = [
+        (
+            stamps[row - row % 2],
+            state(stamps[row] if stamped else 0, JOINTS, position[row], velocity[row], effort[row]),
+        )
+        for row in range(100)
+    ]
+    recording = bag(rows)
+    if stamped:
+        assert issues(recording) == {} and numbers(recording) == list(range(100))
+        return
+    assert issues(recording) == {"log_time_used": 100, "repeated_stamp": 50}
+    assert numbers(recording) == list(range(0, 100, 2))
+    (text,) = (issue.message for issue in recording.issues if issue.kind == "repeated_stamp")
+    assert "time of recording" in text and "use_sim_time" in text
+    (found,) = read_off(recording).findings
+    assert (found.kind, found.level) == ("clock_order", Level.UNFIT)
+    assert "header stamps" in found.remedy and "use_sim_time" in found.remedy
 
 
 def test_a_few_unset_stamps_are_not_1970(bag):

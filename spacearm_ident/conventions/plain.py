@@ -43,8 +43,8 @@ LET_MOVE = "record a run in which they move, or take their parameters for CAD's"
 """Remedy for joints at rest."""
 LET_MOVE_FASTER = "record a run in which they move faster, or with finer positions"
 """Remedy for joints whose speed is lost in the noise of their positions."""
-AT_SAMPLING = "taken at the sampling instant, and record again"
-"""How to stamp, end of a sentence."""
+HEADER_STAMPS = "publish joint states with header stamps taken at the sampling instant, and record again"
+"""Remedy where the time of recording stands in for them."""
 LOCK = "or lock them where they are (spacearm new-arm URDF --joints NAME ... --lock NAME=VALUE ...) and give that --arm"
 """Further remedy for joints at rest whose torque is constant: often a torso, a head or a gripper, and not the arm's."""
 
@@ -118,15 +118,20 @@ def without_motion(recording: Recording, joints: Sequence[str], clock_error_s: f
     return findings
 
 
+def _on_arrival(recording: Recording) -> bool:
+    """Whether the time of recording stands in for header stamps that carry none."""
+    return any(issue.kind == "log_time_used" for issue in recording.issues)
+
+
 def _uneven(recording: Recording, error_s: float, effect: str = "") -> Finding:
     """Stamps that are off the sampling instants, where no even clock mends it."""
-    arrival = any(issue.kind == "log_time_used" for issue in recording.issues)
+    arrival = _on_arrival(recording)
     what = "times of arrival, used for want of header stamps," if arrival else "stamps"
     text = (
         f"the {what} are too uneven to differentiate positions: about {error_s * 1e3:.2g} ms RMS off the sampling "
         f"instants, or more{effect}"
     )
-    remedy = f"{'publish joint states with header stamps' if arrival else 'stamp joint states'} {AT_SAMPLING}"
+    remedy = HEADER_STAMPS if arrival else "stamp joint states at the sampling instant, and record again"
     return Finding(CLOCK_JITTER, Level.UNFIT, (), text, remedy, values={"rms_s": error_s})
 
 
@@ -263,6 +268,8 @@ def _clock(recording: Recording, error_s: float) -> list[Finding]:
             level = Level.UNFIT if lost > LOST_SHARE else Level.NOTE
             text = f"{issue.message} ({lost:.1%} of the samples)"
             remedy = "stamp every joint state when it is sampled, by one steady clock"
+            if issue.kind == "repeated_stamp" and _on_arrival(recording):
+                remedy = f"{HEADER_STAMPS}; a recorder with use_sim_time repeats the times of a slow /clock"
             findings.append(Finding("clock_order", level, (), text, remedy, values={"share": round(lost, 4)}))
     found = jitter(recording)
     if found is not None:

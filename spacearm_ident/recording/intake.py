@@ -315,7 +315,11 @@ class Intake:
         # One wrong stamp is one sample lost; several in a row are a clock set back, and what was sampled
         # before and after it does not belong together although its stamps would.
         self.seams = np.flatnonzero(np.diff(np.cumsum(late)[keep]) > 1) + 1
-        self.drop(repeated, "repeated_stamp", "samples with the stamp of the one before left out")
+        text = "samples with the stamp of the one before left out"
+        if self.on_log_time:
+            # Under simulated time a recorder stamps by the last tick of /clock, which may be slower than the states.
+            text = "samples with the time of recording of the one before left out (a recorder with use_sim_time?)"
+        self.drop(repeated, "repeated_stamp", text)
         text = "samples with stamps out of order (a clock set back?) left out"
         self.drop(late[~repeated], "backward_stamp", text)
 
