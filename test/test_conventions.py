@@ -351,6 +351,14 @@ def test_noise_of_encoders_and_a_slow_motion_are_no_error_of_the_clock(run):
         assert clock_error_s(recording) == 0.0
 
 
+@pytest.mark.parametrize("times", [2, 4, 8])
+def test_positions_that_are_published_oftener_than_they_are_sampled_are_no_error_of_the_clock(times, run, arm):
+    held = np.arange(len(run.time)) // times * times
+    repeated = replace(run, position=run.position[held], velocity=None)
+    assert clock_error_s(repeated) == 0.0
+    assert check_conventions([repeated], arm).fit
+
+
 def test_times_of_arrival_that_spoil_the_speeds_are_the_reason_and_not_rest(run, arm):
     report = check_conventions([on_arrival(run)], arm)
     assert unfit(report) == [("clock_jitter", ())] and report.certain

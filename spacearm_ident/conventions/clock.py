@@ -15,10 +15,13 @@ STANDARD_ERRORS = 5.0
 matter of chance where stamps are off: there it stands out by tens."""
 SHARING = 5
 """Neighbouring residuals that share a sample: so many times fewer of them are independent."""
+LEAST_UNEVEN = 0.5
+"""Share of the error by which stamps must be uneven themselves, RMS, to be its cause. Even stamps whose positions err
+together are of a topic that is published oftener than the arm is sampled, and repeats positions."""
 
 
 def clock_error_s(recording: Recording) -> float:
-    """RMS distance of the stamps from the sampling instants, s; 0 where the positions do not show one.
+    """RMS distance of uneven stamps from the sampling instants, s; 0 where the positions do not show one.
 
     Each position is predicted from two neighbours on either side by a cubic over the stamps. A stamp that is off by d
     puts every joint off by d times its speed, at once; noise of encoders is each joint's own. So d^2 is the mean
@@ -47,7 +50,14 @@ def clock_error_s(recording: Recording) -> float:
     if not share.sum() > STANDARD_ERRORS * np.sqrt(SHARING * (share**2).sum()):
         return 0.0
     size = (speed**2).sum(axis=1) ** 2 - (speed**4).sum(axis=1)
-    return float(np.sqrt(max(float(shared.sum()), 0.0) / float(size.sum())))
+    error_s = float(np.sqrt(max(float(shared.sum()), 0.0) / float(size.sum())))
+    return error_s if _unevenness_s(recording) > LEAST_UNEVEN * error_s else 0.0
+
+
+def _unevenness_s(recording: Recording) -> float:
+    """RMS error of independent stamps of even samples, s, from how far each is off the middle of its neighbours'."""
+    off = [time[1:-1] - 0.5 * (time[:-2] + time[2:]) for time in (recording.time[part] for part in recording.segments)]
+    return float(np.sqrt(np.mean(np.concatenate(off) ** 2) / 1.5))
 
 
 def _residuals(time: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
