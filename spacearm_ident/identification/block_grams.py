@@ -78,7 +78,7 @@ class BlockGrams:
         found = np.zeros((2, len(self._parts)))
         for joint, (numbers, grams) in enumerate(self._parts):
             # Of all v only what this joint's parameters depart by counts: as many combinations as it has columns.
-            own = np.linalg.qr(factor[numbers].T, mode="r").T
+            own = np.asarray(np.linalg.qr(factor[numbers].T, mode="r")).T
             vector, count = np.append(-parameters[numbers], 1.0), own.shape[1]
             for gram in grams[blocks]:
                 root = cholesky(np.eye(count) + own.T @ gram[:-1, :-1] @ own, lower=True)
