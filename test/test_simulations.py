@@ -63,6 +63,75 @@ def test_mjcf_of_a_free_body_is_refused_with_what_to_give(tmp_path: Path) -> Non
     path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     with pytest.raises(UserError, match="fixed to the world"):
         read_simulation(path)
+    with pytest.raises(UserError, match="'body_1' has a free joint"):
+        read_simulation(path)
+
+
+OBJECTS = """
+    <body name="crate" pos="0.1 0.2 0.3"><freejoint/><geom type="box" size="0.2 0.2 0.2" mass="5"/>
+      <body name="lid"><joint name="lid_hinge" axis="1 0 0"/><geom size="0.1" mass="1"/></body></body>
+    <body name="table"><geom size="0.1" mass="9"/>
+      <body name="lamp" pos="1 0 0"><joint name="lamp_ball" type="ball"/><geom size="0.1" mass="1"/></body></body>
+    <body name="frame" pos="2 0 0"><joint name="door" axis="0 0 1" damping="2"/><geom size="0.1" mass="7"/></body>"""
+"""A free crate around the arm's hand with a hinged lid, a lamp on a ball joint on a fixed table, and a hinged door."""
+
+
+def _beside(objects: str, **changes: float) -> str:
+    """The arm's MJCF, a geom on its fore arm, behind other bodies of the world."""
+    text = mjcf(**changes).replace("<worldbody>", f"<worldbody>{objects}")
+    return text.replace('<joint name="elbow"', '<geom type="box" size="0.1 0.1 0.1"/><joint name="elbow"')
+
+
+def test_mjcf_of_an_arm_beside_free_and_ball_jointed_bodies_is_the_arm(tmp_path: Path) -> None:
+    mujoco_or_skip()
+    path = tmp_path / "cell.xml"
+    path.write_text(_beside(OBJECTS))
+    simulation, states = read_simulation(path), _states()
+    assert set(simulation.arm.joint_names) == {*JOINTS, "door"}
+    assert simulation.notes == (
+        "body 'crate' has a free joint: its kinematic tree is not in the comparison",
+        "body 'lamp' has a ball joint: its kinematic tree is not in the comparison",
+    )
+    arm = without(simulation, ["door"])
+    assert arm.arm.joint_names == JOINTS
+    np.testing.assert_allclose(_torque(arm, states), inverse(mjcf(), *states), atol=1e-9)
+
+
+def test_mended_mjcf_keeps_free_bodies_and_its_closed_loop_is_the_one_of_the_arm_alone(tmp_path: Path) -> None:
+    """The crate's seven positions and six velocities stand before the arm's, and it touches the arm all the time."""
+    mujoco = mujoco_or_skip()
+    other = tmp_path / "other.xml"
+    other.write_text(mjcf(fore_mass=2.6, damping=0.9))
+    truth = read_simulation(other).model
+    motions, _ = prepare([recorded(mjcf(), seconds=6.0)], JOINTS)
+    found = []
+    for name, objects in (("cell.xml", OBJECTS), ("alone.xml", "")):
+        path = tmp_path / name
+        path.write_text(_beside(objects))
+        simulation = read_simulation(path)
+        arm = without(simulation, [joint for joint in simulation.arm.joint_names if joint not in JOINTS])
+        mended = mend(arm, path, truth, motions)
+        assert mended is not None and mended.closed_loop is not None
+        found.append(mended)
+    for one, alone in zip(found[0].closed_loop, found[1].closed_loop):
+        for joint in JOINTS:
+            assert np.isfinite(alone.feedback_Nm[joint])
+            assert one.feedback_Nm[joint] == pytest.approx(alone.feedback_Nm[joint], rel=1e-3)
+            assert one.position[joint] == pytest.approx(alone.position[joint], rel=1e-3)
+    was, now = (mujoco.MjModel.from_xml_string(text) for text in (_beside(OBJECTS), found[0].text))
+    assert now.nq == was.nq and list(now.jnt_type) == list(was.jnt_type)
+    for body in ("crate", "lid", "table", "lamp", "frame"):
+        assert now.body(body).mass == pytest.approx(was.body(body).mass)
+        np.testing.assert_allclose(now.body(body).inertia, was.body(body).inertia)
+
+
+def test_spring_about_another_position_stays_where_other_joints_are_fixed(tmp_path: Path) -> None:
+    mujoco_or_skip()
+    path = tmp_path / "sprung.xml"
+    path.write_text(_beside(OBJECTS).replace('name="elbow"', 'name="elbow" stiffness="12" springref="0.5"'))
+    arm = without(read_simulation(path), ["door"])
+    assert arm.model.value("k_1", "elbow") == pytest.approx(12.0)
+    assert arm.model.value("offset", "elbow") == pytest.approx(-6.0)
 
 
 def test_sdf_reads_back_what_the_exporter_wrote(file: Path, tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ def _of_recordings(simulation: Simulation, recordings: Sequence[Recording]) -> S
     if len(lacking) == len(names) or (lacking and strange):
         raise UserError(
             f"the simulation's joints are {', '.join(names)}, the recordings' {', '.join(recordings[0].joints)}: "
-            "give them the same names"
+            "give them the same names" + "".join(f" ({note})" for note in simulation.notes)
         )
     return without(simulation, lacking)
 

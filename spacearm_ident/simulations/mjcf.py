@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -36,8 +37,10 @@ def mujoco_or_error() -> ModuleType:
 def read_mjcf(path: Path) -> Simulation:
     """Read the arm of an MJCF: every hinge and slide joint, its body with all that is fixed to it, its parameters.
 
+    Kinematic trees with a free or a ball joint are objects beside the arm: they are left out, and a note names them.
+
     Raises:
-        UserError: MuJoCo is not installed or refuses the file, or a joint is neither a hinge nor a slide.
+        UserError: MuJoCo is not installed or refuses the file, or no tree has hinges and slides alone.
     """
     mujoco = mujoco_or_error()
     try:
@@ -56,29 +59,57 @@ def simulation_of_mujoco(mujoco: ModuleType, model: Any, path: Path) -> Simulati
     """
     if model.njnt == 0:
         raise UserError(f"{path} has no joint: name the MJCF of an arm")
-    links = _links(mujoco, model, path)
+    objects = _objects(mujoco, model)
+    joints = [k for k in range(model.njnt) if int(model.jnt_bodyid[k]) not in objects]
+    notes = tuple(
+        f"body {name!r} has a {kind} joint: its kinematic tree is not in the comparison"
+        for name, kind in dict.fromkeys(objects.values())
+    )
+    if not joints:
+        raise UserError(
+            f"{path}: no joint is left to compare: {'; '.join(notes)}: give the arm fixed to the world, "
+            "with hinges and slides"
+        )
+    links = _links(mujoco, model, objects)
     arm = arm_from_urdf(urdf_of(_name(mujoco, model, "OBJ_MODEL", 0, path.stem), links), np.array(model.opt.gravity))
     kept = set(arm.joint_names)
-    bodies = {
-        _joint_name(mujoco, model, k): _body_name(mujoco, model, int(model.jnt_bodyid[k])) for k in range(model.njnt)
-    }
-    dynamics = {_joint_name(mujoco, model, k): _dynamics(model, k) for k in range(model.njnt)}
+    bodies = {_joint_name(mujoco, model, k): _body_name(mujoco, model, int(model.jnt_bodyid[k])) for k in joints}
+    dynamics = {_joint_name(mujoco, model, k): _dynamics(model, k) for k in joints}
     return simulation_of(
         arm,
         {name: one for name, one in dynamics.items() if name in kept},
         "mjcf",
         path.name,
         bodies,
-        _notes(model),
+        (*notes, *_notes(model)),
         [Part(name, *where) for name, where in inertials_of(links).items() if where[0] in kept],
     )
 
 
-def _links(mujoco: ModuleType, model: Any, path: Path) -> list[TreeLink]:
-    """The bodies, a link for each; a body of several joints has massless links between them."""
+def _objects(mujoco: ModuleType, model: Any) -> dict[int, tuple[str, str]]:
+    """Body of a tree with a free or a ball joint -> name of the tree's body that has it, and `free` or `ball`.
+
+    A tree begins at a body that moves on one that does not: arm and object may stand on the same fixed table.
+    """
+    kinds = {int(mujoco.mjtJoint.mjJNT_FREE): "free", int(mujoco.mjtJoint.mjJNT_BALL): "ball"}
+    tree = {0: 0}
+    for body in range(1, model.nbody):
+        tree[body] = tree[int(model.body_parentid[body])] or (body if model.body_jntnum[body] else 0)
+    found: dict[int, tuple[str, str]] = {}
+    for joint, kind in enumerate(model.jnt_type):
+        if int(kind) in kinds:
+            body = int(model.jnt_bodyid[joint])
+            found.setdefault(tree[body], (_body_name(mujoco, model, body), kinds[int(kind)]))
+    return {body: found[first] for body, first in tree.items() if first in found}
+
+
+def _links(mujoco: ModuleType, model: Any, objects: Collection[int]) -> list[TreeLink]:
+    """The bodies, a link for each, without objects; a body of several joints has massless links between them."""
     links: list[TreeLink] = []
     anchor: dict[int, FloatArray] = {0: np.zeros(3)}
     for body in range(1, model.nbody):
+        if body in objects:
+            continue
         name, parent = _body_name(mujoco, model, body), int(model.body_parentid[body])
         carrier = ROOT if parent == 0 else _body_name(mujoco, model, parent)
         rotation, place = _matrix(model.body_quat[body]), model.body_pos[body] - anchor[parent]
@@ -86,15 +117,14 @@ def _links(mujoco: ModuleType, model: Any, path: Path) -> list[TreeLink]:
         here = np.zeros(3)
         for number, joint in enumerate(range(first, first + count)):
             at, last = np.array(model.jnt_pos[joint]), number == count - 1
-            own = _tree_joint(mujoco, model, joint, path)
+            own = _tree_joint(mujoco, model, joint)
             # At `ref` the body stands as it is written; the link's zero is the joint's.
-            start = (
-                Rotation.from_rotvec(-model.qpos0[joint] * own.axis).as_matrix() if own.kind != "prismatic" else None
-            )
+            ref = float(model.qpos0[int(model.jnt_qposadr[joint])])
+            start = Rotation.from_rotvec(-ref * own.axis).as_matrix() if own.kind != "prismatic" else None
             turned = rotation if start is None else rotation @ start
             moved = place + rotation @ (at - here)
             if start is None:
-                moved = moved - rotation @ own.axis * model.qpos0[joint]
+                moved = moved - rotation @ own.axis * ref
             child = name if last else f"{name}/{own.name}"
             links.append(_link(model, body, child, carrier, turned, moved, own, at if last else None))
             carrier, rotation, place, here = child, np.eye(3), np.zeros(3), at
@@ -124,13 +154,9 @@ def _link(
     return TreeLink(name, parent, rotation, place, joint, float(model.body_mass[body]), centre, inertia)
 
 
-def _tree_joint(mujoco: ModuleType, model: Any, joint: int, path: Path) -> TreeJoint:
+def _tree_joint(mujoco: ModuleType, model: Any, joint: int) -> TreeJoint:
     name, kind = _joint_name(mujoco, model, joint), int(model.jnt_type[joint])
     kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic"}
-    if kind not in kinds:
-        raise UserError(
-            f"{path}: joint {name!r} is free or a ball: give the arm alone, fixed to the world, with hinges and slides"
-        )
     axis = np.array(model.jnt_axis[joint])
     lower, upper = (float(value) for value in model.jnt_range[joint])
     limited = bool(model.jnt_limited[joint]) and max(abs(lower), abs(upper)) < UNBOUNDED

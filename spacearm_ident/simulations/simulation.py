@@ -195,7 +195,8 @@ def without(simulation: Simulation, names: Sequence[str]) -> Simulation:
             armature=values.get(f"{ARMATURE}[{joint}]", 0.0),
             damping=values.get(f"{DAMPING}[{joint}]", 0.0),
             friction=values.get(f"{FRICTION}[{joint}]", 0.0),
-            stiffness=values.get(f"{STIFFNESS}[{joint}]", 0.0),
+            stiffness=(stiffness := values.get(f"{STIFFNESS}[{joint}]", 0.0)),
+            rest=-values.get(f"offset[{joint}]", 0.0) / stiffness if stiffness else 0.0,
         )
         for joint in arm.joint_names
     }
