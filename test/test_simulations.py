@@ -147,6 +147,42 @@ def test_sdf_reads_back_what_the_exporter_wrote(file: Path, tmp_path: Path) -> N
     np.testing.assert_allclose(inertials[0], inertials[1], atol=1e-12)
 
 
+PLANE = '<model name="ground_plane"><static>true</static><link name="link"/></model>'
+
+
+def _models(*names: str) -> str:
+    """Models of one hinge, named after the model, in a world with Gazebo's ground plane."""
+    inertia = "<ixx>1</ixx><iyy>1</iyy><izz>1</izz>"
+    models = "".join(
+        f'<model name="{name}">'
+        f'<link name="l"><inertial><mass>{mass}</mass><inertia>{inertia}</inertia></inertial></link>'
+        f'<joint name="{name}_hinge" type="revolute"><parent>world</parent><child>l</child>'
+        "<axis><xyz>1 0 0</xyz></axis></joint></model>"
+        for mass, name in enumerate(names, start=2)
+    )
+    return f'<sdf version="1.9"><world name="w">{PLANE}{models}</world></sdf>'
+
+
+def test_sdf_of_a_world_is_read_as_the_model_that_moves(tmp_path: Path) -> None:
+    path = tmp_path / "world.sdf"
+    path.write_text(_models("arm"))
+    assert read_simulation(path).arm.joint_names == ("arm_hinge",)
+    path.write_text(_models("door", "arm"))
+    chosen = read_simulation(path, ("arm_hinge",))
+    assert chosen.arm.joint_names == ("arm_hinge",)
+    assert chosen.values["m[arm_hinge]"] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("joints", [(), ("other",), ("door_hinge", "arm_hinge")])
+def test_sdf_of_several_models_that_move_is_refused_with_their_names_where_none_is_the_recordings(
+    tmp_path: Path, joints: tuple[str, ...]
+) -> None:
+    path = tmp_path / "world.sdf"
+    path.write_text(_models("door", "arm"))
+    with pytest.raises(UserError, match=r"door: door_hinge; arm: arm_hinge.*leave only the arm"):
+        read_simulation(path, joints)
+
+
 def test_urdf_takes_damping_and_friction_of_its_joints(file: Path, tmp_path: Path) -> None:
     mujoco_or_skip()
     urdf = read_simulation(file).arm.urdf
@@ -313,7 +349,9 @@ def test_mended_mjcf_counts_a_body_behind_a_fixed_joint_once(file: Path) -> None
         ("a.xml", "<mujoco", "well-formed"),
         ("a.xml", '<!DOCTYPE a [<!ENTITY b "c">]><mujoco/>', "DOCTYPE"),
         ("a.sdf", "<sdf version='1.9'><world name='w'/></sdf>", "no <model>"),
-        ("a.sdf", "<sdf><model name='m'><link name='l'><pose>1 2</pose></link></model></sdf>", "six numbers"),
+        ("a.sdf", f"<sdf version='1.9'><world name='w'>{PLANE}</world></sdf>", "no model of the SDF.*ground_plane"),
+        ("a.sdf", _models("arm").replace("1 0 0", "0 0 0"), "axis 0 0 0: give it a direction"),
+        ("a.sdf", _models("arm").replace('"l">', '"l"><pose>1 2</pose>'), "six numbers"),
         ("a.yaml", "schema: other", "schema"),
     ],
 )

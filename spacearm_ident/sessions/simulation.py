@@ -129,7 +129,8 @@ def _simulation(
     if files and len(paths) > 1:
         raise UserError("give one file of the simulation, or bags that it wrote, not both")
     if files:
-        read = read_simulation(files[0])
+        joints = dict.fromkeys(joint for recording in recordings for joint in recording.joints)
+        read = read_simulation(files[0], tuple(joints))
         return read if gravity is None else _under(read, read.arm.with_gravity(np.array(gravity, dtype=float)))
     written = comparing.reading.read(paths, progress)
     known = find_arm(comparing.reading.arm, gravity, [*written, *recordings])

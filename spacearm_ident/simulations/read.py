@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,8 +18,12 @@ SIMULATION_SUFFIXES = (".xml", ".mjcf", ".urdf", ".sdf", ".world", ".yaml", ".ym
 """Files that are read here; anything else given as a simulation is a bag that a simulator wrote."""
 
 
-def read_simulation(path: Path) -> Simulation:
+def read_simulation(path: Path, joints: Collection[str] = ()) -> Simulation:
     """Read an MJCF, a URDF, an SDF, an arm YAML or a `model.yaml`.
+
+    Args:
+        path: The file.
+        joints: Of the recordings, by which the arm is chosen where an SDF has several models that move.
 
     Raises:
         UserError: The file is missing or is none of these; the message says what to give.
@@ -36,7 +41,7 @@ def read_simulation(path: Path) -> Simulation:
     if root == "robot":
         return of_urdf(arm_from_urdf(text), path.name)
     if root == "sdf":
-        return read_sdf(path, text)
+        return read_sdf(path, text, joints)
     raise UserError(f"{path} is no simulation: give an MJCF, a URDF, an SDF, a model.yaml, or a simulator's bag")
 
 

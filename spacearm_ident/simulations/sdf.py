@@ -1,4 +1,4 @@
-"""SDF (sdformat.org 1.5 to 1.11): the first model's links and joints, with `<dynamics>` of their axes.
+"""SDF (sdformat.org 1.5 to 1.11): links and joints of the model that moves, with `<dynamics>` of their axes.
 
 Poses are x y z roll pitch yaw. A link's is in the model frame, a joint's in its child link, unless `relative_to` names
 another frame. Nested models, includes and splines of frames beyond links and joints are refused.
@@ -6,6 +6,7 @@ another frame. Nested models, includes and splines of frames beyond links and jo
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -25,28 +26,58 @@ Pose = tuple[FloatArray, FloatArray]
 """Rotation (3, 3) and translation (3,)."""
 
 
-def read_sdf(path: Path, text: str) -> Simulation:
-    """Read the arm of an SDF.
+def read_sdf(path: Path, text: str, joints: Collection[str] = ()) -> Simulation:
+    """Read the arm of an SDF: the model with joints that move, whatever stands beside it in the world.
 
     Args:
         path: For messages, and the simulation's name.
         text: Its contents.
+        joints: Of the recordings; where several models have joints that move, the arm is the one that has some of them.
 
     Raises:
-        UserError: No model in it, or something that this reader does not do.
+        UserError: No model in it is the arm, or several may be, or it has something that this reader does not do.
     """
     try:
         root = ElementTree.fromstring(text.strip())
-        world = root.find("world")
-        model = root.find("model") if world is None else world.find("model")
-        if model is None:
-            raise UserError(f"{path} has no <model>: name the SDF of an arm")
+        model = model_of_arm(root, path, joints)
         if model.find("include") is not None or model.find("model") is not None:
             raise UserError(f"{path}: nested models are not read: export the arm as one model")
         gravity = np.array([float(v) for v in (root.findtext(".//gravity") or "0 0 -9.81").split()])
         return _Model(model, path).simulation(gravity)
     except (ValueError, KeyError, AttributeError) as error:
         raise UserError(f"{path}: not an SDF that can be read ({error}): export it again, or as URDF") from error
+
+
+def model_of_arm(root: ElementTree.Element, path: Path, joints: Collection[str]) -> ElementTree.Element:
+    """The `<model>` that is the arm; arguments as `read_sdf`."""
+    models = [*root.findall("model"), *root.findall("world/model")]
+    if not models:
+        raise UserError(f"{path} has no <model>: name the SDF of an arm (an <include> is not followed)")
+    driven = [(model, _driven(model)) for model in models]
+    moving = [(model, names) for model, names in driven if names]
+    if not moving:
+        listed = ", ".join(model.get("name", "") for model in models)
+        raise UserError(
+            f"{path}: no model of the SDF has a joint that moves ({listed}): name the SDF of an arm that is not static "
+            "and has revolute, continuous or prismatic joints (an <include> is not followed)"
+        )
+    recorded = [(model, names) for model, names in moving if set(names) & set(joints)]
+    if len(moving) > 1 and len(recorded) != 1:
+        listed = "; ".join(f"{model.get('name', '')}: {', '.join(names)}" for model, names in moving)
+        raise UserError(
+            f"{path}: {len(moving)} models of the SDF have joints that move ({listed}), and "
+            f"{len(recorded) or 'none'} of them have joints of the recordings ({', '.join(joints) or 'none known'}): "
+            "leave only the arm's model in the file, or give its joints the recordings' names"
+        )
+    return (recorded if len(moving) > 1 else moving)[0][0]
+
+
+def _driven(model: ElementTree.Element) -> list[str]:
+    """Names of the joints of a model that move; none where it is static."""
+    if (model.findtext("static") or "").strip() in ("true", "1"):
+        return []
+    joints = [one for one in model.findall("joint") if one.find("axis") is not None]
+    return [one.get("name", "") for one in joints if KINDS.get(one.get("type", ""), "fixed") != "fixed"]
 
 
 class _Model:
@@ -62,7 +93,10 @@ class _Model:
         carried = {joint.findtext("child", ""): joint for joint in self._model.findall("joint")}
         frames = {one.get("name", ""): self._frame(one.get("name", ""), carried) for one in links}
         tree = [self._link(one, carried.get(one.get("name", "")), frames) for one in self._sorted(links, carried)]
-        arm = arm_from_urdf(urdf_of(self._model.get("name", self._path.stem), tree), gravity)
+        try:
+            arm = arm_from_urdf(urdf_of(self._model.get("name", self._path.stem), tree), gravity)
+        except UserError as error:
+            raise UserError(f"{self._path}: {str(error).replace('the URDF', 'the SDF')}") from error
         names = set(arm.joint_names)
         joints = {one.get("name", ""): _dynamics(one) for one in carried.values() if one.get("name") in names}
         bodies = {one.get("name", ""): child for child, one in carried.items()}
@@ -125,6 +159,8 @@ class _Model:
         direction = np.array([float(v) for v in (written.text or "").split()] if written is not None else [0.0, 0, 1])
         expressed = "" if written is None else written.get("expressed_in", "")
         reference = self._pose(expressed or name)[0]
+        if not np.any(direction):
+            raise UserError(f"{self._path}: joint {name!r} has the axis 0 0 0: give it a direction")
         direction = frame[0].T @ reference @ direction / np.linalg.norm(direction)
         lower, upper = (float(axis.findtext(f"limit/{end}", "inf")) for end in ("lower", "upper"))
         effort = float(axis.findtext("limit/effort", "0"))
