@@ -19,6 +19,7 @@ from spacearm_ident.export.sdf import sdf
 from spacearm_ident.results.formats import ARMATURE, DAMPING, FRICTION, MJCF, SDF
 from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.simulations import Simulation, read_simulation
+from spacearm_ident.simulations.names import affixes, renamed
 from spacearm_ident.simulations.noise_free import noise_free
 from spacearm_ident.simulations.simulation import without
 
@@ -171,6 +172,12 @@ def test_sdf_of_a_world_is_read_as_the_model_that_moves(tmp_path: Path) -> None:
     chosen = read_simulation(path, ("arm_hinge",))
     assert chosen.arm.joint_names == ("arm_hinge",)
     assert chosen.values["m[arm_hinge]"] == pytest.approx(3.0)
+
+
+def test_sdf_of_several_models_that_move_is_read_as_the_one_whose_joints_differ_by_a_prefix(tmp_path: Path) -> None:
+    path = tmp_path / "world.sdf"
+    path.write_text(_models("door", "arm").replace('"door_hinge"', '"leaf"'))
+    assert read_simulation(path, ("hinge",)).arm.joint_names == ("arm_hinge",)
 
 
 @pytest.mark.parametrize("joints", [(), ("other",), ("door_hinge", "arm_hinge")])
@@ -360,6 +367,39 @@ def test_what_is_no_simulation_is_refused_with_what_to_give(tmp_path: Path, name
     path.write_text(text)
     with pytest.raises(UserError, match=said):
         read_simulation(path)
+
+
+@pytest.mark.parametrize(
+    ("simulated", "recorded", "found"),
+    [
+        (("robot0_a", "robot0_b", "robot0_finger"), ("a", "b"), [("robot0_a", "robot0_b")]),
+        (("left/a", "left/b"), ("b", "a"), [("left/b", "left/a")]),
+        (("a_joint", "b_joint"), ("a", "b"), [("a_joint", "b_joint")]),
+        (("a", "b"), ("ur_a", "ur_b"), [("a", "b")]),
+        (("left/a", "left/b", "right/a", "right/b"), ("a", "b"), [("left/a", "left/b"), ("right/a", "right/b")]),
+        (("l_a", "r_b"), ("a", "b"), []),
+        (("a", "p_b"), ("a", "b"), []),
+        (("p_a",), ("a", "b"), []),
+    ],
+)
+def test_affixes_are_those_by_which_all_recorded_joints_are_the_simulations(
+    simulated: tuple[str, ...], recorded: tuple[str, ...], found: list[tuple[str, ...]]
+) -> None:
+    assert [tuple(one.own(joint) for joint in recorded) for one in affixes(simulated, recorded)] == found
+
+
+def test_renamed_simulation_has_the_same_torque_and_its_names_back(file: Path) -> None:
+    mujoco_or_skip()
+    file.write_text(mjcf().replace('name="elbow"', 'name="elbow" stiffness="12" springref="0.5"'))
+    simulation, names = read_simulation(file), {"elbow": "e", "shoulder": "s"}
+    other = renamed(simulation, names)
+    assert other.arm.joint_names == ("base_turn", "s", "e")
+    assert other.body("e") == "fore" and {part.joint for part in other.parts} == {"base_turn", "s", "e"}
+    assert other.model.value("offset", "e") == simulation.model.value("offset", "elbow") != 0.0
+    states = _states()
+    np.testing.assert_array_equal(_torque(other, states), _torque(simulation, states))
+    back = renamed(without(other, ["s"]), {new: old for old, new in names.items()})
+    assert back.arm.joint_names == ("base_turn", "elbow") and back.arm.locked == ("shoulder",)
 
 
 def test_recording_without_noise_is_a_simulators_and_one_with_noise_is_not() -> None:

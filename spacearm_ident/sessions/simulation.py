@@ -5,13 +5,14 @@ The one pass behind `spacearm mismatch --simulation` and the identifier node.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..dynamics.arm import Arm
+from ..dynamics.model import IdentifiedModel
 from ..errors import UserError
 from ..export.mended import mend
 from ..identification.effort import in_newton_metres
@@ -19,12 +20,14 @@ from ..identification.identify import Progress, Settings, identify
 from ..layers.compare import compare
 from ..layers.comparison import Comparison
 from ..layers.discrete import Mistake, find_mistakes
-from ..layers.item import CONVENTIONS, PARAMETERS, Item, Mended
+from ..layers.item import CONVENTIONS, PARAMETERS, Item, Mended, Strayed
 from ..recording import Recording
 from ..report.folder import refuse_to_replace
 from ..report.layers_folder import write_comparison
+from ..signals.motion import Motion
 from ..signals.prepare import prepare
 from ..simulations import SIMULATION_SUFFIXES, Simulation, read_simulation
+from ..simulations.names import affixes, renamed, renamed_model
 from ..simulations.noise_free import noise_free
 from ..simulations.simulation import simulated_structure, without
 from .identification import corrected, find_arm, within
@@ -74,7 +77,8 @@ def compare_session(
         refuse_to_replace(path, directory)
     fitted, held = (reading.read(paths, at_first) for paths in (bags, judged))
     read = _simulation(simulation, comparing, [*fitted, *held], at_first)
-    read = _of_recordings(read, [*fitted, *held])
+    names = _names(read, [*fitted, *held])
+    read = _of_recordings(_under_recorded_names(read, names), [*fitted, *held])
     fitted, held = (corrected(in_newton_metres(runs, read.arm), read.arm) for runs in (fitted, held))
     undoing = find_mistakes(fitted, read)
     if not np.allclose(undoing.arm.gravity, read.arm.gravity):
@@ -87,7 +91,7 @@ def compare_session(
         motions, _ = prepare(right[1] or right[0], read.arm.joint_names, comparison.cutoff_hz)
         motions = comparison.wiring.undone(motions, comparison.model)
         try:
-            mended = mend(read, simulation[0], comparison.model, motions)
+            mended = _mended(read, simulation[0], comparison.model, motions, names)
         except UserError as error:
             # The comparison stands by itself.
             comparison = _noted(comparison, f"there is no corrected file: {error}")
@@ -145,6 +149,55 @@ def _under(simulation: Simulation, arm: Arm) -> Simulation:
     return replace(simulation, model=replace(simulation.model, model=model))
 
 
+def _names(simulation: Simulation, recordings: Sequence[Recording]) -> dict[str, str]:
+    """Joint of the simulation -> its name in the recordings, where these are others by one prefix or suffix.
+
+    Raises:
+        UserError: Several prefixes or suffixes would do.
+    """
+    recorded = tuple(dict.fromkeys(joint for recording in recordings for joint in recording.joints))
+    found = affixes(simulation.arm.joint_names, recorded)
+    if len(found) > 1:
+        raise UserError(
+            f"the recordings' joints {', '.join(recorded)} may be those of the simulation without "
+            f"{', or '.join(one.words for one in found)}: give them the simulation's names, or keep one arm in its file"
+        )
+    return {one.own(joint): joint for one in found for joint in recorded}
+
+
+def _under_recorded_names(simulation: Simulation, names: Mapping[str, str]) -> Simulation:
+    """The simulation with the recordings' names of its joints, and a note where they are others."""
+    if not names:
+        return simulation
+    pairs = ", ".join(f"{own} is {recorded}" for own, recorded in names.items())
+    note = f"joint names differ by a prefix or suffix and are taken as the same, here the recordings': {pairs}"
+    found = renamed(simulation, names)
+    return replace(found, notes=(*found.notes, note))
+
+
+def _mended(
+    simulation: Simulation, path: Path, model: IdentifiedModel, motions: Sequence[Motion], names: Mapping[str, str]
+) -> Mended | None:
+    """The simulation's file with a model's values under its own joint names; figures are by the recordings' names."""
+    own = {recorded: joint for joint, recorded in names.items()}
+    theirs = [replace(motion, joints=tuple(own.get(joint, joint) for joint in motion.joints)) for motion in motions]
+    mended = mend(renamed(simulation, own), path, renamed_model(model, own), theirs)
+    if mended is None:
+        return None
+
+    def recorded(values: Mapping[str, float]) -> dict[str, float]:
+        return {names.get(joint, joint): value for joint, value in values.items()}
+
+    runs = mended.closed_loop
+    strayed = runs and [Strayed(recorded(one.position), recorded(one.feedback_Nm)) for one in runs]
+    return replace(
+        mended,
+        cost_Nm=recorded(mended.cost_Nm),
+        torque_Nm=recorded(mended.torque_Nm),
+        closed_loop=None if strayed is None else (strayed[0], strayed[1]),
+    )
+
+
 def _of_recordings(simulation: Simulation, recordings: Sequence[Recording]) -> Simulation:
     """The simulation of the joints that all recordings have.
 
@@ -157,7 +210,8 @@ def _of_recordings(simulation: Simulation, recordings: Sequence[Recording]) -> S
     if len(lacking) == len(names) or (lacking and strange):
         raise UserError(
             f"the simulation's joints are {', '.join(names)}, the recordings' {', '.join(recordings[0].joints)}: "
-            "give them the same names" + "".join(f" ({note})" for note in simulation.notes)
+            "give them the same names, or names that differ by one prefix or suffix"
+            + "".join(f" ({note})" for note in simulation.notes)
         )
     return without(simulation, lacking)
 

@@ -17,6 +17,7 @@ from ..arrays import FloatArray
 from ..dynamics.arm import arm_from_urdf
 from ..errors import UserError
 from .description import ROOT, TreeJoint, TreeLink, inertials_of, urdf_of
+from .names import affixes
 from .simulation import JointDynamics, Part, Simulation, simulation_of
 
 KINDS = {"revolute": "revolute", "prismatic": "prismatic", "continuous": "continuous", "fixed": "fixed"}
@@ -62,6 +63,7 @@ def model_of_arm(root: ElementTree.Element, path: Path, joints: Collection[str])
             "and has revolute, continuous or prismatic joints (an <include> is not followed)"
         )
     recorded = [(model, names) for model, names in moving if set(names) & set(joints)]
+    recorded = recorded or [(model, names) for model, names in moving if affixes(names, tuple(joints))]
     if len(moving) > 1 and len(recorded) != 1:
         listed = "; ".join(f"{model.get('name', '')}: {', '.join(names)}" for model, names in moving)
         raise UserError(
