@@ -223,19 +223,23 @@ def check_xml(text: str, what: str, on_element: Callable[[int, str, dict[str, st
         raise UserError(f"{what} is not well-formed XML ({error}): mend it, or export it again") from error
 
 
-def parse_xml(text: str, what: str) -> ET.Element:
+def parse_xml(text: str, what: str, *, comments: bool = False) -> ET.Element:
     """The root of an XML document that `check_xml` passes; names with a prefix stay as they are written.
 
     Args:
         text: The document.
         what: Its name in errors.
+        comments: Whether comments and processing instructions inside the root stay in the tree.
 
     Raises:
         UserError: As `check_xml`.
     """
     check_xml(text, what)
-    builder = ET.TreeBuilder()
+    builder = ET.TreeBuilder(insert_comments=comments, insert_pis=comments)
     parser = ParserCreate("utf-8")
+    if comments:
+        parser.CommentHandler = builder.comment
+        parser.ProcessingInstructionHandler = builder.pi
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data

@@ -337,11 +337,11 @@ def _fix(element: ET.Element, position: float) -> None:
     if element.get("type") in DRIVEN and position:
         motion = position * _direction(element)
         if element.get("type") == "prismatic":
-            placement = _placement(element) * pin.SE3(np.eye(3), motion)
+            moved = placement(element) * pin.SE3(np.eye(3), motion)
         else:
-            placement = _placement(element) * pin.SE3(pin.exp3(motion), np.zeros(3))
-        origin.set("xyz", " ".join(f"{value:.12g}" for value in placement.translation))
-        origin.set("rpy", " ".join(f"{value:.12g}" for value in pin.rpy.matrixToRpy(placement.rotation)))
+            moved = placement(element) * pin.SE3(pin.exp3(motion), np.zeros(3))
+        origin.set("xyz", " ".join(f"{value:.12g}" for value in moved.translation))
+        origin.set("rpy", " ".join(f"{value:.12g}" for value in pin.rpy.matrixToRpy(moved.rotation)))
     element.set("type", "fixed")
     for tag in ("axis", "mimic", "limit", "dynamics", "safety_controller", "calibration"):
         for part in element.findall(tag):
@@ -354,13 +354,13 @@ def _moved_by(element: ET.Element, fixed: ET.Element) -> float:
     Raises:
         UserError: It has no axis.
     """
-    motion = _placement(element).actInv(_placement(fixed))
+    motion = placement(element).actInv(placement(fixed))
     offset = motion.translation if element.get("type") == "prismatic" else pin.log3(motion.rotation)
     return float(_direction(element) @ offset)
 
 
-def _placement(element: ET.Element) -> pin.SE3:
-    """A joint's origin in its parent link."""
+def placement(element: ET.Element) -> pin.SE3:
+    """The `<origin>` of a joint in its parent link, or of an inertial in its link."""
     origin = element.find("origin")
     given = {} if origin is None else origin.attrib
     rotation = pin.rpy.rpyToMatrix(np.array(_numbers(given.get("rpy", "0 0 0"))))

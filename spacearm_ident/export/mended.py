@@ -30,7 +30,7 @@ from ..simulations.simulation import without
 from .closed_loop import follow
 from .frames import bodies_of, quaternion
 from .law import Nearest, nearest
-from .sdf import sdf
+from .mended_sdf import mended_sdf
 
 
 def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Sequence[Motion]) -> Mended | None:
@@ -59,15 +59,16 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
     dynamics = {joint: (own[DAMPING], own[FRICTION]) for joint, own in fit.values.items()}
     text = identified_urdf(model, dynamics)
     if simulation.format == "sdf":
-        mended = _mended("mended.sdf", sdf(model, fit, [f"{simulation.source}, mended by spacearm_ident"]), fit)
-        mended = replace(mended, excess=_excess(_read_again(mended.text, mended.name), model, motions))
+        own = path.read_text(encoding="utf-8")
+        mended = _mended("mended.sdf", mended_sdf(path, own, simulation.arm, model, fit), fit)
+        mended = replace(mended, excess=_excess(_read_again(mended.text, mended.name, model), model, motions))
         if _springs(simulation, fit):
             return mended
         # MuJoCo reads no SDF; a URDF holds the same bodies, damping and friction.
         before = identified_urdf(simulation.model)
     else:
         mended, before = _mended("mended.urdf", text, fit), path.read_text()
-        mended = replace(mended, excess=_excess(_read_again(text, mended.name), model, motions))
+        mended = replace(mended, excess=_excess(_read_again(text, mended.name, model), model, motions))
     original, new = (_urdf_in_mujoco(one, simulation) for one in (before, text))
     if original is None or new is None:
         return mended
@@ -85,12 +86,12 @@ def _mended(name: str, text: str, fit: Nearest) -> Mended:
     return Mended(name, text, fit.lost, fit.cost_Nm, fit.torque_Nm)
 
 
-def _read_again(text: str, name: str) -> Simulation:
-    """The simulation of a description's text."""
+def _read_again(text: str, name: str, model: IdentifiedModel) -> Simulation:
+    """The simulation of a description's text, with the joints of a model."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_text(text, encoding="utf-8")
-        return read_simulation(path)
+        return read_simulation(path, model.model.arm.joint_names)
 
 
 def _excess(file: Simulation, model: IdentifiedModel, motions: Sequence[Motion]) -> FloatArray:

@@ -44,7 +44,7 @@ def read_sdf(path: Path, text: str, joints: Collection[str] = ()) -> Simulation:
         if model.find("include") is not None or model.find("model") is not None:
             raise UserError(f"{path}: nested models are not read: export the arm as one model")
         gravity = np.array([float(v) for v in (root.findtext(".//gravity") or "0 0 -9.81").split()])
-        return _Model(model, path).simulation(gravity)
+        return SdfModel(model, path).simulation(gravity)
     except (ValueError, KeyError, AttributeError) as error:
         raise UserError(f"{path}: not an SDF that can be read ({error}): export it again, or as URDF") from error
 
@@ -82,7 +82,7 @@ def _driven(model: ElementTree.Element) -> list[str]:
     return [one.get("name", "") for one in joints if KINDS.get(one.get("type", ""), "fixed") != "fixed"]
 
 
-class _Model:
+class SdfModel:
     """A `<model>` element with its frames resolved."""
 
     def __init__(self, model: ElementTree.Element, path: Path) -> None:
@@ -90,7 +90,13 @@ class _Model:
         self._elements = {one.get("name", ""): one for one in model if one.tag in ("link", "joint", "frame")}
         self._known: dict[str, Pose] = {"__model__": (np.eye(3), np.zeros(3)), "world": (np.eye(3), np.zeros(3))}
 
+    def in_anchor(self, link: str) -> Pose:
+        """A link's own frame in the frame that its inertial is read in: the link's, moved to its joint's anchor."""
+        carried = {joint.findtext("child", ""): joint for joint in self._model.findall("joint")}
+        return _after(_inverse(self._frame(link, carried)), self._pose(link))
+
     def simulation(self, gravity: FloatArray) -> Simulation:
+        """The model as a simulation under gravity (3,) m/s^2."""
         links = [one for one in self._model.findall("link")]
         carried = {joint.findtext("child", ""): joint for joint in self._model.findall("joint")}
         frames = {one.get("name", ""): self._frame(one.get("name", ""), carried) for one in links}

@@ -1,0 +1,150 @@
+"""Corrected SDF and URDF: the user's own file, whose torque is the model's when it is read again."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from spacearm_ident.dynamics.model import IdentifiedModel
+from spacearm_ident.dynamics.regressor import INERTIAL_SYMBOLS, rigid_body_torque
+from spacearm_ident.export.mended import mend
+from spacearm_ident.layers.item import Mended
+from spacearm_ident.signals.motion import Motion
+from spacearm_ident.simulations import Simulation, read_simulation
+from spacearm_ident.simulations.simulation import without
+
+JOINTS = ("yaw", "pitch", "lift")
+INERTIA = "<inertia><ixx>{0}</ixx><iyy>{1}</iyy><izz>{2}</izz><ixy>0.001</ixy></inertia>"
+
+
+def _sdf_link(name: str, carrier: str, pose: str, centre: str, mass: float, moments: tuple[float, ...]) -> str:
+    inertial = f"<inertial><pose>{centre} 0 0 0</pose><mass>{mass}</mass>{INERTIA.format(*moments)}</inertial>"
+    look = f'<visual name="v"><geometry><mesh><uri>{name}.dae</uri></mesh></geometry></visual>'
+    placed = f'<pose relative_to="{carrier}">{pose}</pose>'
+    return f'<link name="{name}">{placed}<!-- of {name} -->{inertial}{look}<self_collide>1</self_collide></link>'
+
+
+SDF = f"""<?xml version="1.0"?>
+<!-- a cell -->
+<sdf version="1.9" xmlns:gz="http://gazebosim.org/schema">
+  <world name="lab">
+    <gravity>0 0.5 -9.7</gravity>
+    <plugin filename="physics" name="Physics"><gz:step>0.001</gz:step></plugin>
+    <model name="ground_plane"><static>true</static><link name="link"/></model>
+    <model name="arm">
+      <pose>0.5 -0.3 0.8 0 0 0</pose>
+      <joint name="stand" type="fixed"><parent>world</parent><child>foot</child></joint>
+      {_sdf_link("foot", "__model__", "0 0 0.1 0 0 0", "0 0 0", 20, (1, 1, 1))}
+      <frame name="mount" attached_to="foot"><pose relative_to="foot">0 0.1 0.3 0 0.2 0</pose></frame>
+      {_sdf_link("post", "yaw", "0.02 0 -0.1 0 0.3 0", "0 0.03 0.1", 6, (0.05, 0.06, 0.03))}
+      <joint name="yaw" type="revolute"><pose relative_to="mount">0 0 0.05 0 0 0.1</pose><parent>foot</parent>
+        <child>post</child><axis><xyz>0 0 1</xyz><limit><lower>-2</lower><upper>2</upper><velocity>3</velocity></limit>
+        <dynamics><damping>5</damping><friction>4</friction></dynamics></axis></joint>
+      {_sdf_link("boom", "post", "0.1 0.05 0.4 0.4 0 1", "0.2 0 0.03", 4, (0.02, 0.09, 0.1))}
+      <joint name="pitch" type="revolute"><pose>0.03 -0.02 0.01 0 0 0</pose><parent>post</parent><child>boom</child>
+        <axis><xyz expressed_in="mount">0 1 0.2</xyz></axis></joint>
+      {_sdf_link("rod", "boom", "0.4 0 0 0 0.5 0", "0 0.01 0.2", 2, (0.02, 0.02, 0.01))}
+      <joint name="lift" type="prismatic"><pose>0 0 0.1 0.2 0 0</pose><parent>boom</parent><child>rod</child>
+        <axis><xyz expressed_in="__model__">0.1 0 1</xyz><limit><lower>-0.5</lower><upper>0.5</upper></limit></axis>
+      </joint>
+      {_sdf_link("tool", "rod", "0.02 0 0.3 0 0.7 0", "0 0 0.05", 0.8, (0.002, 0.003, 0.002))}
+      <joint name="flange" type="fixed"><parent>rod</parent><child>tool</child></joint>
+      {_sdf_link("finger", "tool", "0 0.03 0.1 0 0 0.2", "0 0 0.02", 0.1, (2e-3, 2e-3, 2e-3))}
+      <joint name="grip" type="prismatic"><parent>tool</parent><child>finger</child><axis><xyz>0 1 0</xyz>
+        <limit><lower>0</lower><upper>0.05</upper></limit></axis></joint>
+      <plugin filename="states" name="JointStatePublisher"/>
+    </model>
+  </world>
+</sdf>
+"""
+
+
+def _motion(seed: int = 3) -> Motion:
+    position, velocity, acceleration = np.random.default_rng(seed).uniform(-0.4, 0.4, (3, 40, 3)) * [4.0, 4.0, 1.0]
+    none = np.zeros(3)
+    return Motion(JOINTS, 10.0, 0.0, position, velocity, acceleration, np.zeros((40, 3)), none, none)
+
+
+def _torque(model: IdentifiedModel, motion: Motion) -> np.ndarray:
+    """(N, n) torque of bodies, damping and Coulomb friction."""
+    arm = model.model.arm
+    bodies = np.array([[model.value(symbol, joint) for symbol in INERTIAL_SYMBOLS] for joint in arm.joint_names])
+    rigid = rigid_body_torque(arm, bodies, motion.position, motion.velocity, motion.acceleration)
+    damping, friction = (np.array([model.value(s, joint) for joint in arm.joint_names]) for s in ("k_v1", "f_c"))
+    return np.asarray(rigid + damping * motion.velocity + friction * np.sign(motion.velocity))
+
+
+def _identified(simulation: Simulation, heavier: float = 1.3) -> IdentifiedModel:
+    """Other bodies and friction: of each body a share, a point mass added beside it, and its own k_v1 and f_c."""
+    point = np.array([0.1, -0.2, 0.15])
+    tensor = 0.4 * (point @ point * np.eye(3) - np.outer(point, point))
+    added = np.concatenate([[0.4], 0.4 * point, tensor[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+    values = []
+    for parameter, value in zip(simulation.model.model.parameters, simulation.model.parameters):
+        number = simulation.arm.joint_names.index(parameter.joint)
+        if parameter.symbol in INERTIAL_SYMBOLS:
+            value = heavier * value + added[INERTIAL_SYMBOLS.index(parameter.symbol)]
+        own = {"k_v1": 2.0 + number, "f_c": 1.0 + 0.5 * number, "f_b": 1.0 + 0.5 * number}
+        values.append(own.get(parameter.symbol, value))
+    return replace(simulation.model, parameters=np.array(values))
+
+
+def _mended(path: Path, text: str, heavier: float = 1.3) -> tuple[Mended, IdentifiedModel]:
+    path.write_text(text)
+    simulation = read_simulation(path)
+    simulation = without(simulation, [joint for joint in simulation.arm.joint_names if joint not in JOINTS])
+    model = _identified(simulation, heavier)
+    mended = mend(simulation, path, model, [_motion()])
+    assert mended is not None
+    return mended, model
+
+
+def _read_again(mended: Mended, path: Path) -> Simulation:
+    path.write_text(mended.text)
+    again = read_simulation(path)
+    return without(again, [joint for joint in again.arm.joint_names if joint not in JOINTS])
+
+
+def test_corrected_sdf_has_the_torque_of_the_model(tmp_path: Path) -> None:
+    """Poses relative to other frames, axes in other frames, a fixed tool and a finger that no recording has."""
+    mended, model = _mended(tmp_path / "cell.sdf", SDF)
+    again = _read_again(mended, tmp_path / mended.name)
+    expected = _torque(model, motion := _motion(5))
+    np.testing.assert_allclose(_torque(again.model, motion), expected, atol=1e-7 * np.abs(expected).max())
+    before = _torque(_read_again(replace(mended, text=SDF), tmp_path / "old.sdf").model, motion)
+    assert np.abs(before - expected).max() > 1.0
+
+
+def _without_values(text: str) -> list[tuple[str, dict[str, str], str]]:
+    """Every element of an SDF but inertials and joint dynamics, in order."""
+    root = ElementTree.fromstring(text)
+    for parent in root.iter():
+        for child in [one for one in parent if one.tag in ("inertial", "dynamics")]:
+            parent.remove(child)
+    return [(one.tag, dict(one.attrib), (one.text or "").strip()) for one in root.iter()]
+
+
+def test_corrected_sdf_keeps_everything_else(tmp_path: Path) -> None:
+    mended, _ = _mended(tmp_path / "cell.sdf", SDF)
+    assert _without_values(mended.text) == _without_values(SDF)
+    assert re.findall("<!-- (?:of|a) .*?-->", mended.text) == re.findall("<!-- (?:of|a) .*?-->", SDF)
+    assert "<gz:step>0.001</gz:step>" in mended.text
+    links = {link.get("name"): link for link in ElementTree.fromstring(mended.text).iter("link")}
+    mass = {name: float(link.findtext("inertial/mass", "0")) for name, link in links.items()}
+    assert (mass["foot"], mass["finger"]) == (20.0, 0.1)
+    assert mass["tool"] < 1e-6
+    assert mass["rod"] == pytest.approx(1.3 * 2.9 + 0.4 - 0.1, abs=1e-6)
+
+
+def test_finger_heavier_than_the_whole_identified_body_keeps_a_share_and_every_link_can_be(tmp_path: Path) -> None:
+    mended, model = _mended(tmp_path / "cell.sdf", SDF.replace("<mass>0.1<", "<mass>3<"), heavier=0.1)
+    again = _read_again(mended, tmp_path / mended.name)
+    expected = _torque(model, motion := _motion(5))
+    np.testing.assert_allclose(_torque(again.model, motion), expected, atol=1e-7 * np.abs(expected).max())
+    masses = [float(one.text or "0") for one in ElementTree.fromstring(mended.text).iter("mass")]
+    assert min(masses) > 0.0
