@@ -349,6 +349,14 @@ def test_mended_mjcf_counts_a_body_behind_a_fixed_joint_once(file: Path) -> None
     assert masses[0] == pytest.approx(masses[1], rel=1e-6)
 
 
+@pytest.mark.parametrize("pose", [f"<pose>1 2 3 {np.pi / 2} 0 0</pose>", '<pose degrees="true">1 2 3 90 0 0</pose>'])
+def test_gravity_of_an_sdf_turns_with_the_pose_of_its_model(tmp_path: Path, pose: str) -> None:
+    """A quarter turn about x brings the model's y to the world's z."""
+    path = tmp_path / "wall.sdf"
+    path.write_text(_models("arm").replace('name="arm">', f'name="arm">{pose}'))
+    np.testing.assert_allclose(read_simulation(path).arm.gravity, [0.0, -9.81, 0.0], atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [

@@ -1,7 +1,7 @@
 """SDF (sdformat.org 1.5 to 1.11): links and joints of the model that moves, with `<dynamics>` of their axes.
 
-Poses are x y z roll pitch yaw. A link's is in the model frame, a joint's in its child link, unless `relative_to` names
-another frame. Nested models, includes and splines of frames beyond links and joints are refused.
+Poses are x y z roll pitch yaw, rad or degrees. A link's is in the model frame, a joint's in its child link, unless
+`relative_to` names another frame. Nested models, includes and splines of frames beyond links and joints are refused.
 """
 
 from __future__ import annotations
@@ -96,7 +96,12 @@ class SdfModel:
         return _after(_inverse(self._frame(link, carried)), self._pose(link))
 
     def simulation(self, gravity: FloatArray) -> Simulation:
-        """The model as a simulation under gravity (3,) m/s^2."""
+        """The model as a simulation.
+
+        Args:
+            gravity: (3,) m/s^2, in the world. An arm's is in its base, and so in the model frame.
+        """
+        gravity = _pose_of(self._model)[0][0].T @ gravity
         links = [one for one in self._model.findall("link")]
         carried = {joint.findtext("child", ""): joint for joint in self._model.findall("joint")}
         frames = {one.get("name", ""): self._frame(one.get("name", ""), carried) for one in links}
@@ -187,7 +192,8 @@ def _pose_of(element: ElementTree.Element) -> tuple[Pose, str]:
     values = np.array([float(value) for value in (pose.text or "0 0 0 0 0 0").split()])
     if values.shape != (6,):
         raise ValueError(f"a <pose> has six numbers, not {pose.text!r}")
-    return (Rotation.from_euler("xyz", values[3:]).as_matrix(), values[:3]), pose.get("relative_to", "")
+    turned = Rotation.from_euler("xyz", values[3:], degrees=pose.get("degrees") in ("true", "1"))
+    return (turned.as_matrix(), values[:3]), pose.get("relative_to", "")
 
 
 def _inertial(link: ElementTree.Element, inward: Pose) -> tuple[float, FloatArray, FloatArray]:
