@@ -148,3 +148,82 @@ def test_finger_heavier_than_the_whole_identified_body_keeps_a_share_and_every_l
     np.testing.assert_allclose(_torque(again.model, motion), expected, atol=1e-7 * np.abs(expected).max())
     masses = [float(one.text or "0") for one in ElementTree.fromstring(mended.text).iter("mass")]
     assert min(masses) > 0.0
+
+
+def _urdf_link(name: str, mass: float, centre: str = "0.02 0.01 0.05") -> str:
+    inertial = (
+        f'<inertial><origin xyz="{centre}" rpy="0 0.3 0"/><mass value="{mass}"/>'
+        f'<inertia ixx="{0.02 * mass}" iyy="{0.03 * mass}" izz="{0.02 * mass}" ixy="0.001" ixz="0" iyz="0"/></inertial>'
+    )
+    mesh = f'<visual><geometry><mesh filename="package://cell/{name}.stl"/></geometry></visual>'
+    return f'<link name="{name}"><!-- of {name} -->{inertial}{mesh}</link>'
+
+
+def _urdf_joint(name: str, kind: str, parent: str, child: str, axis: str = "0 0 1", more: str = "") -> str:
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    limit = '<limit lower="-0.5" upper="0.5" effort="9" velocity="8"/>' if kind != "fixed" else ""
+    moves = f'<axis xyz="{axis}"/>{limit}{more}' if kind != "fixed" else ""
+    return f'<joint name="{name}" type="{kind}"><origin xyz="0.1 0.2 0.3" rpy="0.1 0.2 0.3"/>{ends}{moves}</joint>'
+
+
+URDF = "\n".join(
+    [
+        '<robot name="cell">',
+        *(_urdf_link(name, mass) for name, mass in (("foot", 20.0), ("post", 6.0), ("boom", 4.0), ("rod", 2.0))),
+        *(_urdf_link(name, mass) for name, mass in (("tool", 0.8), ("left", 0.1), ("pad", 0.05), ("right", 0.1))),
+        _urdf_joint("yaw", "revolute", "foot", "post"),
+        _urdf_joint("pitch", "revolute", "post", "boom", "0 1 0", '<dynamics damping="7" friction="3"/>'),
+        _urdf_joint("lift", "prismatic", "boom", "rod", "0.6 0 0.8"),
+        _urdf_joint("flange", "fixed", "rod", "tool"),
+        _urdf_joint("grip", "prismatic", "tool", "left", "0 1 0"),
+        _urdf_joint("glue", "fixed", "left", "pad"),
+        _urdf_joint("follows", "prismatic", "tool", "right", "0 -1 0", '<mimic joint="grip"/>'),
+        "</robot>",
+    ]
+)
+
+
+def _frame(text: str) -> list[tuple[str, dict[str, str]]]:
+    """Every element of a URDF but inertials and dynamics, in order."""
+    root = ElementTree.fromstring(text)
+    for parent in root.iter():
+        for child in [one for one in parent if one.tag in ("inertial", "dynamics")]:
+            parent.remove(child)
+    return [(one.tag, dict(one.attrib)) for one in root.iter()]
+
+
+def _masses(text: str) -> dict[str, float]:
+    links = ElementTree.fromstring(text).findall("link")
+    found = {link.get("name", ""): link.find("inertial/mass") for link in links}
+    return {name: float(mass.get("value", "0")) for name, mass in found.items() if mass is not None}
+
+
+def test_corrected_urdf_keeps_joints_that_no_recording_has_and_has_the_torque_of_the_model(tmp_path: Path) -> None:
+    mended, model = _mended(tmp_path / "cell.urdf", URDF)
+    again = _read_again(mended, tmp_path / mended.name)
+    expected = _torque(model, motion := _motion(5))
+    np.testing.assert_allclose(_torque(again.model, motion), expected, atol=1e-7 * np.abs(expected).max())
+    assert _frame(mended.text) == _frame(URDF)
+    assert re.findall("<!-- of .*?-->", mended.text) == re.findall("<!-- of .*?-->", URDF)
+    assert "extended_model.yaml" in mended.text
+    masses = _masses(mended.text)
+    assert (masses["foot"], masses["left"], masses["pad"], masses["right"]) == (20.0, 0.1, 0.05, 0.1)
+    assert "tool" not in masses
+    assert masses["rod"] == pytest.approx(1.3 * 3.05 + 0.4 - 0.25)
+
+
+def test_corrected_urdf_of_an_identified_body_lighter_than_its_fingers_has_links_that_can_be(tmp_path: Path) -> None:
+    heavy = URDF.replace(_urdf_link("left", 0.1), _urdf_link("left", 3.0))
+    assert heavy != URDF
+    mended, model = _mended(tmp_path / "cell.urdf", heavy, heavier=0.1)
+    again = _read_again(mended, tmp_path / mended.name)
+    expected = _torque(model, motion := _motion(5))
+    np.testing.assert_allclose(_torque(again.model, motion), expected, atol=1e-7 * np.abs(expected).max())
+    masses = _masses(mended.text)
+    assert min(masses.values()) > 0.0 and masses["left"] < 3.0
+
+
+def test_corrected_urdf_of_an_arm_file_is_the_urdf_that_it_names(tmp_path: Path) -> None:
+    (tmp_path / "cell.urdf").write_text(URDF)
+    mended, _ = _mended(tmp_path / "arm.yaml", "schema: spacearm_ident/arm/1\nurdf: cell.urdf\n")
+    assert mended.name == "mended.urdf" and _frame(mended.text) == _frame(URDF)

@@ -17,12 +17,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..arrays import FloatArray
-from ..documents import parse_xml
+from ..documents import parse_xml, parse_yaml
 from ..dynamics.model import IdentifiedModel
 from ..errors import UserError
 from ..layers.item import Mended
 from ..results.formats import ARMATURE, DAMPING, FRICTION, MJCF, REST, SDF, STIFFNESS, URDF
-from ..results.urdf import identified_urdf
+from ..results.urdf import CORRECTED_NOTE, identified_urdf
 from ..signals.motion import Motion
 from ..simulations import Simulation, read_simulation
 from ..simulations.mjcf import mujoco_or_error, simulation_of_mujoco
@@ -57,7 +57,6 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
         excess = _excess(simulation_of_mujoco(mujoco, new, path), model, motions)
         return replace(_mended("mended.xml", text, fit), excess=excess, closed_loop=(runs[0], runs[1]))
     dynamics = {joint: (own[DAMPING], own[FRICTION]) for joint, own in fit.values.items()}
-    text = identified_urdf(model, dynamics)
     if simulation.format == "sdf":
         own = path.read_text(encoding="utf-8")
         mended = _mended("mended.sdf", mended_sdf(path, own, simulation.arm, model, fit), fit)
@@ -65,15 +64,25 @@ def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Se
         if _springs(simulation, fit):
             return mended
         # MuJoCo reads no SDF; a URDF holds the same bodies, damping and friction.
-        before = identified_urdf(simulation.model)
+        before, text = identified_urdf(simulation.model), identified_urdf(model, dynamics)
     else:
-        mended, before = _mended("mended.urdf", text, fit), path.read_text()
+        before = _own_urdf(path)
+        text = identified_urdf(model, dynamics, before, CORRECTED_NOTE)
+        mended = _mended("mended.urdf", text, fit)
         mended = replace(mended, excess=_excess(_read_again(text, mended.name, model), model, motions))
     original, new = (_urdf_in_mujoco(one, simulation) for one in (before, text))
     if original is None or new is None:
         return mended
     runs = [follow(mujoco_or_error(), one, original, motions) for one in (original, new)]
     return replace(mended, closed_loop=(runs[0], runs[1]))
+
+
+def _own_urdf(path: Path) -> str:
+    """The text of the URDF that a file is, or that an arm YAML names."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix not in (".yaml", ".yml"):
+        return text
+    return (path.parent / str(parse_yaml(text, str(path))["urdf"])).read_text(encoding="utf-8")
 
 
 def _springs(simulation: Simulation, fit: Nearest) -> bool:

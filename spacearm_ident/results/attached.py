@@ -64,14 +64,16 @@ def divided(body: FloatArray, attached: Sequence[Attached]) -> Division:
         body: (10,) m, m c, I about the joint's frame; of a body that can be.
         attached: What is attached to the link of the joint.
     """
-    kept = [one for one in attached if one.by_joint]
-    theirs = np.sum([one.inertial for one in kept], axis=0) if kept else np.zeros(10)
+    fixed = tuple(one.link for one in attached if not one.by_joint)
+    kept = tuple(one.link for one in attached if one.by_joint)
+    theirs = np.sum([np.zeros(10), *(one.inertial for one in attached if one.by_joint)], axis=0)
+    if not theirs.any():
+        return Division(body, fixed, kept, 1.0)
     least = KEPT_SHARE * np.linalg.eigvalsh(pseudo_inertia(body))[0]
-    shares = [0.5**k for k in range(HALVINGS)] if theirs.any() else [1.0]
+    shares = [0.5**k for k in range(HALVINGS)]
     fits = (one for one in shares if np.linalg.eigvalsh(pseudo_inertia(body - one * theirs))[0] >= least)
     share = next(fits, 0.5**HALVINGS)
-    fixed = tuple(one.link for one in attached if not one.by_joint)
-    return Division(body - share * theirs, fixed, tuple(one.link for one in kept), share)
+    return Division(body - share * theirs, fixed, kept, share)
 
 
 def attached_links(urdf: str, joints: Sequence[str], moving: Collection[str]) -> dict[str, list[Attached]]:

@@ -2,7 +2,8 @@
 
 Identified inertials are of the body a joint moves, about the joint's frame, which is the frame of the joint's
 child link. Links that fixed joints attach to it are part of that body: theirs are taken out, or they would count
-twice. What hangs on the base by fixed joints alone moves nothing and stays as it was. A URDF has no place for
+twice. In a description whose other joints still move, what hangs on it by those keeps its own, and the link has the
+rest. What hangs on the base by fixed joints alone moves nothing and stays as it was. A URDF has no place for
 rotor inertias, springs, Stribeck friction or couplings: those live in `model.yaml`.
 """
 
@@ -19,6 +20,7 @@ from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..errors import UserError
+from .attached import attached_links, divided
 
 INERTIA_ATTRIBUTES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 NOTE = (
@@ -27,7 +29,17 @@ NOTE = (
 )
 
 
-def identified_urdf(identified: IdentifiedModel, dynamics: Mapping[str, tuple[float, float]] | None = None) -> str:
+CORRECTED_NOTE = (
+    " Inertials, damping and friction as spacearm_ident corrected them; the whole model is in extended_model.yaml "
+)
+
+
+def identified_urdf(
+    identified: IdentifiedModel,
+    dynamics: Mapping[str, tuple[float, float]] | None = None,
+    own: str | None = None,
+    note: str = NOTE,
+) -> str:
     """The text of the URDF with identified inertials and `<dynamics damping friction>`.
 
     Links keep their names, frames, visuals and limits. The inertia is about the centre of mass along the link's
@@ -36,28 +48,30 @@ def identified_urdf(identified: IdentifiedModel, dynamics: Mapping[str, tuple[fl
     Args:
         identified: The model.
         dynamics: Joint -> damping and friction, instead of those.
+        own: Text of the arm's description with the joints that the arm has fixed; None: the arm's.
+        note: Comment at the top.
 
     Raises:
         UserError: The URDF declares a document type, is not well-formed, or a link has no positive mass.
     """
     arm = identified.model.arm
-    document = _parse(arm.urdf)
+    document = _parse(arm.urdf if own is None else own)
     robot = document.documentElement
     assert robot is not None  # A document without a root element is not well-formed.
     links = {link.getAttribute("name"): link for link in _children(robot, "link")}
     joints = {joint.getAttribute("name"): joint for joint in _children(robot, "joint")}
-    fixed: dict[str, list[str]] = {}
-    for joint in joints.values():
-        if joint.getAttribute("type") == "fixed":
-            fixed.setdefault(_end(joint, "parent"), []).append(_end(joint, "child"))
+    moving = {name for name, joint in joints.items() if joint.getAttribute("type") != "fixed"}
+    attached = attached_links(arm.urdf, arm.joint_names, moving)
     for name in arm.joint_names:
-        link = _end(joints[name], "child")
-        for merged in _attached(link, fixed):
-            _remove(links[merged], "inertial")
         values = np.array([identified.value(symbol, name) for symbol in INERTIAL_SYMBOLS])
-        _set_inertial(document, links[link], values)
+        division = divided(values, attached[name])
+        for merged in division.fixed:
+            _remove(links[merged], "inertial")
+        for kept in division.kept if division.share < 1.0 else ():
+            _scale(links[kept], division.share)
+        _set_inertial(document, links[_end(joints[name], "child")], division.link)
         _set_dynamics(document, joints[name], identified, (dynamics or {}).get(name))
-    robot.insertBefore(document.createComment(NOTE), robot.firstChild)
+    robot.insertBefore(document.createComment(note), robot.firstChild)
     return "\n".join(['<?xml version="1.0"?>', *(node.toxml() for node in document.childNodes), ""])
 
 
@@ -88,14 +102,13 @@ def _end(joint: Element, which: str) -> str:
     return str(_children(joint, which)[0].getAttribute("link"))
 
 
-def _attached(link: str, fixed: dict[str, list[str]]) -> list[str]:
-    """Every link that fixed joints, directly or through each other, attach to `link`."""
-    found: list[str] = []
-    waiting = list(fixed.get(link, ()))
-    while waiting:
-        found.append(waiting.pop())
-        waiting.extend(fixed.get(found[-1], ()))
-    return found
+def _scale(link: Element, share: float) -> None:
+    """Multiply a link's mass and moments of inertia, where it states them."""
+    for inertial in _children(link, "inertial"):
+        for one in [*_children(inertial, "mass"), *_children(inertial, "inertia")]:
+            for key in ("value", *INERTIA_ATTRIBUTES):
+                if one.hasAttribute(key):
+                    one.setAttribute(key, repr(share * float(one.getAttribute(key))))
 
 
 def _remove(parent: Element, tag: str) -> None:
