@@ -15,7 +15,7 @@ from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..results.attached import attached_links, divided
-from ..results.formats import DAMPING, FRICTION, STIFFNESS
+from ..results.formats import DAMPING, FRICTION, REST, STIFFNESS
 from ..simulations.sdf import SdfModel, model_of_arm
 from .frames import bodies_of, inertia_about_centre, words
 from .law import Nearest
@@ -104,8 +104,9 @@ def _set_dynamics(joint: ElementTree.Element, values: Mapping[str, float]) -> No
     _child(dynamics, "damping").text = repr(values[DAMPING])
     _child(dynamics, "friction").text = repr(values[FRICTION])
     # A spring that the file does not have and the model does not either is left out.
-    if values.get(STIFFNESS, 0.0) > 0.0 or dynamics.find("spring_stiffness") is not None:
-        _child(dynamics, "spring_stiffness").text = repr(values.get(STIFFNESS, 0.0))
+    if values[STIFFNESS] > 0.0 or dynamics.find("spring_stiffness") is not None:
+        _child(dynamics, "spring_stiffness").text = repr(values[STIFFNESS])
+        _child(dynamics, "spring_reference").text = repr(values[REST])
 
 
 def _child(parent: ElementTree.Element, tag: str) -> ElementTree.Element:
