@@ -85,9 +85,9 @@ def test_a_log_of_the_ur10e_gives_the_parameters_of_its_bag_without_a_line_by_ha
             write_lerobot(runs["bag"], log)
         case "db3":
             pytest.importorskip("rosbags", reason="needs rosbags")
-            from test_ros_bags import write_db3
+            from test_ros_bags import write_bag
 
-            write_db3(run, log)
+            write_bag(run, log)
     if form != "db3":  # a bag needs no mapping
         assert main(["import", str(log), "--arm", str(arm), "--quiet"]) == 0
     words = [] if form == "db3" else ["--arm", str(arm)]
