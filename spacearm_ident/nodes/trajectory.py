@@ -192,7 +192,12 @@ class TrajectoryNode(LiveNode):
         try:
             self._feedback.standing(self._timeout_s, self._slow)
         except UserError as error:
-            self.get_logger().error(f"run {self._run_id}: the arm is not known to have stopped: {error}")
+            sentence = f"run {self._run_id}: the arm is not known to have stopped: {error}"
+            if self._feedback.published:
+                self.get_logger().error(sentence)
+            else:
+                # All nodes were ended together: the driver's own end brings the arm to rest.
+                self.get_logger().warning(f"{sentence}; whoever published it has ended as well")
 
     def _watch(self) -> None:
         """Stop a run that is no longer safe, begin one again that may; tell of the progress."""

@@ -33,7 +33,7 @@ class Feedback:
 
     def __init__(self, node: LiveNode) -> None:
         qos = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._subscription = node.subscribe_unspun(JointState, "joint_states", qos)
+        self._node, self._subscription = node, node.subscribe_unspun(JointState, "joint_states", qos)
         self._joints: tuple[str, ...] = ()
         self._names: tuple[str, ...] = ()
         self._block: cdr.JointStateBlock | None = None
@@ -57,6 +57,11 @@ class Feedback:
         if self._block is None or self._block.position is None:
             return None
         return self._block.position[0, self._columns(self._block)]
+
+    @property
+    def published(self) -> bool:
+        """Whether anybody publishes joint states."""
+        return self._node.count_publishers(self._subscription.topic_name) > 0
 
     def standing(self, timeout_s: float, slow: FloatArray) -> FloatArray:
         """Where the arm stands, (n,) rad in the order of the joints followed.
