@@ -30,7 +30,7 @@ from ..simulations.simulation import without
 from .closed_loop import follow
 from .frames import bodies_of, quaternion
 from .law import Nearest, nearest
-from .mended_sdf import mended_sdf
+from .mended_sdf import LEAST, mended_sdf
 
 
 def mend(simulation: Simulation, path: Path, model: IdentifiedModel, motions: Sequence[Motion]) -> Mended | None:
@@ -188,10 +188,6 @@ def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) 
             joint.springref = np.degrees(values[REST]) if in_degrees else values[REST]
     spec.compile()
     return str(spec.to_xml())
-
-
-LEAST = 1e-9
-"""kg and kg m^2: nothing to an arm, and enough for MuJoCo to accept a body."""
 
 
 def _first(old: Any, value: float) -> Any:
