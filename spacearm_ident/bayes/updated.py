@@ -23,7 +23,7 @@ from ..estimate.environment import SEEN_SHARE, Environment, judge_vacuum, withou
 from ..estimate.identified import Determination, Estimate, Identified, Move
 from ..recording.recording import Recording
 from ..regression.prior import WIDENING
-from ..signals.motion import STUCK_RAD, ranges_over
+from ..signals.motion import moves_by_position
 from .from_prior import GroundPrior, Updated, update
 
 REDUCED = 0.5
@@ -85,7 +85,7 @@ def identify_from_prior(
         solver="Bayesian update of the prior model, linear about it",
         joints_at_rest=at_rest,
         joints_unresolved=tuple(
-            joint for joint in at_rest if ranges_over(result.motions, model.arm.joint_names.index(joint)) > STUCK_RAD
+            joint for joint in at_rest if moves_by_position(result.motions, model.arm.joint_names.index(joint))
         ),
         notes=(*_notes(ground, result, moves), *environment.notes),
         environment=environment,

@@ -148,9 +148,9 @@ def _compiled(mujoco: ModuleType, text: str, path: Path) -> Any:
     Raises:
         UserError: MuJoCo refuses it.
     """
-    spec = mujoco.MjSpec.from_string(text)
-    spec.modelfiledir = str(path.parent)
     try:
+        spec = mujoco.MjSpec.from_string(text)
+        spec.modelfiledir = str(path.parent)
         return spec.compile()
     except ValueError as error:
         raise UserError(f"MuJoCo refuses the corrected MJCF: {str(error).strip().splitlines()[0]}") from error

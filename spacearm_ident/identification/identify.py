@@ -36,7 +36,7 @@ from ..estimate.determination import judge, open_ended
 from ..estimate.environment import Environment, GravityEstimate, judge_vacuum, without_temperature
 from ..estimate.identified import Choice, Identified
 from ..recording.recording import Recording
-from ..signals.motion import STUCK_RAD, Motion, ranges_over
+from ..signals.motion import Motion, moves_by_position
 from ..signals.prepare import prepare, require_joints
 from ..solvers import pso_lm
 from ..solvers.choice import CLOE, IDIM_IV, PSO_LM, SEPARABLE, require_solver
@@ -255,7 +255,7 @@ def _conclude(
         if not any(motion.moving[:, k].any() for motion in regression.motions)
     )
     unresolved = tuple(
-        joint for joint in at_rest if ranges_over(regression.motions, model.arm.joint_names.index(joint)) > STUCK_RAD
+        joint for joint in at_rest if moves_by_position(regression.motions, model.arm.joint_names.index(joint))
     )
     unseen = open_ended(regression, prior, solution)
     estimates = judge(model, prior, base, consistent, solution.constants, spread, regression.grids, at_rest, unseen)

@@ -20,7 +20,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.friction_curve import friction_curve, friction_error, viscosity
 from ..estimate.identified import Determination, Estimate, Identified, JointValidation, Trace, Validation
-from ..signals.motion import STUCK_RAD, ranges_over
+from ..signals.motion import moves_by_position
 
 GOOD, FAIR = 0.10, 0.25
 """Residual RMS over torque RMS of a moving joint up to which its fit is good, or fair; ratio. Ours: a tenth is what
@@ -144,7 +144,7 @@ def _joint(name: str, identified: Identified, validation: Validation) -> JointVe
     if joint is None:
         return JointVerdict(Level.UNKNOWN, at_rest or (_why_unknown(joint),))
     number = identified.model.model.arm.joint_names.index(name)
-    moves = ranges_over(validation.traces, number) > STUCK_RAD
+    moves = moves_by_position(validation.traces, number)
     share = joint.moving.relative_rms
     if moves and joint.everything.relative_rms > NO_BETTER_THAN_NOTHING:
         share = joint.everything.relative_rms

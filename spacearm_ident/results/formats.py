@@ -35,7 +35,6 @@ URDF = Format("urdf", frozenset({DAMPING, FRICTION}))
 USD = Format("usd", frozenset({ARMATURE, DAMPING, FRICTION}))
 """PhysX's joint: armature q'' + viscous q' + dynamic friction sgn(q')."""
 
-_HELD = {RotorInertia.kind: ARMATURE, JointSpring.kind: STIFFNESS, HarnessSpring.kind: STIFFNESS}
 SPRINGS = (JointSpring.kind, HarnessSpring.kind, TorqueOffset.kind)
 """Terms that are a spring about some position: k q + c."""
 PARTS = {
@@ -72,7 +71,12 @@ class Spring:
 
 
 def spring_of(model: IdentifiedModel, joint: str) -> Spring:
-    """What the springs and the offset of a joint are together."""
+    """What the springs and the offset of a joint are together.
+
+    Args:
+        model: With values.
+        joint: Its name.
+    """
 
     def total(*names: tuple[str, str]) -> float:
         return sum(model.by_term.get((kind, f"{symbol}[{joint}]"), 0.0) for kind, symbol in names)
@@ -93,7 +97,7 @@ def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
             here = {p.joint for k, p in enumerate(term.parameters) if model.parameters[first + k] != 0.0}
             if all(spring_of(model, joint).fits for joint in here):
                 continue
-        elif term.kind == RIGID or (term.kind in _HELD and _HELD[term.kind] in form.holds):
+        elif term.kind == RIGID or (term.kind == RotorInertia.kind and ARMATURE in form.holds):
             continue
         if term.kind in PARTS:
             for symbol, what in PARTS[term.kind]:

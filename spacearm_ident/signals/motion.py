@@ -35,14 +35,14 @@ PART_SAMPLES = 16_384
 """Full-rate samples that are worked on at once, where there is no need to have all."""
 
 
-def ranges_over(motions: Sequence[HasPosition], joint: int) -> float:
-    """Largest range of a joint's position in one of some motions, rad; 0 where there are none.
+def moves_by_position(motions: Sequence[HasPosition], joint: int) -> bool:
+    """Whether a joint's position ranges over more than `STUCK_RAD` in one of some motions, whatever its speed seems.
 
     Args:
         motions: Or anything else with positions (N, n).
         joint: Its number.
     """
-    return max((float(np.ptp(one.position[:, joint])) for one in motions if len(one.position)), default=0.0)
+    return any(np.ptp(one.position[:, joint]) > STUCK_RAD for one in motions if len(one.position))
 
 
 class HasPosition(Protocol):
