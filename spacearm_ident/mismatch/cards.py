@@ -191,12 +191,16 @@ def _weightless(effect: Effect, quantities: Mapping[str, Quantity]) -> str:
 
 
 def _others(winner: Scored, others: Sequence[Scored]) -> list[Scored]:
-    """Plausible competitors worth a line, the best of each kind and place."""
-    seen = {(winner.candidate.effect.kind, winner.candidate.effect.joints)}
+    """Plausible competitors worth a line, the best of each kind and place.
+
+    What acts at other joints alone is no other explanation: it is accepted beside the winner, or it does not stand.
+    """
+    seen = {(winner.candidate.effect.kind, winner.joints)}
     kept = []
     for other in others:
-        key = (other.candidate.effect.kind, other.candidate.effect.joints)
-        if other.plausible and other.score > NEAR * winner.score and key not in seen:
+        key = (other.candidate.effect.kind, other.joints)
+        apart = winner.joints and other.joints and set(winner.joints).isdisjoint(other.joints)
+        if other.plausible and other.score > NEAR * winner.score and key not in seen and not apart:
             seen.add(key)
             kept.append(other)
     return kept

@@ -31,7 +31,9 @@ from .stacked import base_columns
 GATE = 60.0
 """Score an effect must have. The largest on healthy arms is what sets it (bench/concealed.py)."""
 REFINED, RIVALS = 12, 6
-"""So many of the best named effects, and of the generic rivals, are refined and judged on held-out data."""
+"""So many named effects, and generic rivals, that explain most of the field are refined and judged on held-out data; so
+are as many of the others, with held-out data the best of them: a dozen forms of one law at another joint, where nothing
+changed but the motion, may explain more of the field and foretell nothing."""
 NAMED_SHARE, NAMED_PAIR = 0.8, 0.9
 """A named effect stands if it explains this share of what the best generic rival does, or two of them this share."""
 SHARED = 0.3
@@ -520,9 +522,14 @@ class Competition:
         beside = self.evidence.refit(self.accepted)
         held_out_before = self._on_held_out(self.accepted, beside.values)
         rough = self._rough(beside)
-        named = [one for one in rough if one.effect.kind != UNKNOWN][:REFINED]
-        generic = [one for one in rough if one.effect.kind == UNKNOWN][:RIVALS]
-        refined = self._all_searched(refine, [*named, *generic], beside)
+        named = [one for one in rough if one[1].effect.kind != UNKNOWN]
+        generic = [one for one in rough if one[1].effect.kind == UNKNOWN]
+        shortlist = [
+            candidate
+            for one, count in ((named, REFINED), (generic, RIVALS))
+            for candidate in self._shortlisted(one, count, beside, held_out_before)
+        ]
+        refined = self._all_searched(refine, shortlist, beside)
         scored = [self._scored(candidate, beside, held_out_before) for candidate in refined]
         largest = max((s.score for s in scored), default=0.0)
         # Which link was touched, only windows that fit well tell.
@@ -531,8 +538,21 @@ class Competition:
         scored = [self._scored(next(polished), beside, held_out_before) if t else s for s, t in zip(scored, touches)]
         return sorted(scored, key=lambda s: -s.score)
 
-    def _rough(self, beside: Refit) -> list[Candidate]:
-        """Every effect at every place at the best point of its grid, best first."""
+    def _shortlisted(
+        self, rough: Sequence[tuple[float, Candidate]], count: int, beside: Refit, held_out_before: FloatArray
+    ) -> list[Candidate]:
+        """So many that explain most of the field, and as many of the others, the best on held-out rows as well."""
+        first = [candidate for _, candidate in rough[:count]]
+        if self.held_out is None:
+            return first
+        # Nothing stands that does not explain as much as the gate of the field itself.
+        others = [candidate for gain, candidate in rough[count:] if POLISHED * gain > self.gate]
+        scores = each(lambda one: self._scored(one, beside, held_out_before).score, others)
+        best = sorted(range(len(others)), key=lambda k: -scores[k])[:count]
+        return [*first, *(others[k] for k in best if POLISHED * scores[k] > self.gate)]
+
+    def _rough(self, beside: Refit) -> list[tuple[float, Candidate]]:
+        """Every effect at every place at the best point of its grid, with its drop less its penalty, best first."""
         self._compute_grids()
         # Where none of its places was passed there is none to try.
         grids = [grid for effect in self._pool if (grid := self._grids[id(effect)])]
@@ -542,7 +562,7 @@ class Competition:
                 # Kept with what they are of, so that no other can be at its address.
                 self._inner[id(one), id(grid)] = one, grid, own
             scored.append((gain - penalty(grid[0].effect, self.evidence.rows), grid[number]))
-        return [candidate for _, candidate in sorted(scored, key=lambda one: -one[0])]
+        return sorted(scored, key=lambda one: -one[0])
 
     def _all_searched(self, method: Method, candidates: Sequence[Candidate], beside: Refit) -> list[Candidate]:
         """Candidates with better constants, if the method finds any, each beside what is accepted."""
