@@ -195,12 +195,13 @@ def _others(winner: Scored, others: Sequence[Scored]) -> list[Scored]:
 
     What acts at other joints alone is no other explanation: it is accepted beside the winner, or it does not stand.
     """
+    own = winner.candidate.stacked
     seen = {(winner.candidate.effect.kind, winner.joints)}
     kept = []
     for other in others:
         key = (other.candidate.effect.kind, other.joints)
-        apart = winner.joints and other.joints and set(winner.joints).isdisjoint(other.joints)
-        if other.plausible and other.score > NEAR * winner.score and key not in seen and not apart:
+        near = other.plausible and other.score > NEAR * winner.score
+        if near and key not in seen and np.any(own.inner(other.candidate.stacked)):
             seen.add(key)
             kept.append(other)
     return kept
