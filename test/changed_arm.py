@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from planted_arm import TWO_LINKS, Friction, two_link_run, urdf_of
+from planted_arm import TWO_LINKS, Friction, incommensurate, plant, two_link_run, urdf_of
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.mismatch.explain import explain
@@ -25,6 +25,19 @@ def run(seed, extra=None, seconds=16.0, speed=1.0, laws=LAWS):
     if extra is not None:
         planted = replace(planted, torque=planted.torque + extra(planted))
     return planted.recording(noise=NOISE, seed=seed + 100)
+
+
+def loaded_run(seed, com, mass=0.7):
+    """The planted arm with a point mass (kg) on the last link, at `com` (m) in its axes."""
+    elbow = TWO_LINKS[1]
+    total = elbow.mass + mass
+    whole = (np.array(elbow.com) * elbow.mass + mass * np.array(com)) / total
+    parts = [(elbow.mass, np.array(elbow.com) - whole), (mass, np.array(com) - whole)]
+    ixx, iyy, izz = (sum(m * (d @ d - d[k] ** 2) for m, d in parts) + elbow.inertia[j] for k, j in enumerate((0, 3, 5)))
+    ixz = elbow.inertia[2] - sum(m * d[0] * d[2] for m, d in parts)
+    heavier = replace(elbow, mass=total, com=tuple(whole), inertia=tuple(map(float, (ixx, 0, ixz, iyy, 0, izz))))
+    motion = incommensurate(np.arange(0.0, 16.0, 1 / 250.0), 2, seed, 1.0)
+    return plant(TWO_LINKS, LAWS, motion, 250.0, true_links=(TWO_LINKS[0], heavier))
 
 
 def ripple(planted):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from changed_arm import ARM, HEALTHY, NOISE, run
+from changed_arm import ARM, HEALTHY, NOISE, loaded_run, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -87,6 +87,53 @@ def test_an_event_has_no_torque_outside_the_samples_in_which_it_lasts(start, len
         outside[effect.lasts(motion, constants)] = False
         for _, columns in effect.columns(motion, constants, background).values():
             assert not columns[outside].any()
+
+
+def holding(seed, *windows):
+    """A run in which the arm holds 0.7 kg, 0.3 m along its last link, from one time to another, s."""
+    light, heavy = run(seed), loaded_run(seed, (0.05, 0.0, 0.3)).recording(noise=NOISE, seed=seed + 100)
+    held = np.any([(light.time >= begin) & (light.time < end) for begin, end in windows], axis=0)
+    return replace(light, effort=np.where(held[:, None], heavy.effort, light.effort))
+
+
+def test_an_object_that_is_picked_up_and_put_down_twice_is_one_payload_with_its_mass_and_times():
+    windows = (2.0, 6.0), (9.0, 13.0)
+    answer = explain(ARM, RunSet([holding(2, *windows)], [HEALTHY], [holding(3, (5.0, 11.0))]))
+    (payload,) = answer.findings
+    assert payload.effect == "payload" and payload.joints == ("elbow",)
+    known = sorted(
+        (payload.parameters[f"start{number}[elbow]"], payload.parameters[f"length{number}[elbow]"], number)
+        for number in ("", "_2")
+    )
+    for (start, length, number), (begin, end) in zip(known, windows):
+        assert start.value == pytest.approx(begin, abs=0.2)
+        assert length.value == pytest.approx(end - begin, abs=0.3)
+        assert start.low >= 0.0 and start.high <= 16.0
+        mass = payload.parameters[f"mass{number}[elbow]"]
+        assert mass.value == pytest.approx(0.7, rel=0.15)
+        assert mass.low < 0.7 < mass.high
+    # While something is held in the recording judged on, nothing is judged.
+    assert [(one.effect, one.recording) for one in answer.happened] == [("payload", 1)]
+    assert np.all(answer.after_Nm < 1.15 * np.array(NOISE))
+
+
+def test_what_an_event_does_not_describe_is_said_beside_it():
+    """Pushes in the field, and in the other recording friction that is not theirs."""
+
+    def rough(planted):
+        return np.outer(3.0 * np.sign(planted.qd[:, 1]) * (np.sin(3.0 * planted.q[:, 0]) > 0.3), [0.0, 1.0])
+
+    answer = explain(ARM, RunSet([run(2, pushed(5.0))], [HEALTHY], [run(3, rough)]))
+    assert [finding.effect for finding in answer.findings] == ["external_contact", "unknown"]
+    assert answer.findings[1].joints[0] == "elbow"
+
+
+def test_two_pushes_of_one_link_are_both_found():
+    answer = explain(ARM, RunSet([run(2, lambda p: pushed(2.0)(p) + pushed(10.0)(p))], [HEALTHY], [run(3)]))
+    (contact,) = answer.findings
+    starts = [quantity for name, quantity in contact.parameters.items() if name.startswith("start")]
+    assert contact.effect == "external_contact"
+    assert sorted(one.value for one in starts) == pytest.approx([2.5, 10.5], abs=0.7)
 
 
 def late(recording, seconds=0.006):

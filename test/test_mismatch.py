@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from changed_arm import ARM, HEALTHY, LAWS, NOISE, explained, ripple, run
-from planted_arm import TWO_LINKS, incommensurate, plant, two_link_run, urdf_of
+from changed_arm import ARM, HEALTHY, LAWS, NOISE, explained, loaded_run, ripple, run
+from planted_arm import TWO_LINKS, two_link_run, urdf_of
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.effects import EFFECTS
@@ -302,16 +302,7 @@ def test_what_is_late_at_one_joint_is_no_clock_that_stamps_all(noise):
 
 def carrying(seed, com, extra=lambda planted: 0.0):
     """A run with 0.7 kg on the last link, at `com` (m) in its axes, and further torque (N, 2)."""
-    elbow = TWO_LINKS[1]
-    mass = elbow.mass + 0.7
-    whole = (np.array(elbow.com) * elbow.mass + 0.7 * np.array(com)) / mass
-    parts = [(elbow.mass, np.array(elbow.com) - whole), (0.7, np.array(com) - whole)]
-    ixx, iyy, izz = (sum(m * (d @ d - d[k] ** 2) for m, d in parts) + elbow.inertia[j] for k, j in enumerate((0, 3, 5)))
-    ixz = elbow.inertia[2] - sum(m * d[0] * d[2] for m, d in parts)
-    heavier = replace(elbow, mass=mass, com=tuple(whole), inertia=tuple(map(float, (ixx, 0, ixz, iyy, 0, izz))))
-    time = np.arange(0.0, 16.0, 1 / 250.0)
-    motion = incommensurate(time, 2, seed, 1.0)
-    planted = plant(TWO_LINKS, LAWS, motion, 250.0, true_links=(TWO_LINKS[0], heavier))
+    planted = loaded_run(seed, com)
     planted = replace(planted, torque=planted.torque + extra(planted))
     return planted.recording(noise=NOISE, seed=seed + 100)
 

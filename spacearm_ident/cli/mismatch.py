@@ -330,6 +330,7 @@ def _finding_lines(finding: Finding) -> list[str]:
     values = [f"{name} {q.value:.4g} [{q.low:.4g}, {q.high:.4g}] {q.unit}" for name, q in finding.parameters.items()]
     if values:
         lines.append(f"    {'; '.join(values)}")
-    lines.append(f"    explains {100 * finding.explained:.0f} % of the residual variance above the noise floor there")
+    when = "while it lasts" if finding.event else "there"
+    lines.append(f"    explains {100 * finding.explained:.0f} % of the residual variance above the noise floor {when}")
     lines += [f"    rather than {a.effect} at {', '.join(a.joints)}: {a.why_not}" for a in finding.alternatives]
     return lines

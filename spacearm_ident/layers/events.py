@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from ..dynamics.model import IdentifiedModel
-from ..mismatch.happened import OFTEN, event_of, voided
+from ..mismatch.happened import event_of, voided
 from ..signals.motion import Motion
 
 
@@ -28,8 +30,12 @@ def lasting_torque(model: IdentifiedModel, motion: Motion, torque: FloatArray) -
     Returns:
         (N, n) N m.
     """
-    events = {term.kind for term in model.model.terms if isinstance(term, Effect) and term.event}
-    return model.torque(motion, [kind for kind in model.model.structure if kind not in events]) if events else torque
+    lasting = model.parameters.copy()
+    for term, first, _ in model.model.numbered():
+        if isinstance(term, Effect) and term.event:
+            lasting[first : first + len(term.parameters)] = 0.0
+    same = np.array_equal(lasting, model.parameters)
+    return torque if same else model.model.torque(motion, lasting, model.constants)
 
 
 def with_events_earlier(model: IdentifiedModel, seconds: float) -> IdentifiedModel:
@@ -56,12 +62,14 @@ def without_events(motions: Sequence[Motion], model: IdentifiedModel) -> list[Mo
     """
     quiet = []
     for motion in motions:
-        spans = [
-            event_of(term, model.constants[first : first + len(term.constants)], motion.source)
+        here = [
+            (term, model.constants[first : first + len(term.constants)])
             for term, _, first in model.model.numbered()
             if isinstance(term, Effect) and term.event and not term.elsewhere(motion)
         ]
+        spans = [event_of(term, constants, motion.source) for term, constants in here]
         taken = sum(one.end_s - one.begin_s for one in spans)
-        often = taken > OFTEN * len(motion.position) / motion.rate_hz
+        most = max((term.often for term, _ in here), default=0.0)
+        often = taken > most * len(motion.position) / motion.rate_hz
         quiet += [motion] if often else voided([motion], spans)
     return quiet

@@ -49,9 +49,11 @@ class Cards:
         quantities = self._quantities(number, values)
         rivals = _others(winner, others)
         felt = self._felt_in_field(number)
-        before, after, beside, explained = self._on_held_out(number, felt)
         if effect.event:
-            beside, explained = self._while_it_lasts(number)
+            before, after, explained = self._while_it_lasts(number)
+            beside = after
+        else:
+            before, after, beside, explained = self._on_held_out(number, felt)
         joints = effect.joints or tuple(before)
         return Finding(
             effect=effect.kind,
@@ -72,6 +74,7 @@ class Cards:
             beside_Nm=beside,
             against=effect.against(values) or _weightless(effect, quantities),
             felt_Nm=felt,
+            event=effect.event,
         )
 
     def _values(self, number: int) -> FloatArray:
@@ -122,8 +125,8 @@ class Cards:
             explained,
         )
 
-    def _while_it_lasts(self, number: int) -> tuple[dict[str, float], float]:
-        """Of an event in the field: RMS by joint with it, N m, and the share of variance above the noise it removes.
+    def _while_it_lasts(self, number: int) -> tuple[dict[str, float], dict[str, float], float]:
+        """Of an event in the field: RMS by joint without and with it, N m, and the share of variance it removes.
 
         No other recording need have it.
         """
@@ -133,8 +136,12 @@ class Cards:
         above = float(np.sum(without**2 - 1.0))
         explained = float(np.clip(np.sum(without**2 - left**2) / above, 0.0, 1.0)) if above > 0 else float("nan")
         names, joint = self.evidence.base.model.arm.joint_names, self.evidence.field.joint[rows]
-        rms = {k: float(np.sqrt(np.mean(left[joint == k] ** 2))) for k in self._felt_at(number) if np.any(joint == k)}
-        return {names[k]: float(self.floor[k]) * size for k, size in rms.items()}, explained
+        here = [k for k in self._felt_at(number) if np.any(joint == k)]
+
+        def rms(whitened: FloatArray) -> dict[str, float]:
+            return {names[k]: float(self.floor[k] * np.sqrt(np.mean(whitened[joint == k] ** 2))) for k in here}
+
+        return rms(without), rms(left), explained
 
     def _swings(self, number: int) -> list[tuple[float, float] | None]:
         """By held-out motion, the band in which an effect rings, if it does."""
@@ -167,7 +174,7 @@ class Cards:
         effect = self.accepted[number].effect
         if effect.kind == UNKNOWN:
             return {}
-        shown = effect.shown(values)
+        shown, possible = effect.shown(values), self._possible(effect)
         quantities = {}
         for name, (value, unit) in shown.items():
             slope = np.zeros(len(values))
@@ -177,8 +184,23 @@ class Cards:
                 moved[k] += step
                 slope[k] = (effect.shown(moved)[name][0] - value) / step
             half = self._intervals.half_width(number, slope)
-            quantities[name] = Quantity(value, unit, value - half, value + half)
+            low, high = possible.get(name, (-np.inf, np.inf))
+            quantities[name] = Quantity(value, unit, max(value - half, low), min(value + half, high))
         return quantities
+
+    def _possible(self, effect: Effect) -> dict[str, tuple[float, float]]:
+        """Between which values some of what is shown lies in any case.
+
+        Lengths of vectors, and constants of an event: its edges in a standstill no torque tells.
+        """
+        lengths = dict.fromkeys(effect.sizes, (0.0, np.inf))
+        if not effect.event:
+            return lengths
+        here = [motion for motion in self.evidence.field.motions if not effect.elsewhere(motion)]
+        begin = min(motion.start_s for motion in here)
+        end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in here)
+        known = {constant.symbol: constant.reach or (0.0, end - begin) for constant in effect.constants}
+        return lengths | known | {constant.symbol: (begin, end) for constant in effect.constants if constant.begins}
 
 
 def _weightless(effect: Effect, quantities: Mapping[str, Quantity]) -> str:

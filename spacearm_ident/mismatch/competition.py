@@ -64,6 +64,8 @@ RELINEARISED = 6
 """Times that what depends on its own parameters is fitted around them: each leaves mu / (1 - mu) of the error."""
 MOST = 8
 """Effects in one arm; more is a wrong base model."""
+MOST_ROUNDS = 16
+"""Effects and single events in all: a robot that picks up parts does it again and again."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,7 @@ class Competition:
         left = None
         left_values = np.zeros(0)
         dropped = 0
-        while self._causes(rounds) + len(self.common) + dropped < MOST:
+        while self._causes(rounds) + len(self.common) + dropped < MOST and len(rounds) < MOST_ROUNDS:
             progress(len(rounds) / MOST, f"comparing effects, round {len(rounds) + 1}")
             ranked = self._ranked()
             stands = [self._stands(scored) for scored in ranked]
@@ -384,6 +386,8 @@ class Competition:
         if scored.named and share < NAMES_ENOUGH:
             return False
         lasting = not scored.candidate.effect.event
+        if not lasting and not scored.named and self._is_within_another(scored.candidate):
+            return False
         if self.held_out is not None and lasting:
             again = scored.held_out / len(self.held_out.scene) / (scored.gain / self.evidence.rows)
             not_excited = scored.named and share > CLEARS_UP and scored.not_excited
@@ -400,6 +404,16 @@ class Competition:
         minor = MINOR_SHARE if scored.named and lasting else MINOR_UNKNOWN
         # Joint by joint: what shows at all of them may be small beside another cause at one.
         return float(np.median(mine[felt] - minor * large[felt])) > 0.0
+
+    def _is_within_another(self, event: Candidate) -> bool:
+        """Whether most of an event is during an accepted one: that its law is not quite right is no second event."""
+        begin, end = event.effect.window(event.constants)
+        for other in self.accepted:
+            if other.effect.event and other.effect.place.get("recording") == event.effect.place.get("recording"):
+                first, last = other.effect.window(other.constants)
+                if min(end, last) - max(begin, first) > 0.5 * (end - begin):
+                    return True
+        return False
 
     def _lasts(self, scored: Scored) -> bool:
         """Whether an effect has a score without the best moments of field and held-out rows, too; an event need not."""
@@ -452,6 +466,8 @@ class Competition:
         self._drop(effect)
         if again := effect.again(self.evidence.base.model.arm):
             self._pool.append(again)
+            if again == effect:
+                self._grids[id(again)] = [replace(one, effect=again) for one in self._grids[id(effect)]]
 
     def _drop(self, effect: Effect) -> None:
         """An effect competes no more, nor do other forms of it."""

@@ -139,10 +139,11 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
     findings = _named(made, outcome, judge.floor)
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
     rms_after = residuals.rms(after)
-    if not findings:
+    # What happened for a while says nothing of the data judged on, of which its like is left out.
+    if all(finding.event for finding in findings):
         lasting = np.minimum(residuals.rms_throughout(before), residuals.rms_throughout(after))
         where = np.flatnonzero(healthy.beyond(lasting, np.minimum(rms_before, rms_after)))
-        findings = _unnamed(joints, where, rms_before, rms_after, floor)
+        findings = (*findings, *_unnamed(joints, where, rms_before, rms_after, floor))
     if not findings and evidence.reference is not None:
         findings = field_alone.unnamed()
     if evidence.reference is not None:
@@ -269,8 +270,8 @@ def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Findi
     ordered = sorted(findings, key=lambda finding: -finding.gain - finding.held_out_gain)
     causes: dict[object, list[Finding]] = {}
     for number, finding in enumerate(ordered):
-        one = finding.effect in EFFECTS and EFFECTS[finding.effect].one_cause
-        key: object = finding.effect if one else number
+        one = finding.event or (finding.effect in EFFECTS and EFFECTS[finding.effect].one_cause)
+        key: object = (finding.effect, finding.event) if one else number
         if finding.effect == UNKNOWN:
             key = (UNKNOWN, finding.joints)
         causes.setdefault(key, []).append(finding)

@@ -63,6 +63,7 @@ class Finding:
         against: What its own values say against its name, in words that follow "whose".
         not_excited: Whether the held-out data do not excite it, by its own law.
         felt_Nm: By joint, RMS of what it adds to the torque in the field where it acts.
+        event: Whether it begins and ends in time.
     """
 
     effect: str
@@ -83,10 +84,11 @@ class Finding:
     against: str = ""
     not_excited: bool = False
     felt_Nm: dict[str, float] = field(default_factory=dict)
+    event: bool = False
 
 
 def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
-    """Findings of one effect at several joints as one; the first is the largest.
+    """Findings of one effect at several joints, or at several times, as one; the first is the largest.
 
     Args:
         findings: Of the same effect.
@@ -102,11 +104,7 @@ def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
         largest,
         joints=tuple(joint for joint in joints if joint in where),
         where="; ".join(dict.fromkeys(finding.where for finding in findings)),
-        parameters={
-            f"{name}[{finding.joints[0]}]": quantity
-            for finding in findings
-            for name, quantity in finding.parameters.items()
-        },
+        parameters=_told_apart(findings),
         confidence=max(finding.confidence for finding in findings),
         gain=sum(finding.gain for finding in findings),
         held_out_gain=sum(finding.held_out_gain for finding in findings),
@@ -116,6 +114,17 @@ def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
         felt_Nm={joint: rms for finding in findings for joint, rms in finding.felt_Nm.items()},
         explained=sum(w * e for w, e in known) / sum(w for w, _ in known) if known else float("nan"),
     )
+
+
+def _told_apart(findings: Sequence[Finding]) -> dict[str, Quantity]:
+    """Parameters of findings by name and joint: a second one at a joint has its number in the name."""
+    parameters, seen = dict[str, Quantity](), dict[str, int]()
+    for finding in findings:
+        joint = finding.joints[0]
+        seen[joint] = seen.get(joint, 0) + 1
+        number = f"_{seen[joint]}" if seen[joint] > 1 else ""
+        parameters |= {f"{name}{number}[{joint}]": quantity for name, quantity in finding.parameters.items()}
+    return parameters
 
 
 @dataclass(frozen=True)

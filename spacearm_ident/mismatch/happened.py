@@ -28,9 +28,9 @@ EXPLAINS = 0.5
 """Share of what is above the noise while it lasts that an event must explain: less, and it is where the model errs."""
 MARGIN_S = 0.5
 """Taken along on both sides: the step of the grid on which an event is looked for."""
-MOST, OFTEN = 4, 0.5
-"""So many events of one recording are looked for. Where rows during them are more than this share of its rows, the
-model is wrong throughout, and it is said to have none: an event is the exception."""
+MOST = 4
+"""So many events of one recording are looked for. Where they last longer than such may (`Effect.often`), it is said to
+have none."""
 
 
 def happened(held_out: HeldOut, accepted: Sequence[Candidate], values: FloatArray, gate: float) -> list[Happened]:
@@ -50,7 +50,7 @@ def happened(held_out: HeldOut, accepted: Sequence[Candidate], values: FloatArra
     for recording in np.unique(source).tolist():
         here = _in_recording(held_out, kinds, recording, residual, gate)
         rows = sum(np.sum(during(scene, event)) for event in here)
-        if rows <= OFTEN * np.sum(source == recording):
+        if rows <= max(EFFECTS[kind].often for kind in kinds) * np.sum(source == recording):
             found += here
     return found
 
@@ -93,6 +93,8 @@ def _tried(held_out: HeldOut, kind: str, recording: int) -> list[tuple[Effect, t
         arm = held_out.evidence.base.model.arm
         for place in EFFECTS[kind].variants(arm):
             effect = EFFECTS[kind].at(arm, {**place, "recording": recording})
+            if not effect.event:
+                continue
             for point in grid_points(effect, held_out.scene.motions):
                 yield effect, point, stacked_effect(held_out.scene, effect, point)
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from scipy.stats import norm
 
-from ..dynamics.effects.body import ExternalContact
 from ..dynamics.effects.effect import Effect
 from .competition import CLEARS_UP, GATE
 from .finding import Alternative, Finding
@@ -43,7 +42,7 @@ HARM = 1.02
 def harms(finding: Finding) -> bool:
     """Whether the residual of held-out data, every row counted alike, is larger with a finding than without."""
     before, after = (sum(rms**2 for rms in by.values()) for by in (finding.before_Nm, finding.after_Nm))
-    return finding.effect != ExternalContact.kind and after > HARM * before
+    return not finding.event and after > HARM * before
 
 
 def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) -> bool:
@@ -57,7 +56,7 @@ def shows(number: int, findings: Sequence[Finding], floor: Mapping[str, float]) 
         floor: Joint -> noise floor, RMS, N·m.
     """
     finding, first = findings[number], number == 0
-    if finding.effect == ExternalContact.kind:
+    if finding.event:
         return True
     if first and finding.not_excited and finding.gain > SURE * GATE:
         return True
@@ -81,7 +80,7 @@ def beyond_healthy(finding: Finding, before: Mapping[str, float], largest: Mappi
         before: By joint, RMS of what the healthy model leaves on the held-out data, N·m.
         largest: By joint, RMS that a healthy arm leaves there at most, N·m.
     """
-    if finding.effect == ExternalContact.kind or finding.not_excited:
+    if finding.event or finding.not_excited:
         return any(rms > largest[joint] for joint, rms in finding.felt_Nm.items())
     return any(min(rms, before[joint]) > largest[joint] for joint, rms in finding.before_Nm.items())
 
@@ -96,10 +95,14 @@ def clears_up(finding: Finding, left: Mapping[str, float], floor: Mapping[str, f
         left: Joint -> RMS of what the healthy model leaves of the field, N·m, where that is a mismatch by itself.
         floor: Joint -> what it leaves of the field of a healthy arm, RMS, N·m.
     """
-    return finding.effect not in (UNKNOWN, ExternalContact.kind) and any(
-        rms**2 > CLEARS_UP * (left[joint] ** 2 - floor[joint] ** 2)
-        for joint, rms in finding.felt_Nm.items()
-        if joint in left
+    return (
+        not finding.event
+        and finding.effect != UNKNOWN
+        and any(
+            rms**2 > CLEARS_UP * (left[joint] ** 2 - floor[joint] ** 2)
+            for joint, rms in finding.felt_Nm.items()
+            if joint in left
+        )
     )
 
 
@@ -131,7 +134,7 @@ def spoiled(finding: Finding, floor: Mapping[str, float]) -> tuple[str, ...]:
         finding: The finding, with residuals on held-out data; those need not have an event, which spoils none.
         floor: Joint -> noise floor, RMS, N·m.
     """
-    if finding.effect == ExternalContact.kind:
+    if finding.event:
         return ()
     return tuple(
         joint

@@ -75,9 +75,9 @@ def _judged(explanation: Explanation) -> tuple[str, str, list[str]]:
     headline = f"Mismatch at {_at(first)}: {_name(first.effect)}, {_size(first)}"
     sentences = [_surety(first)]
     if math.isfinite(first.explained):
+        where = "While it lasts" if first.event else f"On {explanation.judged_on or 'held-out data'}"
         sentences.append(
-            f"On {explanation.judged_on or 'held-out data'} it removes {whole_percent(first.explained)} of the "
-            "residual variance above the noise floor there."
+            f"{where} it removes {whole_percent(first.explained)} of the residual variance above the noise floor there."
         )
     if more:
         sentences.append(f"Also found: {'; '.join(f'{_name(other.effect)} at {_at(other)}' for other in more)}.")

@@ -34,15 +34,18 @@ class Payload(Effect):
     confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "base_tilt", "harness_spring")
     experiment: ClassVar[str] = "the same motion with the gripper turned by a right angle"
     weighs: ClassVar[bool] = True
+    often: ClassVar[float] = 0.8
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """On the last link, as a point or with inertia of its own; on any other that moves against gravity.
+        """On the last link, as a point or with inertia of its own, all the time or for a while; on any other.
 
         A gripper may hold the same body elsewhere in another recording (`regripped`): the mass stays.
         """
         last = {"joint": arm.joint_names[-1], "last": True}
         yield last
+        # An object away from the joint's origin has inertia there even as a point.
+        yield {**last, "inertia": True, "for_a_while": True}
         yield {**last, "inertia": True}
         yield {**last, "inertia": True, "regripped": True}
         for joint in reversed(arm.joint_names[:-1]):
@@ -51,6 +54,8 @@ class Payload(Effect):
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
         """On the link of one joint."""
+        if place.get("for_a_while"):
+            cls = HeldObject
         joint = known_joint(arm, place)
         units = {"m": "kg", "mcx": "kg m", "mcy": "kg m", "mcz": "kg m"}
         scales = {"m": 2.0, "mcx": 0.5, "mcy": 0.5, "mcz": 0.5}
@@ -61,7 +66,12 @@ class Payload(Effect):
         ]
         if place.get("inertia"):
             parameters += [Parameter(f"dI{axis}{axis}", joint, "kg m^2", scale=0.2) for axis in "xyz"]
-        return cls(tuple(parameters), place=place)
+        return cls(tuple(parameters), cls.window_of(joint), place=place)
+
+    @classmethod
+    def window_of(cls, joint: str) -> tuple[Constant, ...]:
+        """Constants of when it is held: none, for it always is."""
+        return ()
 
     @property
     def per_recording(self) -> tuple[int, ...]:
@@ -107,6 +117,81 @@ class Payload(Effect):
         return f"{values[0]:.3g} kg on the link of {self.place['joint']}{held}"
 
 
+STARTS_S = tuple(float(t) for t in np.arange(0.0, 600.0, 0.5))
+"""When an event may begin; those of them within the recording are looked at."""
+HELD_S = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
+"""How long an object may be held."""
+
+
+def shares_within(motion: Motion, start: float, length: float, rise: float) -> tuple[slice, FloatArray]:
+    """Which samples an event lasts, and how much of it there is at each: it comes and goes as half a cosine does.
+
+    Args:
+        motion: N samples.
+        start: Of the event, s.
+        length: Of the event, s.
+        rise: How long it takes to come, and to go, s; at most half of how long it lasts. Zero: at once.
+
+    Returns:
+        The slice of r samples, and (r,) shares of 0..1.
+    """
+    time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
+    first, last = np.searchsorted(time, [start, start + length])
+    at = slice(int(first), int(last))
+    if not rise:
+        return at, np.ones(at.stop - at.start)
+    come = np.minimum(time[at] - start, start + length - time[at]) / min(rise, 0.5 * length)
+    return at, 0.5 - 0.5 * np.cos(np.pi * np.clip(come, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class HeldObject(Payload):
+    """An object that the last link picks up, carries and puts down again."""
+
+    words: ClassVar[str] = "an object was picked up and put down again"
+    equation: ClassVar[str] = "Y_k [m, m c] between t_0 and t_1"
+    confused_with: ClassVar[tuple[str, ...]] = ("external_contact",)
+    experiment: ClassVar[str] = "the same motion with an empty gripper"
+    one_cause: ClassVar[bool] = True
+
+    @classmethod
+    def window_of(cls, joint: str) -> tuple[Constant, ...]:
+        """When it is picked up, and how long it is held."""
+        return Constant("start", joint, "s", STARTS_S, begins=True), Constant("length", joint, "s", HELD_S)
+
+    def again(self, arm: Arm) -> Effect:
+        """The next one."""
+        return replace(self)
+
+    def plausible(self, parameters: FloatArray, constants: Values) -> bool:
+        """A mass within reach of its link, and no negative one."""
+        return float(parameters[0]) > 0.0 and super().plausible(parameters, constants)
+
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
+        """Those of a payload, while it is held."""
+        always = super().columns(motion, constants, background)
+        if self.elsewhere(motion):
+            return nothing(motion, list(always), len(self.parameters))
+        start, length = constants
+        at, shares = shares_within(motion, start, length, rise=0.0)
+        held: Columns = {}
+        for row, (indices, columns) in always.items():
+            held[row] = indices, np.zeros_like(columns)
+            held[row][1][at] = shares[:, None] * columns[at]
+        return held
+
+    def shown(self, values: FloatArray) -> Shown:
+        """Mass, where it is, and when."""
+        count = len(self.parameters)
+        window = {constant.symbol: (float(x), constant.unit) for constant, x in zip(self.constants, values[count:])}
+        return {**super().shown(values[:count]), **window}
+
+    def where(self, values: FloatArray) -> str:
+        """Its window, and on which link."""
+        start, length = values[len(self.parameters) :]
+        return f"from {start:.1f} s for {length:.1f} s, {super().where(values)}"
+
+
 def turned_gravity(gravity: FloatArray, tilt: Values) -> FloatArray:
     """(2, 3) change of gravity in the base frame per angle about x and y; with the angles it is the whole change.
 
@@ -131,6 +216,7 @@ class BaseTilt(Effect):
     equation: ClassVar[str] = "G(q; tilt x g)"
     source: ClassVar[str] = "gravity as a prior, paper §2.2.2"
     confused_with: ClassVar[tuple[str, ...]] = ("payload", "current_offset", "harness_spring")
+    sizes: ClassVar[tuple[str, ...]] = ("tilt",)
     experiment: ClassVar[str] = "a level on the base; or the same motion with joint 1 turned by a right angle"
 
     @classmethod
@@ -296,8 +382,6 @@ OUTER_LINKS = 4
 LARGEST_FORCE = 300.0
 """N: of a person, a cable, a fixture touched in passing (the field's examples: 3 to 40); of an arm that weighs more,
 its weight."""
-STARTS_S = tuple(float(t) for t in np.arange(0.0, 600.0, 0.5))
-"""When one may begin; those of them within the recording are looked at."""
 RISE_S, RISE_REACH = 0.1, (0.01, 2.5)
 """How long a touch takes to come, and to go; at most half of how long it lasts."""
 POINT_REACH = (-0.3, 0.3)
@@ -314,6 +398,7 @@ class ExternalContact(Effect):
     equation: ClassVar[str] = "J(q, p)^T F between t_0 and t_1, with soft edges"
     source: ClassVar[str] = "De Luca and Mattone 2005"
     confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
+    sizes: ClassVar[tuple[str, ...]] = ("force",)
     experiment: ClassVar[str] = "the same motion again: a contact does not come back at the same place by itself"
 
     @classmethod
@@ -332,7 +417,7 @@ class ExternalContact(Effect):
             Parameter(f"force_{axis}", joint, "N", scale=50.0, lower=-most, upper=most) for axis in "xyz"
         )
         start = Constant("start", joint, "s", STARTS_S, begins=True)
-        length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 5.0))
+        length = Constant("length", joint, "s", (0.75, 1.5, 3.0, 6.0, 12.0))
         rise = Constant("rise", joint, "s", (RISE_S,), reach=RISE_REACH)
         point = (Constant(f"point_{axis}", joint, "m", (0.0,), reach=POINT_REACH) for axis in "xyz")
         return cls(parameters, (start, length, rise, *point), place=place)
@@ -341,6 +426,10 @@ class ExternalContact(Effect):
     def joints(self) -> tuple[str, ...]:
         """That of the link that was touched."""
         return (str(self.place["joint"]),)
+
+    def again(self, arm: Arm) -> Effect:
+        """Another touch of the same link."""
+        return replace(self)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Torque that holds against a force on the link along each base axis, within the window."""
@@ -367,13 +456,9 @@ class ExternalContact(Effect):
             return held
 
         start, length, rise, *point = constants
-        time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
-        first, last = np.searchsorted(time, [start, start + length])
-        at = slice(first, last)
+        at, pushed = shares_within(motion, start, length, rise)
         jacobian = np.tensordot([1.0, *point], background.keep(("push", number), compute)[:, :, at], 1)
-        come = np.minimum(time[at] - start, start + length - time[at]) / min(rise, 0.5 * length)
-        pushed = 0.5 - 0.5 * np.cos(np.pi * np.clip(come, 0.0, 1.0))
-        torque = np.zeros((count, len(time), 3))
+        torque = np.zeros((count, len(motion.position), 3))
         torque[:, at] = -np.transpose(jacobian, (2, 1, 0)) * pushed[:, None]
         return each({row: torque[row] for row in rows})
 
@@ -383,6 +468,8 @@ class ExternalContact(Effect):
 
     def shown(self, values: FloatArray) -> Shown:
         """Force, window and point."""
+        values = values.copy()
+        values[5] = min(values[5], 0.5 * values[4])
         return {
             "force": (float(np.linalg.norm(values[:3])), "N"),
             **{f"force_{axis}": (float(f), "N") for axis, f in zip("xyz", values)},

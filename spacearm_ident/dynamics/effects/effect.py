@@ -41,6 +41,9 @@ class Effect(Term):
     """Kinds with the same torque wherever the joint moves. A finding's confidence is that of all of them together."""
     one_cause: ClassVar[bool] = False
     """Whether several joints show it for one reason (the arm got warm, the clock is late): one finding then."""
+    often: ClassVar[float] = 0.5
+    """Share of a recording that its events may last: beyond it the model is wrong throughout. An event is an exception;
+    but what works carries something half the time."""
     exact: ClassVar[bool] = False
     """Whether nature has its very equation, so that whatever explains more than it has seen something else."""
     one_form: ClassVar[bool] = False
@@ -49,6 +52,8 @@ class Effect(Term):
     """Kind that can follow it joint by joint; then it is that, unless it explains more than all of these together."""
     weighs: ClassVar[bool] = False
     """Whether its parameters are those of a body: then torque gains that are off are in their intervals."""
+    sizes: ClassVar[tuple[str, ...]] = ()
+    """Of the values that are shown, those that are the length of a vector: none is negative."""
     follows: ClassVar[str] = ""
     """What it is a function of at its joint, if of one thing alone: `velocity`, `position`, or `friction_position`,
     which is position times the direction of motion."""
