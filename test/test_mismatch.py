@@ -216,6 +216,18 @@ def test_more_friction_is_friction_drift():
     assert change.value == pytest.approx(0.9, abs=0.1) and change.low > 0.5
 
 
+@pytest.mark.parametrize(("elbow", "said"), [(1.2, "higher at 2 of 2 joints"), (0.8, "")])
+def test_friction_that_rises_at_most_joints_is_said_to_have_one_cause(elbow, said):
+    def changed(planted):
+        direction = np.sign(planted.qd)
+        return direction * [0.5 * LAWS[0].f_c, (elbow - 1.0) * 2.0 * LAWS[1].f_c]
+
+    answer = explained(changed, *SLOW_ONES)
+    assert {finding.joints for finding in answer.findings} == {("shoulder",), ("elbow",)}
+    alike = [reason for reason in answer.reasons if "one cause of all" in reason]
+    assert len(alike) == bool(said) and all(said in reason for reason in alike)
+
+
 def test_a_coarse_encoder_hides_no_more_than_its_noise_does():
     """A step of 1 mrad, differentiated in the widest band, is noise of 0.4 rad/s: most rows would seem at rest."""
 

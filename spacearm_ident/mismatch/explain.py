@@ -15,6 +15,7 @@ from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
+from ..dynamics.effects.friction import FrictionDrift
 from ..errors import UnfitDataError
 from ..memory import give_back
 from ..recording.recording import Recording
@@ -170,6 +171,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
             *((LEVEL_UNKNOWN,) if prepared.modelled and prepared.own is None else ()),
             *_not_judged(competition.happened, len({motion.source for motion in evidence.field.motions})),
             *(() if findings else _moments(joints, rms_after, healthy)),
+            *_in_common(findings, joints),
         ),
         model=extended_model(evidence, accepted, outcome.refit.values, is_finding) if accepted else None,
         traces=residuals.traces(before, added),
@@ -303,6 +305,20 @@ def _moments(joints: Sequence[str], after: FloatArray, healthy: Healthy) -> tupl
         f"{joint} leaves {rms:.3g} N m RMS where a healthy arm leaves {least:.3g} at most, but not throughout: see when"
         for joint, rms, least in zip(joints, after, healthy.unexplained_Nm)
         if np.isfinite(rms) and rms > least
+    )
+
+
+def _in_common(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[str, ...]:
+    """What changes of friction at most joints have in common, where all are of one sign."""
+    drifts = [finding for finding in findings if finding.effect == FrictionDrift.kind]
+    rises = {value.value > 0.0 for finding in drifts for value in finding.parameters.values()}
+    where = {joint for finding in drifts for joint in finding.joints}
+    if len(where) < 2 or 2 * len(where) <= len(joints) or len(rises) != 1:
+        return ()
+    level = "higher" if rises == {True} else "lower"
+    return (
+        f"friction is {level} at {len(where)} of {len(joints)} joints: one cause of all, such as their temperature, "
+        "is more likely than one at each; record the joints' temperatures",
     )
 
 

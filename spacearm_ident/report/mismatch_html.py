@@ -194,7 +194,8 @@ def _unexplained(explanation: Explanation) -> list[str]:
         return []
     if not explanation.unexplained:
         finite = np.isfinite(explanation.after_Nm).any()
-        return ["None above the noise floor." if finite else "Not determined: there is no residual on held-out data."]
+        none = "None beyond what a healthy arm may leave."
+        return [none if finite else "Not determined: there is no residual on held-out data."]
     return [
         f"{listed(left.joints)}: {whole_percent(left.fraction)} of the remaining variance is above the noise floor; "
         f"{left.where}."
