@@ -186,6 +186,13 @@ def test_what_moves_beside_its_encoder_does_so_by_as_much_as_the_term_says(kind,
     ("kind", "place", "values", "named"),
     [
         ("payload", {"joint": "joint_6"}, {"dm": -0.5, "dmcx": 0, "dmcy": 0, "dmcz": 0}, "payload at joint_6.*mass"),
+        (
+            "payload",
+            {"joint": "joint_6", "for_a_while": True},
+            {"dm": 0.5, "dmcx": 0, "dmcy": 0, "dmcz": 0, "start": 2.0, "length": 3.0},
+            "payload at joint_6.*for a while",
+        ),
+        ("encoder_zero", SECOND, {"zero": 0.02}, "encoder_zero at joint_2"),
         ("time_delay", SECOND, {"share": 1.0, "delay": 0.004}, "time_delay at joint_2"),
         ("filter_lag", SECOND, {"share": -0.2, "lag": 0.004}, "filter_lag at joint_2.*share"),
         ("wrist_coupling", WRIST, {"J": 0, "k": 1, "f": 1}, "wrist_coupling"),

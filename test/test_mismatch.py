@@ -354,6 +354,20 @@ def test_an_encoder_far_off_its_centre_is_no_load():
     assert finding.parameters["amplitude"].value == pytest.approx(0.05, rel=0.1)
 
 
+def test_an_encoder_whose_zero_has_moved_is_named_with_how_far():
+    """The recording is right but for the reading of one joint."""
+
+    def slipped(seed):
+        recording = run(seed)
+        return replace(recording, position=recording.position + np.array([0.0, 0.03]))
+
+    answer = explain(ARM, RunSet([slipped(2)], [HEALTHY], [slipped(3)]), SLOW_ONES)
+    (finding,) = answer.findings
+    assert finding.effect == "encoder_zero" and finding.joints == ("elbow",)
+    zero = finding.parameters["zero"]
+    assert zero.value == pytest.approx(0.03, rel=0.1) and zero.low < 0.03 < zero.high
+
+
 def test_a_body_whose_mass_may_be_zero_is_no_payload(monkeypatch):
     here = (0.05, 0.0, 0.3)
     monkeypatch.setattr(Intervals, "half_width", lambda self, number, slope: 1.0)

@@ -68,6 +68,7 @@ EXPERIMENT_OF = {
     "vacuum_friction": "temperature",
     "torque_ripple": "ripple",
     "encoder_eccentricity": "ripple",
+    "encoder_zero": "ripple",
     "harness_spring": "ripple",
     "current_offset": "ripple",
     "wrist_coupling": "ripple",

@@ -45,7 +45,7 @@ _POSE, _SPEED = ((POSITION, False),), ((VELOCITY, False),)
 _LOAD = ((POSITION, True), (POSITION, False))
 SHOWN_OVER: dict[str, tuple[tuple[str, bool], ...]] = {
     **dict.fromkeys(("torque_ripple", "harness_spring", "base_tilt", "payload", "link_mass"), _POSE),
-    **dict.fromkeys(("encoder_eccentricity", "motor_saturation", "torque_constant"), _POSE),
+    **dict.fromkeys(("encoder_eccentricity", "encoder_zero", "motor_saturation", "torque_constant"), _POSE),
     **dict.fromkeys(("friction_drift", "stribeck", "asymmetric_friction", "vacuum_friction", "wrist_coupling"), _SPEED),
     **dict.fromkeys(("load_friction", "gear_efficiency"), _LOAD),
     **dict.fromkeys(("presliding_hysteresis", "current_offset"), _SPEED),

@@ -19,7 +19,7 @@ from .friction import (
     TemperatureFriction,
     VacuumFriction,
 )
-from .position import EncoderEccentricity, HarnessSpring, TorqueRipple
+from .position import EncoderEccentricity, EncoderZero, HarnessSpring, TorqueRipple
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.kind: effect
@@ -49,6 +49,7 @@ EFFECTS: dict[str, type[Effect]] = {
         MotorSaturation,
         CurrentOffset,
         EncoderEccentricity,
+        EncoderZero,
         TimeDelay,
         FilterLag,
     )

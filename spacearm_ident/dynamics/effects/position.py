@@ -1,7 +1,8 @@
-"""What depends on where a joint stands: torque ripple, the harness, an eccentric encoder."""
+"""What depends on where a joint stands: torque ripple, the harness, an eccentric encoder, one whose zero has moved."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -146,3 +147,47 @@ class EncoderEccentricity(Effect):
             "amplitude": (float(np.hypot(*values[:2])), "rad"),
             "phase": (float(np.arctan2(values[1], values[0])), "rad"),
         }
+
+
+FARTHEST_ZERO = 0.3
+"""rad: by which a zero may have moved; farther, torque is not linear in it, and `check` finds it by itself."""
+
+
+@dataclass(frozen=True)
+class EncoderZero(Effect):
+    """The zero of an encoder is elsewhere than it was: it slipped, or was set anew."""
+
+    kind: ClassVar[str] = "encoder_zero"
+    words: ClassVar[str] = "the encoder's zero has moved"
+    equation: ClassVar[str] = "q_read = q + e, through inertia and gravity"
+    source: ClassVar[str] = "the model's gradient by position"
+    confused_with: ClassVar[tuple[str, ...]] = ("payload", "base_tilt", "encoder_eccentricity", "current_offset")
+    experiment: ClassVar[str] = "move the joint to its reference mark and read the encoder"
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Every joint that turns."""
+        for joint in arm.joints:
+            if joint.revolute:
+                yield {"joint": joint.name}
+
+    @classmethod
+    def at(cls, arm: Arm, place: Options) -> Effect:
+        """At one joint."""
+        joint = known_joint(arm, place)
+        zero = Parameter("zero", joint, "rad", scale=0.02, lower=-FARTHEST_ZERO, upper=FARTHEST_ZERO)
+        return cls((zero,), place=place)
+
+    @property
+    def needs_reference(self) -> bool:
+        """A zero that is wrong from the start is one of the model's own first moments."""
+        return True
+
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
+        """Torque of the motion that was read, less that of the motion that was."""
+        rows = range(len(motion.joints))
+        if background is None or background.arm is None:
+            return nothing(motion, rows, 1)
+        sensitivity = by_position(motion, background, motion.joints.index(self.place["joint"]))
+        change = -sensitivity.torque(np.ones(len(motion.position)))
+        return each({k: change[:, [k]] for k in rows})

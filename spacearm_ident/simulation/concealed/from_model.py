@@ -156,6 +156,8 @@ def _position_friction(found: _Found) -> Values:
 
 def _payload(found: _Found) -> Values:
     mass = found["dm"]
+    if found.place.get("for_a_while"):
+        raise found.refused("it is held for a while, and the simulated arm holds what it does all the time")
     if mass <= 0.0:
         raise found.refused(f"its mass is {mass:.3g} kg, not above zero")
     centre = np.array([found["dmcx"], found["dmcy"], found["dmcz"]]) / mass
