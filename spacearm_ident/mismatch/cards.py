@@ -43,11 +43,11 @@ class Cards:
 
     def finding(self, number: int) -> Finding:
         """The card of one accepted effect."""
-        winner, others = self.outcome.rounds[number].winner, self.outcome.rounds[number].others
+        winner = self.outcome.rounds[number].winner
         effect = self.accepted[number].effect
         values = self._values(number)
         quantities = self._quantities(number, values)
-        rivals = _others(winner, others)
+        rivals = self._rivals(number)
         felt = self._felt_in_field(number)
         if effect.event:
             before, after, explained = self._while_it_lasts(number)
@@ -76,6 +76,24 @@ class Cards:
             felt_Nm=felt,
             event=effect.event,
         )
+
+    def _rivals(self, number: int) -> list[Scored]:
+        """Plausible competitors worth a line, the best of each kind and place.
+
+        What acts at none of the joints that feel the winner is no other explanation: it is accepted beside it, or it
+        does not stand.
+        """
+        winner, felt = self.outcome.rounds[number].winner, self._felt_at(number)
+        seen = {(winner.candidate.effect.kind, winner.joints)}
+        kept = []
+        for other in self.outcome.rounds[number].others:
+            stacked, key = other.candidate.stacked, (other.candidate.effect.kind, other.joints)
+            acts = self.evidence.field.joint[stacked.rows][np.any(stacked.kept != 0.0, axis=1)]
+            near = other.plausible and other.score > NEAR * winner.score
+            if near and key not in seen and np.isin(felt, acts).any():
+                seen.add(key)
+                kept.append(other)
+        return kept
 
     def _values(self, number: int) -> FloatArray:
         """Parameters, then constants of one effect."""
@@ -210,23 +228,6 @@ def _weightless(effect: Effect, quantities: Mapping[str, Quantity]) -> str:
     """
     mass = quantities.get("mass") if effect.weighs else None
     return "mass may be zero" if mass is not None and mass.low <= 0.0 <= mass.high else ""
-
-
-def _others(winner: Scored, others: Sequence[Scored]) -> list[Scored]:
-    """Plausible competitors worth a line, the best of each kind and place.
-
-    What acts at other joints alone is no other explanation: it is accepted beside the winner, or it does not stand.
-    """
-    own = winner.candidate.stacked
-    seen = {(winner.candidate.effect.kind, winner.joints)}
-    kept = []
-    for other in others:
-        key = (other.candidate.effect.kind, other.joints)
-        near = other.plausible and other.score > NEAR * winner.score
-        if near and key not in seen and np.any(own.inner(other.candidate.stacked)):
-            seen.add(key)
-            kept.append(other)
-    return kept
 
 
 def _confidence(winner: Scored, others: Sequence[Scored]) -> float:
