@@ -34,8 +34,13 @@ def run(
     seed: int = 0,
     gain: float | np.ndarray = 1.0,
     moving: int = 6,
+    centre: np.ndarray = CENTRE,
+    size: float = 1.0,
 ) -> Recording:
-    """Twelve seconds of the paper's arm with a body on its last link; joints after the first `moving` stand still."""
+    """Twelve seconds of the paper's arm with a body on its last link; joints after the first `moving` stand still.
+
+    The body's inertia about its centre is `size` times that of INERTIA: none at 0, a point mass.
+    """
     motion = sweep(ARM)
     motion = motion[0:1200]
     turns = np.arange(6) < moving
@@ -45,8 +50,8 @@ def run(
         velocity=motion.velocity * turns,
         acceleration=motion.acceleration * turns,
     )
-    about = INERTIA * mass / MASS + mass * (CENTRE @ CENTRE * np.eye(3) - np.outer(CENTRE, CENTRE))
-    phi = np.array([mass, *(mass * CENTRE), *about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+    about = size * INERTIA * mass / MASS + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    phi = np.array([mass, *(mass * centre), *about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
     blocks = rigid_body_blocks(ARM, motion.position, motion.velocity, motion.acceleration)
     extra = np.stack([phi @ blocks[row, len(ARM.joints) - 1] for row in range(len(ARM.joints))], axis=1)
     torque = MODEL.torque(motion) + extra + friction * np.sign(motion.velocity)
@@ -72,6 +77,28 @@ def test_a_body_is_found_within_its_errors_though_friction_changed(friction):
     assert held.inertia is not None
     near(held.inertia, rotation.T @ INERTIA @ rotation, held.inertia_error)
     assert np.all(held.after_Nm <= held.before_Nm + 1e-9)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.3])
+@pytest.mark.parametrize("noise, within_kg, within_m", [(0.05, 0.003, 0.0004), (1.0, 0.03, 0.01)])
+@pytest.mark.parametrize("distance_m", [0.0, 0.12, 0.3])
+def test_centre_is_right_where_the_inertia_is_not_determined(distance_m, noise, within_kg, within_m, size):
+    """A point mass in particular: about the joint its inertia is m d^2; left out, mass and centre made up for it."""
+    centre = distance_m * np.array([0.3, -0.4, 0.866])
+    held = find_payload(MODEL, [run(MASS, noise=noise, centre=centre, size=size, seed=3)])
+    assert abs(held.mass - MASS) < min(4.0 * held.mass_error, within_kg)
+    _, rotation, origin = tool_frame(ARM, None)
+    truth = rotation.T @ (centre - origin)
+    near(held.centre, truth, held.centre_error)
+    assert np.abs(held.centre - truth).max() < within_m and held.centre_error.max() < within_m
+
+
+def test_an_inertia_that_the_motion_does_not_determine_is_not_reported_and_widens_the_centre():
+    """The wrist still, the body's own inertia is hardly turned: the errors allow for any that a compact body has."""
+    held = find_payload(MODEL, [run(MASS, noise=0.5, moving=3)])
+    assert held.inertia is None and held.inertia_error is None
+    _, rotation, origin = tool_frame(ARM, None)
+    near(held.centre, rotation.T @ (CENTRE - origin), held.centre_error)
 
 
 def test_nothing_held_is_said_to_be_nothing():
