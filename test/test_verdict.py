@@ -136,9 +136,20 @@ def test_negative_viscosity_counts_beyond_its_error_alone(made) -> None:
     assert judge_result(with_values(made, 1.0, **values), figures).level is Level.GOOD
 
 
+def test_negative_viscosity_counts_at_every_speed_not_at_the_largest_alone(made) -> None:
+    """k_v3 makes up for k_v1 at the largest speed: what resists there drives near standstill."""
+    figures = with_moving(made[1], 0.01, 0.01)
+    top = max(float(np.abs(trace.velocity[trace.moving[:, 0], 0]).max()) for trace in figures.traces)
+    values = {"f_c": 9.0, "f_b": 9.0, "k_v1": -0.5, "k_v2": 0.0, "k_v3": 2.0 / top**2}
+    verdict = judge_result(with_values(made, 0.01, **values), figures)
+    assert verdict.level is Level.SUSPECT and "viscous friction is negative: -0.5" in verdict.reasons[0]
+    assert "--friction paper" in verdict.reasons[0]
+    assert judge_result(with_values(made, 1.0, **values), figures).level is Level.GOOD
+
+
 def test_errors_of_friction_are_those_of_its_parameters(made) -> None:
     identified = with_values(made, 0.01)
-    _, slope_error = viscosity(identified.model, 0, 0.5, identified.covariance)
+    _, [slope_error] = viscosity(identified.model, 0, np.array([0.5]), identified.covariance)
     # k_v1 and 0.25 k_v3, each with an error of 0.01; k_v2 is even and cancels.
     assert slope_error == pytest.approx(0.01 * math.hypot(1.0, 0.25))
     velocity, _ = friction_curve(identified.model, 0, 0.5, np.zeros(2))

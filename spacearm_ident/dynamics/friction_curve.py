@@ -50,27 +50,26 @@ def friction_error(
 
 
 def viscosity(
-    identified: IdentifiedModel, joint: int, speed: float, covariance: FloatArray
-) -> tuple[float, float] | None:
-    """Slope of one joint's viscous friction between -speed and speed: k_v1 + k_v3 speed^2, even terms cancel.
+    identified: IdentifiedModel, joint: int, speeds: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Slopes of one joint's viscous friction between -speed and speed: k_v1 + k_v3 speed^2, even terms cancel.
 
     Args:
         identified: The model.
         joint: Its index.
-        speed: Of the joint, rad/s.
+        speeds: (K,) of the joint, above zero, rad/s.
         covariance: (p + c, p + c) of parameters and constants, or of more.
 
     Returns:
-        The slope and its standard error, N·m s/rad; None where the model has no viscous friction there.
+        The slopes (K,) and their standard errors (K,), N·m s/rad; None where the model has no viscous friction there.
     """
     still = np.zeros(len(identified.model.arm.joint_names))
-    motion = _steady(identified, joint, np.array([-speed, speed]), still)
+    motion = _steady(identified, joint, np.concatenate([-speeds, speeds]), still)
     numbers, rows = _columns(identified, motion, joint, ViscousFriction.kind)
     if not numbers:
         return None
-    slope = (rows[1:] - rows[:1]) / (2.0 * speed)
-    error = _errors(slope, covariance[np.ix_(numbers, numbers)])
-    return float((slope @ identified.parameters[numbers])[0]), float(error[0])
+    slopes = (rows[len(speeds) :] - rows[: len(speeds)]) / (2.0 * speeds[:, None])
+    return slopes @ identified.parameters[numbers], _errors(slopes, covariance[np.ix_(numbers, numbers)])
 
 
 def _columns(

@@ -18,7 +18,7 @@ from enum import StrEnum
 import numpy as np
 
 from ..arrays import FloatArray
-from ..dynamics.friction_curve import friction_curve, friction_error, viscosity
+from ..dynamics.friction_curve import SLOWEST, friction_curve, friction_error, viscosity
 from ..estimate.identified import Determination, Estimate, Identified, JointValidation, Trace, Validation
 from ..signals.motion import moves_by_position
 
@@ -38,6 +38,8 @@ HELD, IMPOSSIBLE = 3.0, 10.0
 """Standard errors by which physical consistency may move a base parameter: beyond the first it is said, beyond the
 second the model is suspect. Ours: standard errors are too small where the model leaves something out, commonly by a
 factor of three, so that three of them are no contradiction yet and ten are."""
+SPEEDS = 50
+"""Speeds, evenly apart up to the joint's largest, at which viscosity is asked: it is a parabola of the speed."""
 LACKING_P = 0.01
 """Probability under which the F test of the lack of fit is believed."""
 
@@ -191,13 +193,30 @@ def _impossible(identified: Identified, validation: Validation) -> dict[str, lis
 
 
 def _negative_viscosity(joint: int, identified: Identified, moving: FloatArray) -> str:
-    """Viscous friction that falls below zero with speed; empty where it does not."""
-    known = viscosity(identified.model, joint, float(np.abs(moving).max()), identified.covariance)
-    if known is None or known[0] + BEYOND * known[1] >= 0.0:
+    """Viscous friction below zero at a speed up to the joint's largest; empty where there is none.
+
+    At every one: a negative k_v1 that k_v2 or k_v3 outweigh at the largest speed is no viscosity either.
+    """
+    top = float(np.abs(moving).max())
+    # At the first, next to standstill, it is k_v1 alone.
+    speeds = np.linspace(SLOWEST, 1.0, SPEEDS) * top
+    known = viscosity(identified.model, joint, speeds, identified.covariance)
+    if known is None:
+        return ""
+    slopes, errors = known
+    beyond = np.flatnonzero(slopes + BEYOND * errors < 0.0)
+    if not len(beyond):
         return ""
     units = identified.model.model.arm.joints[joint].units
-    unit = f"{units.effort} s/{units.position}"
-    return f"viscous friction is negative: {known[0]:.3g} ± {known[1]:.2g} {unit} up to its largest speed"
+    throughout = beyond[-1] == SPEEDS - 1
+    at = int(beyond[-1] if throughout else np.argmin(slopes + BEYOND * errors))
+    value = f"viscous friction is negative: {slopes[at]:.3g} ± {errors[at]:.2g} {units.effort} s/{units.position}"
+    if throughout:
+        return f"{value} up to its largest speed"
+    return (
+        f"{value} at {speeds[at] if at else 0.0:.2g} {units.velocity}, outweighed at {top:.2g}: k_v1 to k_v3 may "
+        "stand for Stribeck friction that is not in the model; compare --friction paper"
+    )
 
 
 def _driving(joint: int, identified: Identified, moving: FloatArray, traces: Sequence[Trace]) -> str:
