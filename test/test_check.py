@@ -136,8 +136,11 @@ def test_bodies_that_cannot_be_are_named(tmp_path, old, new, level):
         )
     path = tmp_path / "arm.urdf"
     path.write_text(text)
-    lines = [line for line in found(check_arm(path), level) if line.startswith("inertials")]
+    results = check_arm(path)
+    lines = [line for line in found(results, level) if line.startswith("inertials")]
     assert len(lines) == 1 and "joint_1" in lines[0] and "joint_2" not in lines[0]
+    # Of links that no body can be no torque is told: it was 1e33 per cent of the limit where masses cancelled.
+    assert any(result.subject == "holding torque" for result in results) == (level is Level.WARN)
 
 
 # --- drives and buses -------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from spacearm_ident.nodes.jobs import IdentifyJob
 from spacearm_ident.recording import Recording, read_recording, write_recording
 from spacearm_ident.results.store import load_prior, load_result
 from spacearm_ident.sessions.bags import Options
+from spacearm_ident.sessions.identification import find_arm
 
 ON_EARTH = (
     Friction(f_c=5.0, f_b=5.0, k_v1=4.0, k_v2=1.0, k_v3=0.5),
@@ -125,6 +126,27 @@ def test_a_result_is_a_prior_again_and_the_node_takes_it(folder):
     assert twice.model.provenance["prior"].startswith(str(folder / "orbit"))
     words = replace(job, options=Options(temperature=("f_c", "k_v1"), estimate_gravity="direction")).command
     assert "--temperature f_c,k_v1 --estimate-gravity direction" in words
+
+
+def test_bandwidth_is_said_to_be_the_priors_where_none_was_asked_for(folder):
+    run = [read_recording(folder / "short.mcap")]
+    prior = load_prior(folder / "ground").under(np.zeros(3))
+    assert update(run, prior).bandwidth.reason == "the prior's"
+    assert update(run, prior, cutoff_hz=4.0).bandwidth.reason == "as asked"
+
+
+def test_an_arm_file_without_gravity_leaves_the_priors(folder, tmp_path):
+    """A log needs a file of the arm; what that does not say of gravity is no statement."""
+    run = [read_recording(folder / "short.mcap")]
+    prior = load_prior(folder / "orbit")
+    (tmp_path / "arm.urdf").write_text(prior.model.model.arm.urdf)
+    silent, stated = tmp_path / "silent.yaml", tmp_path / "stated.yaml"
+    silent.write_text("schema: spacearm_ident/arm/1\nurdf: arm.urdf\n")
+    stated.write_text(silent.read_text() + "gravity_m_s2: [0, 0, -1.62]\n")
+    assert not find_arm(tmp_path / "arm.urdf", None, run, prior).gravity.any()
+    assert not find_arm(silent, None, run, prior).gravity.any()
+    assert find_arm(stated, None, run, prior).gravity.tolist() == [0.0, 0.0, -1.62]
+    assert find_arm(stated, (0.0, 0.0, -3.0), run, prior).gravity.tolist() == [0.0, 0.0, -3.0]
 
 
 def test_gravity_that_is_unknown_is_told_from_masses_that_are_known(folder):

@@ -194,6 +194,8 @@ def update(
     motions, bandwidth = prepare(
         placed(recordings, arm), arm.joint_names, cutoff_hz or ground.model.cutoff_hz, average=False
     )
+    if not cutoff_hz and ground.model.cutoff_hz:
+        bandwidth = replace(bandwidth, reason="the prior's")
     if not gravity:
         return _update(motions, bandwidth, wider)
     here, masses = arm.gravity, ground.model.parameters

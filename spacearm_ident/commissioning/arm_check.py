@@ -61,14 +61,8 @@ def _without_empty(data: Mapping[str, Any], path: Path) -> Arm:
 
 def _inertials(arm: Arm) -> Iterator[CheckResult]:
     masses = np.array([joint.inertial[0] for joint in arm.joints])
-    smallest = np.array([np.linalg.eigvalsh(pseudo_inertia(joint.inertial))[0] for joint in arm.joints])
-    largest = np.array([np.abs(joint.inertial).max() for joint in arm.joints])
     massless = [joint.name for joint, mass in zip(arm.joints, masses) if mass == 0]
-    impossible = [
-        joint.name
-        for joint, mass, low, size in zip(arm.joints, masses, smallest, largest)
-        if mass < 0 or low < -1e-9 * max(size, 1.0)
-    ]
+    impossible = _impossible(arm)
     if impossible:
         yield fail(
             "inertials",
@@ -84,6 +78,16 @@ def _inertials(arm: Arm) -> Iterator[CheckResult]:
         )
     if not (massless or impossible):
         yield ok("inertials", f"all bodies are possible, {masses.sum():.4g} kg move")
+
+
+def _impossible(arm: Arm) -> list[str]:
+    """The joints that move what no body can be."""
+    smallest = [np.linalg.eigvalsh(pseudo_inertia(joint.inertial))[0] for joint in arm.joints]
+    return [
+        joint.name
+        for joint, low in zip(arm.joints, smallest)
+        if joint.inertial[0] < 0 or low < -1e-9 * max(np.abs(joint.inertial).max(), 1.0)
+    ]
 
 
 def _limits(arm: Arm) -> Iterator[CheckResult]:
@@ -134,8 +138,11 @@ def _gravity(arm: Arm) -> CheckResult:
 
 
 def _holding(arm: Arm) -> Iterator[CheckResult]:
-    """Torque of gravity by the CAD links against the torque limits."""
-    if not arm.gravity.any() or not all(joint.upper > joint.lower for joint in arm.joints):
+    """Torque of gravity by the CAD links against the torque limits; of links that no body can be there is none.
+
+    A negative mass may cancel those behind it, and Pinocchio then divides by the sum.
+    """
+    if _impossible(arm) or not arm.gravity.any() or not all(joint.upper > joint.lower for joint in arm.joints):
         return
     limits = np.array([joint.effort_limit for joint in arm.joints])
     share = np.abs(gravity_torques(arm, drawn_postures(arm))).max(axis=0) / limits

@@ -96,6 +96,7 @@ class Arm:
     """An open chain (or tree) of n revolute and prismatic joints on a fixed base.
 
     Attributes:
+        gravity_stated: Whether its file says what gravity is, which is the standard one otherwise.
         effort_declared: Whether somebody has said what unit its driver publishes effort in.
         corrections: Of its recordings, whose conventions may be others; nothing of the arm itself.
         package_path: Folders in which the description's meshes are looked for, the description's own first.
@@ -107,6 +108,7 @@ class Arm:
     joints: tuple[Joint, ...]
     urdf: str
     gravity: FloatArray = field(default_factory=lambda: np.array(EARTH))
+    gravity_stated: bool = False
     couplings: tuple[Coupling, ...] = ()
     effort_declared: bool = False
     corrections: Corrections = field(default_factory=Corrections)
@@ -322,7 +324,9 @@ def arm_from_description(urdf: str, data: Mapping[str, Any], where: str) -> Arm:
         for key in DRIVE_KEYS
         if key in (keys or {}) and keys[key] is None
     )
+    stated = "gravity_m_s2" in data
     arm = replace(arm, name=name, joints=joints, couplings=couplings, corrections=corrections, empty=empty)
+    arm = replace(arm, gravity_stated=stated)
     return arm if data.get("effort") is None else _with_effort(arm, data["effort"], given, f"{where}: effort")
 
 

@@ -172,10 +172,10 @@ def find_arm(
     recordings: Sequence[Recording],
     prior: GroundPrior | None = None,
 ) -> Arm:
-    """The arm of a file, or else the one that the recordings describe; with a prior its own, under the file's gravity.
+    """The arm of a file, or else the one that the recordings describe; with a prior its own.
 
     Args:
-        file: URDF or arm YAML.
+        file: URDF or arm YAML; beside a prior only the gravity counts that it states.
         gravity: (3,) m/s^2 in the base frame, instead of the arm's own.
         recordings: Whose `/robot_description` is taken where there is no file.
         prior: Ground model to update.
@@ -185,8 +185,9 @@ def find_arm(
     """
     if prior is not None:
         arm = prior.model.model.arm
-        if file is not None:
-            arm = arm.with_gravity(load_arm(file).gravity)
+        told = load_arm(file) if file is not None else None
+        if told is not None and told.gravity_stated:
+            arm = arm.with_gravity(told.gravity)
     elif file is not None:
         arm = load_arm(file)
     else:
