@@ -19,7 +19,7 @@ from spacearm_ident.conventions.clock import clock_error_s
 from spacearm_ident.conventions.description import compare_description
 from spacearm_ident.conventions.finding import ConventionReport, Level
 from spacearm_ident.conventions.fixed_joints import moving_though_fixed
-from spacearm_ident.conventions.plain import without_motion
+from spacearm_ident.conventions.plain import read_off, without_motion
 from spacearm_ident.conventions.rows import rows_of
 from spacearm_ident.conventions.scorer import Scorer
 from spacearm_ident.conventions.search import is_testable
@@ -250,6 +250,30 @@ def test_a_joint_without_torque_is_said_and_the_others_are_still_checked(run, ar
     report = check_conventions([scaled(scaled(run, "effort", 3, 0.0), "effort", 1, -1.0)], arm)
     assert ("no_effort", ("wrist",)) in unfit(report)
     assert ("effort_sign", ("shoulder",)) in unfit(report)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_seconds_in_which_the_arm_is_carried_are_named(run, noise):
+    """Drives off: no torque but the noise of currents, half a per cent of the limits, while every joint moves."""
+    start, stop = 3.0, 5.0
+    rows = (run.time - run.time[0] >= start) & (run.time - run.time[0] < stop)
+    effort = run.effort.copy()
+    effort[rows] = noise * np.array(LIMITS) * np.random.default_rng(0).standard_normal((rows.sum(), len(NAMES)))
+    (finding,) = [one for one in read_off(replace(run, effort=effort)).findings if one.kind == "drives_off"]
+    ((first, last),) = finding.values["from_to_s"]
+    assert finding.level is Level.UNFIT and abs(first - start) < 0.3 and abs(last - stop) < 0.3
+    assert f"from {first:.1f} to {last:.1f} s" in finding.statement
+    # At rest and weightless they are a pause.
+    held = run.position.copy()
+    held[rows] = held[rows][0]
+    resting = read_off(replace(run, effort=effort, position=held, velocity=None))
+    assert "drives_off" not in {one.kind for one in resting.findings}
+
+
+def test_torque_of_one_joint_that_stays_is_no_drive_that_is_off(run):
+    effort = run.effort.copy()
+    effort[500:900, 1:] = 0.0
+    assert "drives_off" not in {one.kind for one in read_off(replace(run, effort=effort)).findings}
 
 
 def test_a_joint_at_rest_is_a_note(run, arm):

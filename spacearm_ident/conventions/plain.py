@@ -22,6 +22,16 @@ FIXED_RANGE = 0.02
 that tilts by so much turns 2 % of gravity."""
 DEAD_SHARE = 1e-6
 """A torque that varies by less than this share of the largest joint's says nothing."""
+OFF_S = 0.5
+"""Length of the windows, half of it apart, in which drives are looked at for being off, s: several times what a
+reversal takes, at which torque may pass zero."""
+OFF_SHARE = 0.15
+"""Torque RMS in such a window over that of the recording below which a joint's drive gives none, where all joints'
+do. With currents zero but for a noise of half a per cent of the limits it is 0.06; the least of 23 sound recordings, 17
+of them of real arms, 0.41 (docs/check.md). The geometric mean lies between."""
+CARRIED_SHARE = 2.0 * OFF_SHARE
+"""Travel in such a window over its RMS over the recording from which a joint moves that its drive does not: at so much
+of the usual speed viscous friction alone would ask for twice `OFF_SHARE` of the torque."""
 SLOPE_OFF = 0.1
 """Relative deviation of recorded from differentiated velocity from which it is another quantity."""
 SHIFT_S = 0.03
@@ -74,7 +84,7 @@ def read_off(recording: Recording) -> Plain:
     still = frozenset(np.flatnonzero(np.ptp(recording.position, axis=0) < REST_RAD).tolist())
     spread = recording.effort.std(axis=0)
     dead = frozenset(np.flatnonzero(spread <= DEAD_SHARE * max(float(spread.max()), 1e-9)).tolist())
-    findings = [*_rest(names, still, dead), *_dead(recording, dead - still)]
+    findings = [*_rest(names, still, dead), *_dead(recording, dead - still), *_off(recording, still, dead)]
     slopes, velocity = compare_velocity(recording, still)
     error_s = clock_error_s(recording)
     return Plain((*findings, *velocity, *_clock(recording, error_s)), still, dead, slopes, error_s)
@@ -145,6 +155,40 @@ def _dead(recording: Recording, dead: frozenset[int]) -> list[Finding]:
     text = f"the effort of {', '.join(joints)} is {what} throughout"
     remedy = "have the driver publish the joint's torque in JointState.effort and record again"
     return [Finding("no_effort", Level.UNFIT, joints, text, remedy)]
+
+
+def _off(recording: Recording, still: frozenset[int], dead: frozenset[int]) -> list[Finding]:
+    """When the arm moved though no joint had torque: carried by hand, or fallen, with the drives off.
+
+    A joint that a drive moves takes its friction at least, and an arm that stands or moves against gravity its weight.
+    """
+    told = sorted(set(range(len(recording.joints))) - dead)
+    moved = sorted(set(range(len(recording.joints))) - still)
+    if not told or not moved:
+        return []
+    size = max(4, round(OFF_S * recording.rate_hz))
+    starts = [k for part in recording.segments for k in range(part.start, part.stop - size + 1, max(1, size // 2))]
+    if not starts:
+        return []
+    torque = np.array([np.sqrt(np.mean(recording.effort[k : k + size, told] ** 2, axis=0)) for k in starts])
+    travel = np.array([np.ptp(recording.position[k : k + size, moved], axis=0) for k in starts])
+    usual = np.sqrt(np.mean(recording.effort[:, told] ** 2, axis=0))
+    off = np.all(torque < OFF_SHARE * usual, axis=1)
+    carried = (travel > REST_RAD) & (travel > CARRIED_SHARE * np.sqrt(np.mean(travel**2, axis=0)))
+    spans: list[tuple[float, float]] = []
+    for window in np.flatnonzero(off & carried.any(axis=1)):
+        first, last = recording.time[starts[window]], recording.time[starts[window] + size - 1]
+        if spans and first <= spans[-1][1]:
+            spans[-1] = (spans[-1][0], float(last))
+        else:
+            spans.append((float(first), float(last)))
+    if not spans:
+        return []
+    times = [(round(first - recording.time[0], 2), round(last - recording.time[0], 2)) for first, last in spans]
+    words = ", ".join(f"from {first:.1f} to {last:.1f} s" for first, last in times)
+    text = f"the arm moves though no joint has torque, {words}: the drives were off (emergency stop, carried by hand)"
+    remedy = f"record again, or cut these seconds, and {OFF_S:g} s on either side, out of the log: a gap is left out"
+    return [Finding("drives_off", Level.UNFIT, (), text, remedy, values={"from_to_s": times})]
 
 
 def _blocks(recording: Recording, length_s: float = 0.04) -> list[tuple[FloatArray, FloatArray, float]]:
