@@ -15,6 +15,7 @@ from ..canbus.arm_bus import EXTRAPOLATION
 from ..driver.playback import BRIDGED_ACCELERATION, EASED_ACCELERATION, acceleration_for_stalls
 from ..driver.safety import Margins
 from ..dynamics.arm import Arm, load_arm
+from ..dynamics.mimics import require_open_chain
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..dynamics.model_file import load_model
 from ..errors import UserError
@@ -221,7 +222,8 @@ def model_of(options: argparse.Namespace) -> IdentifiedModel:
     if options.arm is None and options.model is None:
         raise UserError("no arm: give --arm ARM (URDF or arm YAML), --model model.yaml, or both")
     identified = None if options.model is None else load_model(options.model)
-    arm = load_arm(options.arm) if options.arm is not None or identified is None else identified.model.arm
+    known = None if options.arm is not None or identified is None else identified.model.arm
+    arm = known or require_open_chain(load_arm(options.arm))
     if options.gravity is not None:
         arm = arm.with_gravity(np.array(options.gravity))
     if identified is None:

@@ -14,6 +14,7 @@ from ..arrays import FloatArray
 from ..commissioning.starter import ARM_FILE, CAN_FILE, NODES_FILE, DataSheet, completed, starter_files
 from ..dynamics.arm import Arm, arm_from_urdf
 from ..dynamics.meshes import package_folders, resolve_meshes
+from ..dynamics.mimics import follower_words, refuse_coupled
 from ..dynamics.urdf_chain import Selection, choose_joints, locked
 from ..errors import UserError
 from ..excitation.clearance import Clearance
@@ -28,6 +29,7 @@ posture to start from), {NODES_FILE} (parameters of the ROS nodes), layouts for 
 is marked with its source: URDF, ASSUMED, or FILL IN where no default is possible; 'spacearm check DIR' lists what is
 still missing. With --eds, --interface or a number from a data sheet also {CAN_FILE}, for CANopen drives. Without
 --base, --tip or --joints the arm is the longest chain; fingers, grippers and joints that mimic others become payload.
+An arm one of whose joints moves another of the chain (a mimic joint of a parallelogram) is refused: it is not modelled.
 """
 SHEET = {
     "gear_ratio": "motor turns a joint turn (also taken from the URDF's transmissions)",
@@ -111,13 +113,15 @@ def run(options: argparse.Namespace) -> int:
         package_path=package_folders(urdf, arm.package_path),
     )
     _write(options.out, texts, options.force)
-    print("\n".join(_summary(options, chosen, arm, texts, start, lacking, canopen)))
+    moved = follower_words(whole, chosen.joints)
+    print("\n".join([*_summary(options, chosen, arm, texts, start, lacking, canopen), *moved]))
     return 0
 
 
 def _arm(whole: str, options: argparse.Namespace) -> tuple[Selection, str, Arm]:
     """The joints chosen, the URDF in which only they move, and its arm."""
     chosen = choose_joints(whole, options.base, options.tip, options.joints)
+    refuse_coupled(whole, chosen.joints)
     others = (*chosen.hand, *chosen.others)
     urdf = locked(whole, others, _positions(options.lock)) if others or options.lock else whole
     folders = (str(options.urdf.parent), *options.package_path)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm, load_arm
+from ..dynamics.mimics import require_open_chain
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..dynamics.rigid_body import RigidBody
@@ -123,7 +124,7 @@ def model_of(options: argparse.Namespace) -> tuple[IdentifiedModel, Arm]:
     if options.model is None:
         if options.arm is None:
             raise UserError("nothing to simulate: name --arm ARM (URDF or arm YAML), --model model.yaml, or both")
-        arm = load_arm(options.arm)
+        arm = require_open_chain(load_arm(options.arm))
         return default_model(arm), arm
     model = load_model(options.model)
     if not any(isinstance(term, RigidBody) for term in model.model.terms):

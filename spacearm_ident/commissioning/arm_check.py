@@ -10,6 +10,7 @@ import numpy as np
 
 from ..dynamics.arm import DRIVE_KEYS, Arm, arm_from_description, load_arm
 from ..dynamics.demand import drawn_postures, gravity_torques
+from ..dynamics.mimics import follower_words, require_open_chain
 from ..errors import UserError
 from ..estimate.consistency import pseudo_inertia
 from .result import CheckResult, fail, ok, warn
@@ -42,6 +43,14 @@ def check_arm(path: Path) -> list[CheckResult]:
         arm = arm or load_arm(path)
     except UserError as error:
         return [*results, fail("arm file", str(error), "correct it; config/paper_arm.yaml is an example")]
+    try:
+        require_open_chain(arm)
+    except UserError as error:
+        results.append(fail("mimic joints", str(error), ""))
+    results += [
+        warn("mimic joints", line, "right for fingers, not for a linkage")
+        for line in follower_words(arm.described, arm.joint_names)
+    ]
     turning = sum(joint.revolute for joint in arm.joints)
     what = f"{arm.name}: {turning} revolute and {len(arm.joints) - turning} prismatic joints"
     if not any(result.subject == "arm file" for result in results):

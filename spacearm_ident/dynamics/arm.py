@@ -102,6 +102,7 @@ class Arm:
         package_path: Folders in which the description's meshes are looked for, the description's own first.
         locked: Joints of the description that a recording lacks, and that are fixed for it.
         empty: What its file names and leaves empty, as `JOINT: KEY`; a driver needs it, an identification does not.
+        described: Its description before joints that mimic others were locked; empty: as `urdf`.
     """
 
     name: str
@@ -115,6 +116,7 @@ class Arm:
     package_path: tuple[str, ...] = ()
     locked: tuple[str, ...] = ()
     empty: tuple[str, ...] = ()
+    described: str = ""
 
     @property
     def effort_scale(self) -> FloatArray:
@@ -178,8 +180,9 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
         UserError: Not a URDF (`check_urdf`), no actuated joint, a joint that is neither revolute nor prismatic, or one
             without axis.
     """
+    described = ""
     if fixed := mimicking(urdf):
-        urdf = locked(urdf, fixed)
+        described, urdf = urdf, locked(urdf, fixed)
     urdf = with_limits(urdf)
     model = _pinocchio_model(urdf)
     joints = []
@@ -213,7 +216,7 @@ def arm_from_urdf(urdf: str, gravity: FloatArray | None = None) -> Arm:
     if not joints:
         raise UserError("the URDF has no actuated joint: check that its joints are not all fixed")
     vector = np.array(EARTH) if gravity is None else np.asarray(gravity, dtype=float)
-    return Arm(model.name, tuple(joints), urdf, vector)
+    return Arm(model.name, tuple(joints), urdf, vector, described=described)
 
 
 def without_joints(arm: Arm, names: Collection[str], at: Mapping[str, float] | None = None) -> Arm:
@@ -233,7 +236,8 @@ def without_joints(arm: Arm, names: Collection[str], at: Mapping[str, float] | N
     if set(names) >= set(arm.joint_names):
         raise UserError(f"none of the arm's joints is in the recordings: it has {', '.join(arm.joint_names)}")
     stated = {joint.name: joint.start for joint in arm.joints if joint.name in names and np.isfinite(joint.start)}
-    smaller = arm_from_urdf(locked(arm.urdf, names, {**stated, **(at or {})}))
+    urdf = arm.described or arm.urdf
+    smaller = arm_from_urdf(locked(urdf, {*names, *mimicking(urdf, names)}, {**stated, **(at or {})}))
     known = {joint.name: joint for joint in arm.joints}
     joints = tuple(
         replace(
@@ -246,7 +250,8 @@ def without_joints(arm: Arm, names: Collection[str], at: Mapping[str, float] | N
         for new in smaller.joints
     )
     fixed = tuple(joint for joint in arm.joint_names if joint in names)
-    return replace(arm, joints=joints, urdf=smaller.urdf, locked=(*arm.locked, *fixed))
+    described = smaller.described
+    return replace(arm, joints=joints, urdf=smaller.urdf, locked=(*arm.locked, *fixed), described=described)
 
 
 def _pinocchio_model(urdf: str) -> pin.Model:

@@ -148,9 +148,15 @@ def of_a_hand(joint: str) -> bool:
     return _HAND_NAMES.search(joint) is not None
 
 
-def mimicking(urdf: str) -> tuple[str, ...]:
-    """Joints that mimic others, and so have no drive of their own."""
-    return tuple(joint.name for joint in JointTree(urdf).joints if joint.kind in DRIVEN and joint.mimics)
+def mimicking(urdf: str, leaders: Collection[str] | None = None) -> tuple[str, ...]:
+    """Joints that mimic others, and so have no drive of their own.
+
+    Args:
+        urdf: Text of the description.
+        leaders: Only those that mimic one of these; None: all.
+    """
+    mimics = [joint for joint in JointTree(urdf).joints if joint.kind in DRIVEN and joint.mimics]
+    return tuple(joint.name for joint in mimics if leaders is None or joint.mimics in leaders)
 
 
 def locked(urdf: str, joints: Iterable[str], at: Mapping[str, float] | None = None) -> str:
@@ -269,8 +275,7 @@ def _longest(tree: JointTree, base: str | None) -> list[str]:
     Raises:
         UserError: There are several.
     """
-    below = tree.moving_below()
-    hand = _hand_joints(tree, below)
+    hand = hand_joints(tree)
     inside = [j for j in tree.joints if j.driven and _behind(tree, j, base)]
     ends = [j for j in inside if j.name not in hand] or inside  # a finger may be all there is
     chains = [[other.name for other in tree.path(j.child, base) if other.driven] for j in ends]
@@ -289,8 +294,12 @@ def _behind(tree: JointTree, joint: UrdfJoint, base: str | None) -> bool:
     return any(other.parent == base for other in tree.path(joint.child))
 
 
-def _hand_joints(tree: JointTree, below: Mapping[str, Sequence[str]]) -> set[str]:
-    """Joints of hands: behind a joint that carries several short chains only, by name, and all behind those."""
+def hand_joints(tree: JointTree) -> set[str]:
+    """Joints of hands: behind a joint that carries several short chains only, by name, and all behind those.
+
+    A joint that mimics another is one as well where it carries none with a drive of its own.
+    """
+    below = tree.moving_below()
 
     def all_below(name: str) -> list[str]:
         return [one for child in below.get(name, ()) for one in (child, *all_below(child))]
@@ -303,7 +312,8 @@ def _hand_joints(tree: JointTree, below: Mapping[str, Sequence[str]]) -> set[str
         if name and len(children) > 1 and all(depth(child) <= HAND_DEPTH for child in children):
             found.update(all_below(name))
     for joint in tree.joints:
-        if joint.mimics or (_HAND_NAMES.search(joint.name) and depth(joint.name) <= HAND_DEPTH):
+        follows = joint.mimics and not any(tree.by_name[name].driven for name in all_below(joint.name))
+        if follows or (_HAND_NAMES.search(joint.name) and depth(joint.name) <= HAND_DEPTH):
             found.update((joint.name, *all_below(joint.name)))
     return found
 

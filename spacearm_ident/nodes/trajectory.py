@@ -38,6 +38,7 @@ from ..arrays import FloatArray
 from ..canbus.realtime import prepare_process
 from ..config import config_path
 from ..dynamics.arm import load_arm
+from ..dynamics.mimics import require_open_chain
 from ..errors import UserError
 from ..excitation.run import Run, check_limits, limits_of, plan_run
 from ..excitation.trajectory_file import load_trajectory
@@ -85,7 +86,7 @@ class TrajectoryNode(LiveNode):
         )
         self._output = Output(self)
         self._interlock = Interlock(self)
-        self._arm = load_arm(Path(arm).expanduser() if arm else config_path("paper_arm.yaml"))
+        self._arm = require_open_chain(load_arm(Path(arm).expanduser() if arm else config_path("paper_arm.yaml")))
         self.hardware_id = self._arm.name
         self._stream: Stream | None = None
         self._path: PathWatch | None = None

@@ -19,6 +19,7 @@ from ..conventions.check import check_conventions
 from ..conventions.finding import ConventionReport
 from ..dynamics.arm import Arm, arm_from_urdf, load_arm, without_joints
 from ..dynamics.effects import Effect
+from ..dynamics.mimics import follower_words, require_open_chain
 from ..dynamics.model import Structure, TorqueModel, over_temperature, structure_of
 from ..dynamics.model_file import load_model
 from ..dynamics.urdf_chain import JointTree
@@ -181,7 +182,7 @@ def find_arm(
         prior: Ground model to update.
 
     Raises:
-        UserError: There is neither, or it cannot be read.
+        UserError: There is neither, it cannot be read, or one of its joints moves another of the chain as well.
     """
     if prior is not None:
         arm = prior.model.model.arm
@@ -196,7 +197,7 @@ def find_arm(
             raise UserError("no bag holds a /robot_description: name the arm's URDF or arm YAML as 'arm' (--arm FILE)")
         arm = arm_from_urdf(urdf)
     if prior is None:
-        arm = _as_recorded(arm, recordings)
+        arm = require_open_chain(_as_recorded(arm, recordings))
     return arm if gravity is None else arm.with_gravity(np.array(gravity, dtype=float))
 
 
@@ -215,11 +216,12 @@ def _as_recorded(arm: Arm, recordings: Sequence[Recording]) -> Arm:
 
 
 def locked_words(arm: Arm) -> list[str]:
-    """A line on the joints that were fixed since the recordings lack them; none where there are none."""
+    """Lines on the joints that were fixed, since the recordings lack them, or mimic others; none where none was."""
+    words = follower_words(arm.described, arm.joint_names)
     if not arm.locked:
-        return []
+        return words
     where = "at the positions recorded, else at 0; elsewhere: new-arm --lock"
-    return [f"not in the recordings, and taken as fixed: {', '.join(arm.locked)} ({where})"]
+    return [f"not in the recordings, and taken as fixed: {', '.join(arm.locked)} ({where})", *words]
 
 
 def settings_for(

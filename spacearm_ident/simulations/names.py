@@ -92,19 +92,25 @@ def renamed_model(identified: IdentifiedModel, names: Mapping[str, str]) -> Iden
 
 
 def _arm(arm: Arm, names: Mapping[str, str]) -> Arm:
-    robot = parse_xml(arm.urdf, "the URDF")
+    return replace(
+        arm,
+        joints=tuple(replace(joint, name=names.get(joint.name, joint.name)) for joint in arm.joints),
+        urdf=_urdf(arm.urdf, names),
+        described=arm.described and _urdf(arm.described, names),
+        couplings=tuple(replace(one, ratios=_replaced(dict(one.ratios), names)) for one in arm.couplings),
+        locked=tuple(names.get(joint, joint) for joint in arm.locked),
+    )
+
+
+def _urdf(text: str, names: Mapping[str, str]) -> str:
+    """The text of a description with other names of some joints."""
+    robot = parse_xml(text, "the URDF")
     for element in robot.iter():
         if element.tag == "joint" and element.get("name") in names:
             element.set("name", names[element.attrib["name"]])
         if element.tag == "mimic" and element.get("joint") in names:
             element.set("joint", names[element.attrib["joint"]])
-    return replace(
-        arm,
-        joints=tuple(replace(joint, name=names.get(joint.name, joint.name)) for joint in arm.joints),
-        urdf=ElementTree.tostring(robot, encoding="unicode"),
-        couplings=tuple(replace(one, ratios=_replaced(dict(one.ratios), names)) for one in arm.couplings),
-        locked=tuple(names.get(joint, joint) for joint in arm.locked),
-    )
+    return ElementTree.tostring(robot, encoding="unicode")
 
 
 def _replaced(value: Any, names: Mapping[str, str]) -> Any:
