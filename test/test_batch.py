@@ -128,6 +128,15 @@ def test_the_index_is_in_order_of_recording_and_says_what_failed(done):
     assert (done / "index.html").read_bytes() == before, "spacearm report makes the same page"
 
 
+def test_a_run_whose_stamps_give_no_date_has_none_in_the_tables(tmp_path):
+    (tmp_path / "fleet").mkdir()
+    write_recording(tmp_path / "fleet" / "a.mcap", replace(dated(0), start_ns=0))
+    assert batch(tmp_path / "fleet", "--out", tmp_path / "out") == 0
+    assert rows_of(tmp_path / "out")["a"]["recorded"] is None
+    (table,) = csv.DictReader((tmp_path / "out" / "summary.csv").open())
+    assert table["recorded"] == ""
+
+
 # --- again ------------------------------------------------------------------------------------------------------
 
 

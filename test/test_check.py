@@ -116,6 +116,16 @@ def test_what_is_wrong_with_an_arm_is_named(tmp_path, edit, level, said):
     assert all(result.advice for result in results if result.level is not Level.OK)
 
 
+@pytest.mark.parametrize("limit, warned", [(160.0, True), (12.0, False), (1e10, False)])
+def test_position_limits_that_look_like_degrees_are_warned_of(limit, warned, tmp_path, capsys):
+    text = re.sub(r'upper="[\d.]+"', f'upper="{limit}"', (CONFIG / "paper_arm.urdf").read_text())
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    assert any("are the position limits in degrees" in result.advice for result in check_arm(path)) == warned
+    assert main(["new-arm", str(path), "--out", str(tmp_path / "arm")]) == 0
+    assert ("limits in degrees?" in capsys.readouterr().out) == warned
+
+
 @pytest.mark.parametrize(
     "old, new, level",
     [

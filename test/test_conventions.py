@@ -203,6 +203,23 @@ def test_a_mistake_is_named_with_its_joint(what, run, arm):
     assert unfit(report) == [(kind, joints)], report.lines()
 
 
+RATIOS = np.array([100.0, 120.0, 80.0, 50.0])
+
+
+def test_positions_of_the_motors_are_named_by_the_gear_ratios_and_the_remedy_mends_them(run, arm):
+    geared = replace(arm, joints=tuple(replace(one, gear_ratio=r) for one, r in zip(arm.joints, RATIOS)))
+    wrong = turned(run, slice(None), RATIOS)
+    (finding,) = check_conventions([wrong], geared).findings
+    assert (finding.kind, finding.joints, finding.level) == ("motor_side", NAMES, Level.UNFIT)
+    assert check_conventions([finding.corrections.applied(wrong)], geared).fit
+
+
+def test_positions_of_the_motors_of_unknown_gear_ratios_are_not_called_degrees(run, arm):
+    (finding,) = check_conventions([turned(run, slice(None), RATIOS)], arm).findings
+    assert (finding.kind, finding.level) == ("position_unit", Level.UNFIT)
+    assert "motors" in finding.statement and finding.corrections.none
+
+
 @pytest.mark.parametrize("truth", [(0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, -6.94, -6.94)])
 def test_the_base_is_found_mounted_otherwise(truth, arm):
     report = check_conventions([sound(gravity=truth)], arm)

@@ -24,7 +24,7 @@ from spacearm_ident.logs.propose import propose
 from spacearm_ident.logs.read import propose_for, read_log, recording_by
 from spacearm_ident.logs.words import meaning_of
 from spacearm_ident.recording import Recording, read_recording, write_recording
-from spacearm_ident.recording.log_mapping import LogMapping, mapping_beside, read_mapping, save_mapping
+from spacearm_ident.recording.log_mapping import UNITS, LogMapping, mapping_beside, read_mapping, save_mapping
 from spacearm_ident.recording.tables import read_table
 
 UR10E = Path(__file__).parents[2] / "shared" / "recordings" / "real" / "ur10e" / "commissioning.mcap"
@@ -198,6 +198,11 @@ def test_a_log_and_its_bag_identify_the_same_parameters(tmp_path):
         ("measuredJointPosition_0", "position", None, 0),
         ("externalTorque_2", "other", None, 2),
         ("IPOC", "time", None, None),
+        ("torque_percent_1", "torque", "percent", 1),
+        ("torque_actual_permille_2", "torque", "permille", 2),
+        ("motor_torque_percent[3]", "torque", "percent", 3),
+        ("q_rad_4", "position", "rad", 4),
+        ("qd_deg_s[5]", "velocity", "deg/s", 5),
     ],
 )
 def test_names_of_columns_say_quantity_unit_and_joint(name, quantity, unit, number):
@@ -325,6 +330,44 @@ def test_a_written_unit_beyond_the_limits_is_asked_and_can_be_told(tmp_path):
     assert any("position_unit=" in question for question in found.questions)
     told = proposal(tmp_path, head, run.time, np.degrees(run.position), run.effort, position_unit="deg")
     assert told.mapping.units["position"] == "deg"
+
+
+@pytest.mark.parametrize("unit", ["turn", "mrad"])
+def test_every_written_unit_beyond_the_limits_is_asked(unit, tmp_path):
+    """As columns of motors are: a hundred times the joints' positions."""
+    run = small_arm.recording(8.0)
+    size = {"turn": 2 * np.pi, "mrad": 1e-3}[unit]
+    head = ["t", f"motor1_pos_{unit}", f"motor2_pos_{unit}", "tau1", "tau2"]
+    columns = run.time, 100.0 * run.position / size, run.effort
+    found = proposal(tmp_path, head, *columns)
+    assert found.mapping is None
+    assert any("position_unit=" in question and "of the motors?" in question for question in found.questions)
+    assert proposal(tmp_path, head, *columns, position_unit=unit).mapping.units["position"] == unit
+    data = {"schema": "spacearm_ident/arm/1", "urdf": "arm.urdf"}
+    (tmp_path / "arm.yaml").write_text(
+        yaml.safe_dump(data | {"corrections": {"joints": {"all": {"position_scale": 0.01}}}})
+    )
+    assert propose_for(tmp_path / "log.csv", tmp_path / "arm.yaml", {})[1].mapping is not None
+
+
+def test_an_unknown_unit_of_effort_is_one_question_that_offers_every_unit(tmp_path):
+    run = small_arm.recording(8.0)
+    noise = 1e6 * np.random.default_rng(0).standard_normal(run.effort.shape)
+    found = proposal(tmp_path, ["t", "q1_rad", "q2_rad", "tau1", "tau2"], run.time, run.position, noise)
+    (question,) = found.questions
+    assert all(unit in question for unit in UNITS["effort"])
+
+
+def test_what_is_told_and_what_is_left_out_is_said_as_it_is(tmp_path, capsys):
+    run = small_arm.recording(8.0)
+    warm = np.full_like(run.position, 30.0)
+    head = ["t", "q1", "q2", "tau1 [Nm]", "tau2 [Nm]", "temp_1", "temp_2"]
+    found = proposal(tmp_path, head, run.time, run.position, run.effort, warm, position_unit="rad")
+    row = next(row for row in found.rows if row.signal == "position")
+    assert (row.columns, row.unit) == ("q#", "rad")
+    assert found.left_out == ["temp_1, temp_2: no position, velocity or effort, left out"]
+    recording = recording_by(read_table(tmp_path / "log.csv"), found.mapping, tmp_path / "arm.urdf", "log")
+    assert any("position rad, effort N m" in issue.message for issue in recording.issues)
 
 
 def test_a_number_of_the_row_is_no_time_and_the_rate_is_asked(tmp_path):

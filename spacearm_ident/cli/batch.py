@@ -9,7 +9,6 @@ from typing import Any
 
 from ..report.index import INDEX
 from ..report.summary import IDENTIFIED
-from ..results.provenance import EPOCH
 from ..sessions.batch import identify_batch
 from . import common, identify
 
@@ -77,8 +76,7 @@ def table(rows: list[dict[str, Any]], page: Path) -> str:
         if row["status"] != IDENTIFIED:
             lines.append(f"{row['run']:<{width}}  {row['status']}: {row['reason']}")
             continue
-        when = (row["recorded"] or "")[:16].replace("T", " ")
-        when = "-" if when.startswith(EPOCH) else when
+        when = (row["recorded"] or "-")[:16].replace("T", " ")
         r = "-" if row["r"] is None else f"{row['r']:.4f}"
         share = "-" if row["relative_rms"] is None else f"{row['relative_rms']:.1%}"
         lines.append(

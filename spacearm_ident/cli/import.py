@@ -99,10 +99,11 @@ def _write_picture(path: Path, text: str) -> None:
 def show(proposal: Proposal) -> None:
     """What was understood as a table, then what is left out and what is open."""
     width = max([len(row.columns) for row in proposal.rows] + [20]) + 2
+    units = max([len(row.unit) for row in proposal.rows] + [6]) + 2
     if proposal.rows:
-        print(f"{'signal':<10}{'columns, # for the joint':<{width + 4}}{'unit':<8}because")
+        print(f"{'signal':<10}{'columns, # for the joint':<{width + 4}}{'unit':<{units}}because")
     for row in proposal.rows:
-        print(one_line(f"{row.signal:<10}{row.columns:<{width + 4}}{row.unit:<8}{row.because}"))
+        print(one_line(f"{row.signal:<10}{row.columns:<{width + 4}}{row.unit:<{units}}{row.because}"))
     for line in proposal.left_out:
         print(one_line(f"left out: {line}"))
     for question in proposal.questions:

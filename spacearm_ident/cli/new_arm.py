@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import FloatArray
+from ..commissioning.arm_check import limits_like_degrees
 from ..commissioning.starter import ARM_FILE, CAN_FILE, NODES_FILE, DataSheet, completed, starter_files
 from ..dynamics.arm import Arm, arm_from_urdf
 from ..dynamics.meshes import package_folders, resolve_meshes
@@ -188,6 +189,8 @@ def _summary(
     elif start.any():
         words = " ".join(f"{value:g}" for value in start)
         lines.append(f"start posture: {words} (rad, m), since all zeros violates a limit or nearly does")
+    if far := limits_like_degrees(arm):
+        lines.append(f"{listed(far)} may turn more than two turns from zero: are the URDF's limits in degrees? use rad")
     if advice := resolve_meshes(arm.urdf, arm.package_path).advice:
         lines.append(f"{advice}; until then clearance is checked with capsules")
     elif lacking:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..dynamics.arm import DRIVE_KEYS, Arm, arm_from_description, load_arm
 from ..dynamics.demand import drawn_postures, gravity_torques
-from ..dynamics.mimics import follower_words, require_open_chain
+from ..dynamics.mimics import coupled_words, follower_words
 from ..errors import UserError
 from ..estimate.consistency import pseudo_inertia
 from .result import CheckResult, fail, ok, warn
@@ -20,6 +20,8 @@ HOLDING_SHARE: Final = 0.9
 GRAVITIES: Final = {"Earth": 9.81, "Mars": 3.72, "the Moon": 1.62}
 FASTEST: Final = 20.0
 """A joint velocity limit above this, rad/s or m/s, is more likely in degrees."""
+FARTHEST: Final = 4.0 * np.pi
+"""Position limit, rad, beyond which a joint turns more than two turns from zero, which hardly any does."""
 HIGHEST_RATIO: Final = 1000.0
 
 
@@ -43,10 +45,8 @@ def check_arm(path: Path) -> list[CheckResult]:
         arm = arm or load_arm(path)
     except UserError as error:
         return [*results, fail("arm file", str(error), "correct it; config/paper_arm.yaml is an example")]
-    try:
-        require_open_chain(arm)
-    except UserError as error:
-        results.append(fail("mimic joints", str(error), ""))
+    if (coupled := coupled_words(arm.described, arm.joint_names)) is not None:
+        results.append(fail("mimic joints", *coupled))
     results += [
         warn("mimic joints", line, "right for fingers, not for a linkage")
         for line in follower_words(arm.described, arm.joint_names)
@@ -133,8 +133,25 @@ def _limits(arm: Arm) -> Iterator[CheckResult]:
             f"no position limits of {', '.join(free)}",
             "give position_lower_rad and position_upper_rad if cables do not allow any number of turns",
         )
-    if not (wrong or fast):
+    far = limits_like_degrees(arm)
+    if far:
+        yield warn(
+            "limits",
+            f"{', '.join(far)} may turn more than two turns from zero",
+            "are the position limits in degrees? use rad",
+        )
+    if not (wrong or fast or far):
         yield ok("limits", "positions, velocities, accelerations and torques that are given leave room to move")
+
+
+def limits_like_degrees(arm: Arm) -> list[str]:
+    """Joints with a position limit beyond two turns that would be within two turns if it were in degrees.
+
+    Args:
+        arm: With its limits in rad; numbers far beyond, such as 1e10, stand for no limit.
+    """
+    size = {joint.name: max(abs(joint.lower), abs(joint.upper)) for joint in arm.joints if joint.revolute}
+    return [name for name, limit in size.items() if FARTHEST < limit <= np.degrees(FARTHEST)]
 
 
 def _gravity(arm: Arm) -> CheckResult:

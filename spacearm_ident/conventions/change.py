@@ -21,6 +21,7 @@ class Kind(StrEnum):
     POSITION_SIGN = "position_sign"
     AXIS_REVERSED = "axis_reversed"
     DEGREES = "degrees"
+    MOTOR_SIDE = "motor_side"
     POSITIONS_EXCHANGED = "positions_exchanged"
     EFFORTS_EXCHANGED = "efforts_exchanged"
     JOINTS_EXCHANGED = "joints_exchanged"
@@ -39,6 +40,7 @@ RIGHT_OR_WRONG = frozenset(
         Kind.POSITION_SIGN,
         Kind.AXIS_REVERSED,
         Kind.DEGREES,
+        Kind.MOTOR_SIDE,
         Kind.POSITIONS_EXCHANGED,
         Kind.EFFORTS_EXCHANGED,
         Kind.JOINTS_EXCHANGED,
@@ -66,7 +68,8 @@ class Change:
         kind: What is wrong.
         joints: Numbers of the joints it is at, in the arm's order.
         value: Gravity (3,), m/s^2; delay, s; zero, rad; order of an exchange (n,); factors (n,) of a torque unit
-            that the arm's files give, or give up to a factor that all joints share; else empty.
+            that the arm's files give, or give up to a factor that all joints share; joint turns a motor turn of each of
+            `joints`; else empty.
         log_prior: Logarithm of its probability before the data.
     """
 
@@ -94,7 +97,9 @@ class Change:
             return replace(setup, **orders)
         edits: dict[str, Any] = {name: np.array(getattr(setup, name), dtype=float) for name in _ARRAYS[self.kind]}
         for name, array in edits.items():
-            if name in ("position_scale", "effort_sign"):
+            if self.kind is Kind.MOTOR_SIDE:
+                array[joints] *= self.value
+            elif name in ("position_scale", "effort_sign"):
                 array[joints] *= np.pi / 180 if self.kind is Kind.DEGREES else -1.0
             elif name == "gain_sd":
                 array[joints] = FREE_GAIN_SD if self.kind is Kind.EFFORT_GAIN else FREE_UNIT_SD
@@ -116,6 +121,7 @@ _ARRAYS = {
     Kind.POSITION_SIGN: ("position_scale",),
     Kind.AXIS_REVERSED: ("position_scale", "effort_sign"),
     Kind.DEGREES: ("position_scale",),
+    Kind.MOTOR_SIDE: ("position_scale",),
     Kind.EFFORT_GAIN: ("gain_sd",),
     Kind.EFFORT_UNIT: ("gain_sd",),
     Kind.ENCODER_ZERO: ("position_offset",),
@@ -133,6 +139,9 @@ def discrete_changes(arm: Arm) -> list[Change]:
     found += [(Kind.DEGREES, (k,), ()) for k in turning]
     if len(turning) > 1:
         found.append((Kind.DEGREES, tuple(turning), ()))
+    if geared := [k for k, joint in enumerate(arm.joints) if joint.gear_ratio not in (0.0, 1.0)]:
+        ratios = tuple(1.0 / arm.joints[k].gear_ratio for k in geared)
+        found.append((Kind.MOTOR_SIDE, tuple(geared), ratios))
     for kind in _ORDERS:
         found += [(kind, _moved(order), order) for order in _orders(arm)]
     found += [(Kind.GRAVITY, (), tuple(vector)) for vector in gravities(arm)]

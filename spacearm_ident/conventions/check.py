@@ -47,6 +47,11 @@ ZERO_UNKNOWN = 0.15
 """Standard error of an encoder zero from which the data cannot tell it, rad."""
 VELOCITY_BONUS = 5.0
 """Log-likelihood of a position mistake that explains a recorded velocity as well, a joint."""
+OTHER_SCALES = (0.5, 0.5**0.5, 2.0**0.5, 2.0)
+"""Factors on one joint's position about degrees, beside which degrees must stand; a wrong gear ratio taken for degrees
+(a factor of 57) is off by more than a quarter at one joint or another, as the ratios of an arm differ by more."""
+POSITION_UNIT = "position_unit"
+"""Kind of a finding that positions are in no unit of angle."""
 INFERRED = "signs, units, order, zeros and gravity"
 """What the arm's dynamics decide."""
 
@@ -126,7 +131,7 @@ def _without_rows(findings: Sequence[Finding], reason: str) -> list[Finding]:
 
 def _explained(findings: Sequence[Finding], inferred: Sequence[Finding]) -> list[Finding]:
     """Without the remarks on a velocity that a mistake of the position explains."""
-    kinds = (Kind.DEGREES, Kind.POSITION_SIGN, Kind.POSITIONS_EXCHANGED, Kind.TIME_REVERSED)
+    kinds = (Kind.DEGREES, Kind.MOTOR_SIDE, Kind.POSITION_SIGN, Kind.POSITIONS_EXCHANGED, Kind.TIME_REVERSED)
     causes = [one for one in inferred if one.kind in kinds and one.level is Level.UNFIT]
     joints = {joint for one in causes for joint in one.joints}
     every = any(one.kind == Kind.TIME_REVERSED for one in causes)
@@ -148,6 +153,8 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     scorer = Scorer(arm, rows, _velocity_bonus(plain.velocity_slopes), plain.dead | plain.still)
     steps = search(scorer)
     final = steps[-1].before
+    if (odd := _no_unit(scorer, final)) is not None:
+        return [odd], [f"{INFERRED} (the unit of the positions)"]
     findings = [finding for step in steps if (finding := _finding(scorer, step, final)) is not None]
     units = [one for one in findings if one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN)]
     if all(one.level is Level.NOTE for one in units):
@@ -159,6 +166,41 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
             findings += far or _beyond_the_limit(scorer, final)
     findings += without_motion(recording, [arm.joint_names[k] for k in sorted(scorer.idle)], plain.clock_error_s)
     return findings, _undecided(scorer, steps[-1], plain)
+
+
+def _no_unit(scorer: Scorer, final: Scored) -> Finding | None:
+    """Positions that are too large for rad and that degrees do not explain either; None where degrees do.
+
+    Degrees are by far nearer than rad to motor-side positions at any gear ratio of tens or hundreds. Where they are
+    what was recorded, no other factor explains the torque better.
+    """
+    joints = sorted({joint for one in final.changes if one.kind is Kind.DEGREES for joint in one.joints})
+    best, worst = 0.0, -1
+    for k in joints:
+        for factor in OTHER_SCALES:
+            scale = np.array(final.setup.position_scale)
+            scale[k] *= factor
+            gain = scorer.score(final.changes, replace(final.setup, position_scale=scale)).score - final.score
+            best, worst = (gain, k) if gain > best else (best, worst)
+    if best <= scorer.sure:
+        return None
+    names = tuple(scorer.arm.joint_names[k] for k in joints)
+    return Finding(
+        kind=POSITION_UNIT,
+        level=Level.UNFIT,
+        joints=names,
+        statement=(
+            f"the positions of {', '.join(names)} are too large for rad, and degrees do not explain the torque: at "
+            f"{scorer.arm.joint_names[worst]} another factor does better. Are they of the motors, larger by the gear "
+            "ratio?"
+        ),
+        remedy=(
+            "find out what is recorded; gear_ratio of each joint in the arm YAML lets this check test positions of the "
+            "motors, and corrections with position_scale mend them"
+        ),
+        log_odds=best,
+        probability=float(expit(best / _temperature(scorer))),
+    )
 
 
 def _far_from_cad(scorer: Scorer, final: Scored) -> list[Finding]:

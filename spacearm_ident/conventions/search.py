@@ -151,6 +151,8 @@ def is_testable(scorer: Scorer, start: Scored, change: Change) -> bool:
         return len(change.joints) != 1 or change.joints[0] in loaded_joints(scorer, start)
     own, silent = set(change.joints), scorer.silent(start.setup)
     if change.kind is Kind.DEGREES:
+        if any(one.kind is Kind.DEGREES and own & set(one.joints) for one in start.changes):
+            return False
         # In degrees the smallest motion is a large one, and a joint that would be at rest in radians tells no unit: a
         # position that is 57 times smaller takes its noise out of all torques.
         column = start.setup.position_from[change.joints[0]]

@@ -40,6 +40,9 @@ def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
         case Kind.DEGREES:
             what = "all positions are" if len(change.joints) == len(arm.joints) > 1 else f"the position of {names} is"
             return f"{what} in degrees, not radians"
+        case Kind.MOTOR_SIDE:
+            what = "all positions are" if len(change.joints) == len(arm.joints) > 1 else f"the position of {names} is"
+            return f"{what} of the motor, not of the joint: larger by the gear ratio"
         case Kind.POSITIONS_EXCHANGED:
             return f"the positions of {names} are exchanged: {_order(arm, change)}"
         case Kind.EFFORTS_EXCHANGED:
@@ -162,6 +165,8 @@ def corrections(arm: Arm, change: Change, evidence: Evidence) -> Corrections:
             each = JointCorrection(position_offset_rad=change.value[0])
         case Kind.DEGREES:
             each = JointCorrection(position_scale=0.01745329252)
+        case Kind.MOTOR_SIDE:
+            return Corrections({name: JointCorrection(position_scale=one) for name, one in zip(names, change.value)})
         case Kind.EFFORT_SIGN:
             each = JointCorrection(effort_scale=-1.0)
         case Kind.POSITION_SIGN:

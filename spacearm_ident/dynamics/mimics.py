@@ -79,18 +79,29 @@ def refuse_coupled(urdf: str, joints: Sequence[str]) -> None:
     Raises:
         UserError: One does; the message says what can be done.
     """
-    for one in followers(urdf, joints):
-        if not one.in_chain:
-            continue
-        what = ", ".join(one.carried) or "the end of the chain"
-        others = " ".join(name for name in joints if name != one.leader)
-        left = f"; or record with {one.leader} at rest, and make an arm without it: spacearm new-arm URDF --joints "
-        raise UserError(
-            f"joint {one.name} mimics {one.leader} and moves {what} with it, as in a parallelogram: such a coupled "
-            f"chain is not modelled, and masses identified with {one.name} locked would be wrong. Take <mimic> out of "
-            f"the URDF if {one.name} has a drive of its own whose torque is recorded"
-            + (f"{left}{others} --lock {one.leader}=POSITION" if others else "")
-        )
+    if (words := coupled_words(urdf, joints)) is not None:
+        raise UserError(". ".join(words))
+
+
+def coupled_words(urdf: str, joints: Sequence[str]) -> tuple[str, str] | None:
+    """What is wrong with an arm one of whose joints moves another of the chain, and what to do; None: none does.
+
+    Args:
+        urdf: Text of the description, with its mimics.
+        joints: The arm's.
+    """
+    one = next((one for one in followers(urdf, joints) if one.in_chain), None)
+    if one is None:
+        return None
+    what = ", ".join(one.carried) or "the end of the chain"
+    others = " ".join(name for name in joints if name != one.leader)
+    left = f"; or record with {one.leader} at rest, and make an arm without it: spacearm new-arm URDF --joints "
+    return (
+        f"joint {one.name} mimics {one.leader} and moves {what} with it, as in a parallelogram: such a coupled chain "
+        f"is not modelled, and masses identified with {one.name} locked would be wrong",
+        f"Take <mimic> out of the URDF if {one.name} has a drive of its own whose torque is recorded"
+        + (f"{left}{others} --lock {one.leader}=POSITION" if others else ""),
+    )
 
 
 def follower_words(urdf: str, joints: Sequence[str]) -> list[str]:

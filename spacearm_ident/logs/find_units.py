@@ -13,6 +13,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.effort_limit import BEYOND_TORQUE
 from ..errors import UserError
+from ..recording.corrections import JointCorrection
 from ..recording.log_mapping import CURRENT_UNITS, TORQUE_UNITS, UNITS
 from .groups import Group
 from .search import Search
@@ -29,6 +30,8 @@ PAST_LIMIT = 1.1
 LIKE_WEIGHT = (0.5, 2.0)
 """Slopes of effort on the CAD's weight that say N m: CAD masses are within a factor of two; a joint torque a unit of
 another quantity would have to be, at every loaded joint."""
+EFFORT_ANSWER = "effort_unit=" + "|".join(repr(unit) if " " in unit else unit for unit in UNITS["effort"])
+"""Units of effort that there are to choose from."""
 
 
 def position_unit_of(log: Search, chosen: Mapping[str, Group]) -> str:
@@ -48,16 +51,24 @@ def position_unit_of(log: Search, chosen: Mapping[str, Group]) -> str:
     values = group.values(log.table)
     told = log.answers.get("position_unit")
     if told is not None:
-        return _known_unit(log, "position", told)
-    possible = [unit for unit in ("rad", "deg") if _within_limits(log, values * log.scale(UNITS["position"][unit]))]
+        return _known_unit(log, "position", told, group)
+    sizes: dict[str, float] = {unit: size for unit, size in UNITS["position"].items() if unit != "counts"}
+    fitting = [unit for unit, size in sizes.items() if _within_limits(log, values * log.scale(size))]
+    possible = [unit for unit in fitting if unit in ("rad", "deg")]
     if group.unit is not None:
         if group.unit == "counts":
             log.ask(
                 f"{group.name} is in counts: write counts_per_turn of each joint into a mapping file",
                 "position=NAME",
             )
-        elif group.unit in ("rad", "deg") and group.unit not in possible:
-            log.ask(f"{group.name} says {group.unit}, but goes beyond the URDF's limits so", "position_unit=rad|deg")
+        elif group.unit not in fitting:
+            motor = ""
+            if group.motor_side:
+                motor = " (of the motors? the position_scale of each joint in the arm YAML's corrections mends it)"
+            log.ask(
+                f"{group.name} says {group.unit}, but goes beyond the URDF's limits so{motor}",
+                f"position_unit={'|'.join(sizes)}",
+            )
         else:
             log.tell("position", group.name, group.unit, "written, within the limits")
         return group.unit
@@ -74,8 +85,18 @@ def position_unit_of(log: Search, chosen: Mapping[str, Group]) -> str:
 
 
 def _within_limits(log: Search, angle: FloatArray) -> bool:
-    """Whether positions (N, n), rad, stay within the URDF's limits; without limits, within two turns."""
-    lowest, highest = np.nanpercentile(angle, (0.5, 99.5), axis=0)
+    """Whether positions (N, n), rad, stay within the URDF's limits; without limits, within two turns.
+
+    What the arm's corrections do to a position later is done to it here.
+    """
+    names = log.arm.joint_names
+    known = [log.arm.corrections.joints.get(name, JointCorrection()) for name in names]
+    taken = [one.position_from if one.position_from in names else name for name, one in zip(names, known)]
+    source = [names.index(name) for name in taken]
+    offset, scale = (
+        np.array([getattr(one, key) for one in known]) for key in ("position_offset_rad", "position_scale")
+    )
+    lowest, highest = np.nanpercentile(angle[:, source] * scale + offset, (0.5, 99.5), axis=0)
     lower = np.array([joint.lower if np.isfinite(joint.lower) else -4 * np.pi for joint in log.arm.joints])
     upper = np.array([joint.upper if np.isfinite(joint.upper) else 4 * np.pi for joint in log.arm.joints])
     slack = (PAST_LIMIT - 1.0) * (upper - lower)
@@ -111,7 +132,7 @@ def velocity_unit_of(log: Search, group: Group, position: FloatArray, seconds: F
     """
     told = log.answers.get("velocity_unit")
     if told is not None:
-        return _known_unit(log, "velocity", told)
+        return _known_unit(log, "velocity", told, group)
     values = group.values(log.table)
     window = log.window(seconds)
     slopes = [derivative_of(position[:, k], values[:, k], seconds, window) for k in range(values.shape[1])]
@@ -153,8 +174,10 @@ def effort_unit_of(log: Search, group: Group, position: FloatArray) -> tuple[str
     unit = log.answers.get("effort_unit") or group.unit
     if unit is None:
         unit = _torque_by_weight(log, group, position)
+        if unit is None:
+            return "N m", {}
     else:
-        _known_unit(log, "effort", unit)
+        _known_unit(log, "effort", unit, group)
         why = "told" if "effort_unit" in log.answers else "written"
         log.tell("effort", group.name, unit, why)
     if unit in TORQUE_UNITS:
@@ -163,7 +186,8 @@ def effort_unit_of(log: Search, group: Group, position: FloatArray) -> tuple[str
     return unit, _constants(log, group, unit)
 
 
-def _torque_by_weight(log: Search, group: Group, position: FloatArray) -> str:
+def _torque_by_weight(log: Search, group: Group, position: FloatArray) -> str | None:
+    """The unit of torque in which the effort is the arm's weight; None where none is, which is asked."""
     if group.quantity != CURRENT:
         fit = weight_of(log.arm, position, group.values(log.table))
         loaded = np.abs(fit.correlation) > LOADED
@@ -175,9 +199,9 @@ def _torque_by_weight(log: Search, group: Group, position: FloatArray) -> str:
                 return unit
     log.ask(
         f"{group.name}: the unit is not written, and the weight of the arm does not decide it",
-        "effort_unit='N m'|A|mA|percent",
+        EFFORT_ANSWER,
     )
-    return "N m"
+    return None
 
 
 def _require_possible(log: Search, group: Group, unit: str) -> None:
@@ -188,7 +212,7 @@ def _require_possible(log: Search, group: Group, unit: str) -> None:
         worst = log.arm.joint_names[int(np.argmax(largest / limits))]
         log.ask(
             f"{group.name} as {unit} is beyond {BEYOND_TORQUE:g} times the limit of {worst}",
-            "effort_unit='N m'|'mN m'|A|mA|percent",
+            EFFORT_ANSWER,
         )
 
 
@@ -210,9 +234,9 @@ def _constants(log: Search, group: Group, unit: str) -> dict[str, float]:
     return {}
 
 
-def _known_unit(log: Search, signal: str, unit: str) -> str:
+def _known_unit(log: Search, signal: str, unit: str, group: Group) -> str:
     if unit not in UNITS[signal]:
         raise UserError(f"{unit!r} is no unit of {signal}: one of {', '.join(UNITS[signal])}")
     if signal in ("position", "velocity"):
-        log.tell(signal, "", unit, "told")
+        log.tell(signal, group.name, unit, "told")
     return unit

@@ -169,11 +169,11 @@ def find_groups(
     meanings = {name: meaning_of(name) for name in table.columns if name not in taken}
     nameless = [name for name in meanings if _nameless(name)]
     members: dict[tuple[object, ...], list[tuple[str, int | str]]] = {}
-    alone = []
+    alone, others = [], []
     for name, meaning in meanings.items():
         if name in nameless or meaning.quantity in (TIME, INDEX, OTHER):
             if meaning.quantity == OTHER:
-                alone.append(name)
+                others.append(name)
             continue
         joint = _joint_named(meaning, arm)
         if joint is None and meaning.number is None:
@@ -194,9 +194,10 @@ def find_groups(
     groups += _by_place(nameless, arm)
     used = {name for group in groups for name in (*group.columns.values(), *group.extra)}
     left = [name for name in (*alone, *nameless) if name not in used]
-    if left:
-        shown = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
-        lines.append(f"{shown}: not a signal of every joint, left out")
+    for names, why in ((left, "not a signal of every joint of the arm"), (others, "no position, velocity or effort")):
+        if names:
+            shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+            lines.append(f"{shown}: {why}, left out")
     return groups, lines
 
 

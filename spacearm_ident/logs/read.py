@@ -123,7 +123,8 @@ def recording_by(table: Table, mapping: LogMapping, arm_file: Path, where: str) 
 
 
 def _words(mapping: LogMapping) -> str:
-    units = ", ".join(f"{signal} {unit}" for signal, unit in mapping.units.items())
+    there = {signal for columns in mapping.columns.values() for signal in columns}
+    units = ", ".join(f"{signal} {unit}" for signal, unit in mapping.units.items() if signal in there)
     clock = f"time {mapping.time_unit}" if mapping.time is not None else f"{mapping.rate_hz:g} rows a second"
     clock += f" and {mapping.fraction_unit}" if mapping.fraction is not None else ""
     return f"{clock}, {units}, of {len(mapping.joints)} joints"

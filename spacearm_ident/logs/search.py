@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..errors import UnfitDataError, UserError
-from ..recording.log_mapping import UNITS, LogMapping
+from ..recording.log_mapping import SI, UNITS, LogMapping
 from ..recording.tables import Table
 from .groups import Clock, Group, find_clocks, find_groups, names_joints
 from .signals import SLOWEST_HZ, WINDOW_S, steps_s
@@ -115,6 +115,9 @@ class Search:
             unit: Their unit.
             because: Why.
         """
+        sliding = {"rad": "m", "rad/s": "m/s", "N m": "N"}.get(SI[signal]) if unit and signal in SI else None
+        if sliding and not self._revolute.all():
+            unit = f"{unit}, {sliding}" if self._revolute.any() else sliding
         self.found.rows.append(Understood(signal, columns, unit, because))
 
     def scale(self, factor: float) -> FloatArray:

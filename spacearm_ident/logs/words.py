@@ -76,6 +76,8 @@ MEASURED = _words(
     "current msr link output"
 )
 MOTOR_SIDE = _words("motor rotor drive antrieb encoder raw")
+_NUMBER = r"([_ .]?\d{1,3}|[\[(]\d{1,3}[\])])"
+"""Number of a joint behind a unit, as a pattern."""
 _NOT_INSIDE = frozenset(_words("time temps tempo state real link lage cart drive mode done rest moment pose goal row"))
 """Words that stand inside others with another meaning: never there."""
 
@@ -169,18 +171,26 @@ def _spelled(text: str) -> str | None:
 
 
 def _without_unit(name: str) -> tuple[str, str | None]:
-    """A name without its unit, and the unit: in brackets, or behind the last underscore or space."""
+    """A name without its unit, and the unit: in brackets, or behind the last underscore or space.
+
+    The number of the joint may follow the unit (`torque_percent_1`, `angle_deg[0]`).
+    """
     for found in re.finditer(r"[\[(]([^\[\]()]*)[\])]", name):
         unit = _spelled(found.group(1))
         if unit is not None:
             return name[: found.start()] + " " + name[found.end() :], unit
     # Behind the last separator a single `a`, `s` or `d` may be part of the name; a written-out unit is not.
-    for pattern in (r"[_ ./]([^\W_]+[/_](?:s|sec|min))$", r"[_ ./]([^\W\d_]{1,12}|%|°)$"):
+    for pattern in (
+        r"[_ ./]([^\W_]+[/_](?:s|sec|min))$",
+        r"[_ ./]([^\W\d_]{1,12}|%|°)$",
+        rf"[_ ./]([^\W_]+[/_](?:s|sec|min)){_NUMBER}$",
+        rf"[_ ./]([^\W\d_]{{2,12}}|%|°){_NUMBER}$",
+    ):
         found_end = re.search(pattern, name)
         if found_end:
             unit = _spelled(found_end.group(1).replace("_", "/"))
             if unit is not None:
-                return name[: found_end.start()], unit
+                return f"{name[: found_end.start()]}{''.join(found_end.groups()[1:])}", unit
     return name, None
 
 

@@ -17,7 +17,7 @@ from urllib.parse import quote
 from ..errors import UserError
 from ..estimate.identified import Validation
 from ..identification.verdict import judge_result
-from ..results.provenance import EPOCH, moment
+from ..results.provenance import moment
 from ..results.store import FIGURES, Result, load_result
 from ..results.trends import arm_of, date_text, runs_by_arm
 from .comparison import FAR, Difference, comparison_html, differences, moved, named
@@ -51,8 +51,7 @@ class Entry:
     def recorded(self) -> str:
         """When its first run was, `2025-01-31 12:05` UTC; empty where it does not say."""
         when = moment(self.result.identified.model.provenance) if self.result else None
-        text = date_text(when.start) if when else ""
-        return "" if text.startswith(EPOCH) else text
+        return date_text(when.date) if when and when.date else ""
 
     @property
     def written(self) -> str:

@@ -96,7 +96,7 @@ def _run(row: Row, result: Result | None) -> dict[str, Any]:
     return {
         **about,
         "skipped": row.skipped,
-        "recorded": when.start.isoformat() if when else None,
+        "recorded": when.date.isoformat() if when and when.date else None,
         "written": result.written,
         "arm": result.identified.model.model.arm.name,
         "verdict": judge_result(result.identified, result.validation).level.value,

@@ -67,6 +67,11 @@ class Moment:
     start: datetime
     temperature: dict[str, float]
 
+    @property
+    def date(self) -> datetime | None:
+        """The start; None where its stamps count from zero and so give no date."""
+        return None if self.start.isoformat().startswith(EPOCH) else self.start
+
 
 def moment(known: Mapping[str, Any] | None) -> Moment | None:
     """Of a provenance; None where it does not say (results of earlier versions, files of others)."""

@@ -108,8 +108,9 @@ def trends(runs: Sequence[Run], over: str) -> list[Trend]:
     """Every parameter that the data determined in two runs or more that differ in date (or temperature)."""
     points: dict[str, list[tuple[float, Estimate]]] = {}
     for run in runs:
+        date = run.moment.date.timestamp() if run.moment.date else math.nan
         for item in run.estimates:
-            at = run.moment.start.timestamp() if over == DATE else run.moment.temperature.get(item.joint, math.nan)
+            at = date if over == DATE else run.moment.temperature.get(item.joint, math.nan)
             if item.identifiable and math.isfinite(at) and 0.0 < item.standard_error < math.inf:
                 points.setdefault(item.name, []).append((at, item))
     found = []

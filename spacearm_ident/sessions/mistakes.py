@@ -15,7 +15,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..conventions.change import RIGHT_OR_WRONG, TORQUE_SCALES, UNIT_FACTOR, Kind
-from ..conventions.check import check_conventions, recording_name
+from ..conventions.check import POSITION_UNIT, check_conventions, recording_name
 from ..conventions.finding import DECISIVE, ConventionReport, Level
 from ..conventions.finding import Finding as Mistake
 from ..conventions.fixed_joints import KIND as FIXED_JOINT_MOVES
@@ -29,7 +29,7 @@ from ..recording.corrections import Corrections, JointCorrection
 from ..recording.recording import Recording
 from .identification import within
 
-MISTAKES = RIGHT_OR_WRONG | {Kind.EFFORT_UNIT, "robot_description", FIXED_JOINT_MOVES}
+MISTAKES = RIGHT_OR_WRONG | {Kind.EFFORT_UNIT, POSITION_UNIT, "robot_description", FIXED_JOINT_MOVES}
 """Mistakes of convention that no physics looks like: a gain, a zero, gravity, a delay are effects."""
 LARGEST_LEFT = 0.5
 """Share of the squares by which recorded torque differs from the healthy arm's that may be left, in the median of its
