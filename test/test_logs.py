@@ -337,7 +337,7 @@ def test_every_written_unit_beyond_the_limits_is_asked(unit, tmp_path):
     """As columns of motors are: a hundred times the joints' positions."""
     run = small_arm.recording(8.0)
     size = {"turn": 2 * np.pi, "mrad": 1e-3}[unit]
-    head = ["t", f"motor1_pos_{unit}", f"motor2_pos_{unit}", "tau1", "tau2"]
+    head = ["t", f"motor1_pos_{unit}", f"motor2_pos_{unit}", "tau1 [Nm]", "tau2 [Nm]"]
     columns = run.time, 100.0 * run.position / size, run.effort
     found = proposal(tmp_path, head, *columns)
     assert found.mapping is None
