@@ -90,8 +90,8 @@ def test_a_stop_leads_along_the_path_to_rest_within_the_limits(run, time_s):
     assert not sent.moving
 
 
-def watch(run):
-    return PathWatch(JOINTS, run.set_points(1000.0), 1000.0, 0.1, LONGEST_LAG_S)
+def watch(run, tolerance=0.1):
+    return PathWatch(JOINTS, run.set_points(1000.0), 1000.0, tolerance, LONGEST_LAG_S)
 
 
 def test_an_arm_on_its_path_is_followed_with_its_lag(run):
@@ -120,3 +120,26 @@ def test_an_arm_that_rests_where_the_path_rests_has_no_lag(run):
     eye = watch(run)
     assert eye.judge(HOME, 0.0) == "" and eye.lag_s == 0.0
     assert eye.judge(HOME, -0.4) == "" and eye.lag_s == 0.0
+
+
+@pytest.mark.parametrize("joint", range(6))
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+def test_of_an_arm_whose_other_joints_follow_the_joint_that_does_not_is_named(run, joint, lag):
+    eye, named = watch(run, 0.02), []
+    for time_s in np.arange(0.6, run.duration_s, 0.05):
+        position = run.trajectory.evaluate(time_s - lag).q[0]
+        there, position[joint] = position[joint], run.trajectory.evaluate(time_s - lag - 0.4).q[0, joint]
+        said = eye.judge(position, time_s)
+        if "does not follow" in said:
+            words = said.split()
+            named.append(words[5])
+            # Where it should have been, but for a set-point.
+            assert float(words[7]) == pytest.approx(abs(there - position[joint]), abs=0.01)
+    assert len(named) > 5 and set(named) == {f"joint_{joint + 1}"}
+
+
+def test_of_two_joints_the_one_that_left_the_path_is_named_not_the_one_that_is_on_time(run):
+    motion = run.set_points(1000.0)
+    eye = PathWatch(JOINTS[:2], type(motion)(*(values[:, :2] for values in motion)), 1000.0, 0.1, LONGEST_LAG_S)
+    off = run.trajectory.evaluate(2.0).q[0, :2] + np.array([0.0, 0.4])
+    assert eye.judge(off, 2.0).startswith("the arm does not follow: joint_2 is 0.4")

@@ -178,10 +178,10 @@ class PathWatch:
         # The latest of the nearest: where the path rests nothing lags, and a period before it was there as well.
         distance = apart.max(axis=1)
         nearest = int(np.flatnonzero(distance <= distance.min() + self.ALIKE)[-1])
-        joint = int(apart[nearest].argmax())
-        if apart[nearest, joint] > self._tolerance:
+        if distance[nearest] > self._tolerance:
+            joint, far = self._astray(apart)
             return (
-                f"the arm does not follow: {self._joints[joint]} is {apart[nearest, joint]:.3f} rad from the path, "
+                f"the arm does not follow: {self._joints[joint]} is {far:.3f} rad from the path, "
                 f"{self._tolerance:g} rad are allowed; see what the controller says"
             )
         self.lag_s = max(0.0, time_s - (first + nearest) / self._rate_hz) if time_s * self._rate_hz < last else 0.0
@@ -191,3 +191,27 @@ class PathWatch:
                 "is the robot's speed scaled down?"
             )
         return ""
+
+    def _astray(self, apart: FloatArray) -> tuple[int, float]:
+        """The joint without which the others follow best, and how far it is from the path where they are.
+
+        Where all joints together are nearest the path, those that follow are as far from it as the one that does not:
+        a lag that is shared among them makes up for half of its distance.
+
+        Args:
+            apart: (T, n) distance of each joint from each place of the path, rad.
+
+        Returns:
+            Index of the joint, and its distance, rad.
+        """
+        # Two places a set-point apart cannot be told apart by it; of what fits alike, the least lag is likeliest.
+        alike = float(np.abs(np.diff(apart, axis=0)).max(initial=self.ALIKE))
+        places = []
+        for joint in range(apart.shape[1]):
+            others = np.delete(apart, joint, axis=1).max(axis=1, initial=0.0)
+            place = int(np.flatnonzero(others <= others.min() + self.ALIKE)[-1])
+            places.append((float(others[place]), place))
+        least = min(rest for rest, _ in places)
+        place = max(place for rest, place in places if rest <= least + alike)
+        joint = int(apart[place].argmax())
+        return joint, float(apart[place, joint])
