@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -95,6 +96,12 @@ def test_ros_is_known_to_the_nodes_alone():
         and any(module.split(".")[0] in ROS for module in draw_architecture.imported_modules(path))
     }
     assert not elsewhere
+
+
+def test_every_call_of_a_logger_has_a_severity_of_its_own():
+    """Rclpy raises where a call site gets another severity than before; `LiveNode.log` is for one known only then."""
+    logged = re.compile(r"get_logger\(\)(?!\.(debug|info|warning|error|fatal)\()")
+    assert not [path.name for path in modules(PACKAGE) if logged.search(path.read_text())]
 
 
 def test_the_simulated_arm_is_a_second_writing_of_the_physics():

@@ -269,6 +269,68 @@ def test_an_unsafe_state_stops_the_run_and_says_why(processes, probe, arm, file,
     assert len(said) == 1, output(process)
 
 
+@pytest.mark.parametrize("fault_first", [True, False])
+def test_a_fault_and_a_stop_asked_for_in_one_life_of_the_node_both_brake(processes, probe, arm, file, fault_first):
+    process = node(processes, file)
+    for fault in (fault_first, not fault_first):
+        arm.enabled = True
+        arm.commands.clear()
+        arm.velocity = np.zeros(6)
+        probe.wait_for(lambda: not arm.states or done(arm) or arm.states[-1]["state"] == "idle", "no run")
+        start(probe, arm)
+        probe.wait_for(lambda: arm.seen()[-1:] == ["running"], "running")
+        if fault:
+            disable(arm)
+        else:
+            assert probe.call("/excitation/stop") == (True, "stopping within the limits")
+        probe.wait_for(lambda: done(arm) or process.poll() is not None, "it comes to rest")
+        assert process.poll() is None, output(process)
+        check_smooth(arm)
+        level = "ERROR" if fault else "WARN"
+        said = rf"\[{level}\].*run {arm.states[-1]['run']} is being stopped"
+        probe.wait_for(lambda s=said: re.search(s, output(process)), "the reason in the log")
+
+
+BROKEN = """
+import sys
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from spacearm_ident.nodes import trajectory
+
+def fail(*_, **__):
+    raise RuntimeError("what is said is broken")
+
+broken, log = sys.argv.pop(1), trajectory.TrajectoryNode._log
+
+def fail_in_a_stop(self, before, now):
+    if now["reason"] and broken == "logger":
+        RcutilsLogger.log = fail
+    elif now["reason"]:
+        fail()
+    log(self, before, now)
+
+trajectory.TrajectoryNode._log = fail_in_a_stop
+sys.exit(trajectory.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(("broken", "code"), [("logger", None), ("message", 1)])
+def test_a_stop_brakes_the_arm_to_rest_where_what_is_said_of_it_fails(processes, probe, arm, file, broken, code):
+    given = (f"trajectory_file:={file}", f"arm:={CONFIG / 'paper_arm.yaml'}", "rate_hz:=500", "feedback_timeout_s:=1")
+    process = processes.python("-c", BROKEN, broken, "--ros-args", *(word for value in given for word in ("-p", value)))
+    start(probe, arm)
+    probe.wait_for(lambda: arm.seen()[-1:] == ["running"], "running")
+    probe.spin(0.3)
+    disable(arm)
+    over = (lambda: done(arm)) if code is None else (lambda: process.poll() is not None)
+    probe.wait_for(over, "it comes to rest")
+    probe.spin(0.3)
+    assert process.poll() == code, output(process)
+    check_smooth(arm)
+    assert np.array_equal(arm.q()[-1], arm.q()[-200]), "it holds the last set-point"
+    if code is None:
+        assert "is being stopped" in output(process), "where there is no logger, on stderr"
+
+
 def test_interrupted_it_stops_the_arm_before_itself(processes, probe, arm, file):
     process = node(processes, file)
     start(probe, arm)

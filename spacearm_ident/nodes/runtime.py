@@ -22,6 +22,7 @@ import math
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
@@ -224,6 +225,27 @@ class LiveNode(Node):
     def close(self) -> None:
         """End cleanly: called once, in the main thread, while the node can still publish; override it."""
 
+    def log(self, level: Level, sentence: str) -> None:
+        """Log at a level that is known only now. Never raises: what a node does must not hang on what it says of it.
+
+        A call site of rclpy's logger has the severity of its first call for ever (it raises where it gets another one),
+        so each severity has its own here.
+
+        Args:
+            level: OK is logged as INFO, STALE as ERROR.
+            sentence: What to say.
+        """
+        try:
+            if level is Level.OK:
+                self.get_logger().info(sentence)
+            elif level is Level.WARN:
+                self.get_logger().warning(sentence)
+            else:
+                self.get_logger().error(sentence)
+        except Exception as error:
+            with suppress(OSError, ValueError):  # nor where nobody reads stderr any more
+                print(f"{sentence!a} (not logged: {error!r})", file=sys.stderr)
+
     def publish_diagnostics(self) -> None:
         """Publish what `diagnose` says now; the timer does so every second, call it on a change of state."""
         message = DiagnosticArray(status=[self._message(status) for status in self.diagnose()])
@@ -301,7 +323,7 @@ class LiveNode(Node):
             response.message, response.success = action(), True
         except UserError as error:
             response.message, response.success = str(error), False
-            self.get_logger().warning(str(error))
+            self.log(Level.WARN, str(error))
         return response
 
 

@@ -177,16 +177,20 @@ class TrajectoryNode(LiveNode):
 
     def close(self) -> None:
         """Bring the arm to rest."""
-        if self._restart is not None:
-            self._give_up(ENDED)
-        if self._stream is not None:
-            if self._stream.moving:
-                self._stream.stop(ENDED)
-                self._announce()
-                self._stream.wait(_LONGEST_STOP_S)
-                self._confirm_rest()
-            self._stream.wait(_LONGEST_STOP_S)
+        stream, moving = self._stream, self._stream is not None and self._stream.moving
+        if stream is not None and moving:
+            stream.stop(ENDED)
+        try:
+            if self._restart is not None:
+                self._give_up(ENDED)
             self._announce()
+        finally:
+            # Whatever became of the words: set-points that brake the arm still have to be published.
+            if stream is not None:
+                stream.wait(_LONGEST_STOP_S)
+        if moving:
+            self._confirm_rest()
+        self._announce()
 
     def _confirm_rest(self) -> None:
         """Say in the log where the arm does not stand after the node's last stop: nobody watches it from now on."""
@@ -195,10 +199,10 @@ class TrajectoryNode(LiveNode):
         except UserError as error:
             sentence = f"run {self._run_id}: the arm is not known to have stopped: {error}"
             if self._feedback.published:
-                self.get_logger().error(sentence)
+                self.log(Level.ERROR, sentence)
             else:
                 # All nodes were ended together: the driver's own end brings the arm to rest.
-                self.get_logger().warning(f"{sentence}; whoever published it has ended as well")
+                self.log(Level.WARN, f"{sentence}; whoever published it has ended as well")
 
     def _watch(self) -> None:
         """Stop a run that is no longer safe, begin one again that may; tell of the progress."""
@@ -241,9 +245,10 @@ class TrajectoryNode(LiveNode):
         if self._again >= self._restarts:
             self._in_the_end = f"begun again {self._again} times, then given up" if self._restarts else ""
             return
-        self.get_logger().warning(
+        self.log(
+            Level.WARN,
             f"run {self._run_id} was stopped: {self._stream.reason}; beginning again, "
-            f"{self._again + 1} of {self._restarts} times"
+            f"{self._again + 1} of {self._restarts} times",
         )
         self._restart = Restart(self, self._begin)
 
@@ -261,7 +266,7 @@ class TrajectoryNode(LiveNode):
         assert self._restart is not None
         self._restart.close()
         self._restart, self._in_the_end = None, reason
-        self.get_logger().error(f"run {self._run_id}: {self._reason}")
+        self.log(Level.ERROR, f"run {self._run_id}: {self._reason}")
         self._announce()
 
     @property
@@ -289,16 +294,16 @@ class TrajectoryNode(LiveNode):
 
     def _log(self, before: Mapping[str, object], now: Mapping[str, object]) -> None:
         """Say in the log that a run begins, is being stopped and why, or is over."""
-        name, log = f"run {now['run']}", self.get_logger()
+        name = f"run {now['run']}"
         fresh = now["run"] != before.get("run")
         if fresh and self._run is not None:
             file = self.get_parameter("trajectory_file").value
-            log.info(f"{name} begins: {self._run.duration_s:.1f} s, {self._run.periods} periods, of {file}")
+            self.log(Level.OK, f"{name} begins: {self._run.duration_s:.1f} s, {self._run.periods} periods, of {file}")
         if now["reason"] and (fresh or not before["reason"]):
-            say = log.warning if now["reason"] in (STOPPED, ENDED) else log.error
-            say(f"{name} is being stopped: {now['reason']}")
+            level = Level.WARN if now["reason"] in (STOPPED, ENDED) else Level.ERROR
+            self.log(level, f"{name} is being stopped: {now['reason']}")
         if now["state"] == "done" and (fresh or before["state"] != "done"):
-            log.info(f"{name} is over: {'its periods are complete' if now['complete'] else 'stopped early'}")
+            self.log(Level.OK, f"{name} is over: {'its periods are complete' if now['complete'] else 'stopped early'}")
 
     def _describe(self) -> dict[str, object]:
         stream, plan = self._stream, self._run

@@ -13,7 +13,7 @@ from typing import Any, Final
 from std_srvs.srv import Trigger
 
 from ..errors import UserError
-from .runtime import LiveNode
+from .runtime import Level, LiveNode
 
 RESUMED_S: Final = 30.0
 """Longest wait for the driver's answer: it brings the arm to rest, boots drives that went astray, enables them."""
@@ -70,7 +70,7 @@ class Restart:
             reply = self._future.result()
             if not reply.success:
                 raise UserError(reply.message)
-            self._node.get_logger().info(reply.message)
+            self._node.log(Level.OK, reply.message)
             self._resumed, self._since = True, time.monotonic()
             return
         if waited > RESUMED_S:
