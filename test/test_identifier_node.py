@@ -25,7 +25,8 @@ from sensor_msgs.msg import JointState
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.nodes.message_buffer import BLOCK_MESSAGES
 from spacearm_ident.nodes.runtime import LATCHED, STREAM
-from spacearm_ident.recording import read_recording, write_recording
+from spacearm_ident.recording import RecordingWriter, cdr, read_recording, write_recording
+from spacearm_ident.recording.messages import STATES_TOPIC, TOPIC_TYPES
 
 pytestmark = LIVE
 
@@ -208,6 +209,34 @@ def test_joint_states_published_best_effort_are_identified_and_said(bags, graph,
     assert "/joint_states is published BEST_EFFORT by /small_arm, and taken so" in output(node)
     assert float(graph.latched_parameters()["f_c[shoulder]"]["value"]) == pytest.approx(small_arm.COULOMB[0], rel=0.05)
     assert end(node) == 0 and "Traceback" not in output(node)
+
+
+@pytest.mark.parametrize("missing", ["nan", "absent"])
+def test_joint_states_without_effort_are_said_as_a_run_begins(bags, graph, tmp_path, missing):
+    """A ros2_control arm without an effort interface publishes NaN; other drivers leave the array empty."""
+    recording = read_recording(bags["first"])
+    lacking = tmp_path / "lacking.mcap"
+    effort = np.full_like(recording.effort, np.nan)
+    effort[:, 0] = recording.effort[:, 0]  # one joint is enough: the others are fixed
+    write_recording(tmp_path / "one.mcap", replace(recording, effort=effort))
+    with RecordingWriter(lacking) as writer:
+        topic = writer.add_topic(STATES_TOPIC, TOPIC_TYPES[STATES_TOPIC], [])
+        for stamp, q in zip(recording.start_ns + np.round(1e9 * recording.time).astype(int), recording.position):
+            gone = np.full((1, len(q)), np.nan) if missing == "nan" else None
+            writer.write(
+                topic, int(stamp), cdr.encode_joint_states([int(stamp)], recording.joints, q[None], effort=gone)[0]
+            )
+    node = graph.identifier(*QUICK, f"result_directory:={tmp_path / 'result'}", "auto_identify:=false")
+    graph.tell('say {"state": "approach", "run": "r1", "complete": null}')
+    graph.tell(f"play {lacking}")
+    words = "/joint_states carries no effort of shoulder, elbow: nothing can be identified from a run"
+    graph.wait_for(graph.said("identifier", words), "the warning")
+    assert graph.level("identifier") == 1
+    graph.wait_for(lambda: f"[identifier]: run r1: {words}" in output(node), "the log")
+    graph.tell(f"play {tmp_path / 'one.mcap'}")
+    graph.wait_for(lambda: graph.level("identifier") == 0, "all is well")
+    graph.tell(f"play {bags['first']}")
+    assert output(node).count("carries no effort") == 1, output(node)
 
 
 def test_a_field_run_is_explained_where_asked(bags, processes, graph, tmp_path):

@@ -26,12 +26,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 
+from ..dynamics.arm import load_arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
 from ..estimate.identified import Identified
 from ..layers.document import verdict
 from ..mismatch.finding import NO_MISMATCH
+from ..recording.intake import listing
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
 from .identifier_messages import (
     doubts_and_notes,
@@ -45,6 +47,7 @@ from .identifier_messages import (
 )
 from .identifier_settings import declare
 from .jobs import Compared, CompareJob, Done, Explained, ExplainJob, IdentifyJob, Job
+from .joint_samples import without_effort
 from .live_tracking import LiveTracking, sentence
 from .message_buffer import Capture, MessageBuffer
 from .offers import RawStream
@@ -66,6 +69,8 @@ MISMATCH_FOLDER, CHANGE_FOLDER = "mismatch", "change"
 """Within the result folder."""
 MODEL_FILE, KEPT_MODEL_FILE = "model.yaml", "model_before_change.yaml"
 """Within the result folder: what a result has, and the model in use where a result has taken the place of its file."""
+LATEST_STATES = 100
+"""So many of the messages since the last look are searched for an effort: of one in ten, ten have it."""
 LATEST_TEMPERATURES = 100
 """So many messages before a model came hold a temperature of every joint."""
 
@@ -89,6 +94,9 @@ class Identifier(LiveNode):
         self._states = MessageBuffer(STATES_TOPIC, limit)
         self._temperatures = MessageBuffer(TEMPERATURES_TOPIC, limit // 10)
         self._description: Capture | None = None
+        self._joints = () if self._settings.how.arm is None else load_arm(self._settings.how.arm).joint_names
+        self._effortless: tuple[str, ...] = ()
+        self._looked, self._looked_at = 0, ""
         self._under_way: RunMark | None = None
         self._pending: deque[RunMark] = deque(maxlen=LONGEST_PENDING)
         self._worker: Worker | None = None
@@ -121,6 +129,7 @@ class Identifier(LiveNode):
     def _subscribe(self) -> None:
         # In no executor: a wake-up a message would cost three times what taking them by the fifty does.
         unspun = self.unspun_node()
+        self._states_topic = self.resolve_topic_name(relative(STATES_TOPIC))
         self._arriving = [
             (RawStream(unspun, kind, self.resolve_topic_name(relative(buffer.topic))), buffer)
             for kind, buffer in ((JointState, self._states), (Temperature, self._temperatures))
@@ -139,6 +148,28 @@ class Identifier(LiveNode):
         for stream, _ in self._arriving:
             if sentence := stream.look():
                 self.get_logger().info(sentence)
+        self._look_for_effort()
+
+    def _look_for_effort(self) -> None:
+        """Say at the beginning of a run, not after it, that nothing can be identified from it."""
+        stored, run = self._states.stored, self._under_way
+        payloads = self._states.since(max(self._looked, stored - LATEST_STATES))
+        if not payloads:
+            return
+        self._looked, before, self._effortless = stored, self._effortless, without_effort(payloads, self._joints)
+        if run is not None and run.name != self._looked_at:
+            self._looked_at = run.name
+            if self._effortless:
+                self.get_logger().warning(f"run {run.name}: {self._no_effort}")
+        if bool(before) != bool(self._effortless):
+            self.publish_diagnostics()
+
+    @property
+    def _no_effort(self) -> str:
+        return (
+            f"{self._states_topic} carries no effort of {listing(self._effortless)}: nothing can be "
+            "identified from a run; have the driver publish effort (N m, or A with constants in the arm YAML)"
+        )
 
     def _on_description(self, payload: bytes) -> None:
         self._description = Capture.of_one(DESCRIPTION_TOPIC, time.time_ns(), payload)
@@ -438,6 +469,8 @@ class Identifier(LiveNode):
             message = f"run {self._under_way.name} is under way"
         elif not buffer.stored:
             message = "no joint states have come yet"
+        if self._effortless:
+            level, message = Level.WARN, f"{message}; {self._no_effort}"
         if self._under_way is not None and buffer.dropped and first > self._under_way.start_ns:
             level = Level.WARN
             message += "; it is longer than the buffer, its beginning is lost: enlarge the parameter buffer_s"

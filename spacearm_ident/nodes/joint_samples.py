@@ -27,6 +27,24 @@ class Samples:
     effort: FloatArray
 
 
+def without_effort(payloads: Sequence[bytes], joints: Sequence[str] = ()) -> tuple[str, ...]:
+    """The joints, where none of them has a finite effort in any of the messages; else, and where none is named, empty.
+
+    One is enough: joints that have none beside others that have (a gripper's) are fixed where a bag is read.
+
+    Args:
+        payloads: Serialised joint states.
+        joints: Those that count; all in the messages unless given.
+    """
+    seen: dict[str, None] = {}
+    for block in cdr.decode_joint_states(payloads)[0]:
+        columns = [k for k, name in enumerate(block.names) if not joints or name in joints]
+        if block.effort is not None and np.isfinite(block.effort[:, columns]).any():
+            return ()
+        seen |= dict.fromkeys(block.names[k] for k in columns)
+    return tuple(seen)
+
+
 class JointSamples:
     """Joint states of one arm, as they come.
 
