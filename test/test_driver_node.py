@@ -148,6 +148,14 @@ def test_enabling_twice_and_disabling_is_no_fault(arm):
     assert not arm.fault and not arm.enabled
 
 
+def test_whoever_is_answered_that_the_drives_are_enabled_may_rely_on_others_knowing_it(arm):
+    """A run that is asked for next is refused by a trajectory node that has not heard of it."""
+    for wanted in (False, True) * 5:
+        done, message = arm.call("/driver/enable", wanted)
+        assert done, message
+        assert arm.probe.values("canopen_driver")["operation_enabled"] == str(wanted).lower()
+
+
 def test_disabling_in_motion_stops_first(arm):
     moving_until = []
     arm.stream(6.0, lambda t: smooth(t, period=6.0), until=lambda: len(moving_until) > 60 or moving_until.append(0))

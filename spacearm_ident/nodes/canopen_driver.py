@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import gc
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from sensor_msgs.msg import JointState, Temperature
@@ -78,10 +78,11 @@ class CanopenDriver(LiveNode):
             temperature_hz=temperature_hz,
         )
         self.create_subscription(JointState, "joint_command", self._command, STREAM, raw=True)
-        self.offer_switch("driver/enable", lambda on: self._driver.enable() if on else self._driver.disable())
-        self.offer("driver/halt", self._driver.halt)
-        self.offer("driver/recover", self._driver.recover)
-        self.offer("driver/resume", self._driver.resume)
+        driver = self._driver
+        self.offer_switch("driver/enable", lambda on: self._said(driver.enable if on else driver.disable))
+        self.offer("driver/halt", lambda: self._said(driver.halt))
+        self.offer("driver/recover", lambda: self._said(driver.recover))
+        self.offer("driver/resume", lambda: self._said(driver.resume))
         self._waiting_s = 0.0
         self.refuse_simulated_time("drives keep the time of this machine, and so do the stamps here")
         self.every(_WATCH_S, self._watch)
@@ -126,6 +127,13 @@ class CanopenDriver(LiveNode):
         except UserError as error:
             if self._driver.phase is Phase.ENABLED:
                 self._driver.trip(Fault(Rule.SET_POINT, str(error)))
+
+    def _said(self, act: Callable[[], str]) -> str:
+        """Act, and publish what came of it before the caller is answered: they may rely on others knowing it."""
+        try:
+            return act()
+        finally:
+            self.publish_diagnostics()
 
     def _watch(self) -> None:
         """Show changes at once; give up where it is hopeless."""
