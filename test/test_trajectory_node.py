@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 import rclpy
-from live_nodes import LIVE, Probe, end, output
+from live_nodes import LIVE, Probe, end, output, wait_for
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from simulated_arm import CONFIG, paper_limits
 
@@ -442,6 +442,7 @@ def test_refusals_say_why(processes, probe, arm, file, series, tmp_path):
     use("")
     assert refusal(probe).startswith("no trajectory: set the parameter trajectory_file")
     use(tmp_path / "none.yaml")
+    probe.wait_for(lambda: "trajectory_file: as it is now, a start would be refused: " in output(process), "the log")
     assert "none.yaml (No such file or directory)" in refusal(probe)
     (tmp_path / "bad.yaml").write_text("schema: else\n")
     use(tmp_path / "bad.yaml")
@@ -455,11 +456,13 @@ def test_refusals_say_why(processes, probe, arm, file, series, tmp_path):
     save_trajectory(Trajectory(JOINTS[:5], (Rest(HOME[:5], 1.0),)), tmp_path / "five.yaml")
     use(tmp_path / "five.yaml")
     assert "but the arm has joint_1, " in refusal(probe)
+    said = output(process).count("as it is now")
     use(tmp_path / "fine.yaml")
     # A start asked before the new state has arrived would be granted: give it its way there first.
     arm.velocity = np.full(6, 0.3)
     probe.spin(0.5)
     assert "joint_1 moves at 0.300 rad/s" in refusal(probe)
+    assert output(process).count("as it is now") == said
     arm.velocity = np.full(6, np.nan)
     probe.spin(0.5)
     assert "not a number" in refusal(probe)
@@ -482,3 +485,10 @@ def test_the_patched_message_is_what_the_encoder_writes():
     for stamp in (0, 1_795_262_547_999_999_999):
         expected = cdr.encode_joint_states([stamp], ["a", "long_name", "c"], q[None], qd[None])[0]
         assert message.encode(stamp, q, qd) == expected
+
+
+def test_a_file_that_is_not_there_is_said_when_the_node_is_ready(processes, tmp_path):
+    process = node(processes, tmp_path / "nowhere.yaml")
+    wait_for(lambda: "ready: " in output(process), "the node is up")
+    said = output(process)
+    assert "ready: no trajectory yet, /excitation/start would be refused: " in said and "No such file" in said

@@ -223,9 +223,8 @@ class Identifier(LiveNode):
         """The service."""
         self._take()
         if self._worker is not None:
-            raise UserError(
-                f"an identification is under way ({self._step.share:.0%}: {self._step.what}): wait for it to end"
-            )
+            what = "an identification" if isinstance(self._job, IdentifyJob) else "an explanation"
+            raise UserError(f"{what} is under way ({self._step.share:.0%}: {self._step.what}): wait for it to end")
         first, last = self._states.span_ns()
         span = (last - first) / 1e9
         if not len(self._states):

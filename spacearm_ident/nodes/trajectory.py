@@ -32,6 +32,8 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from ..arrays import FloatArray
@@ -103,6 +105,7 @@ class TrajectoryNode(LiveNode):
         self._feedback = Feedback(self)
         self.offer("excitation/start", self.start)
         self.offer("excitation/stop", self.stop)
+        self.add_on_set_parameters_callback(self._on_parameters)
         self.every(_WATCH_S, self._watch)
         self._announce()
         prepare_process()
@@ -173,7 +176,17 @@ class TrajectoryNode(LiveNode):
         file, start = self.get_parameter("trajectory_file").value, self.resolve_service_name("excitation/start")
         if not file:
             return f"no trajectory yet: set the parameter trajectory_file, then call {start}"
-        return f"{start} runs {Path(file).expanduser().absolute()}"
+        path = Path(file).expanduser().absolute()
+        if wrong := _unfit(path):
+            return f"no trajectory yet, {start} would be refused: {wrong}"
+        return f"{start} runs {path}"
+
+    def _on_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        """Grant a change of the trajectory file, and say what is wrong with it: it is read at the next start."""
+        for file in (str(each.value) for each in parameters if each.name == "trajectory_file" and each.value):
+            if wrong := _unfit(Path(file).expanduser()):
+                self.log(Level.WARN, f"trajectory_file: as it is now, a start would be refused: {wrong}")
+        return SetParametersResult(successful=True)
 
     def close(self) -> None:
         """Bring the arm to rest."""
@@ -197,12 +210,12 @@ class TrajectoryNode(LiveNode):
         try:
             self._feedback.standing(self._timeout_s, self._slow)
         except UserError as error:
-            sentence = f"run {self._run_id}: the arm is not known to have stopped: {error}"
+            sentence = f"run {self._run_id}: the arm is not known to have stopped"
             if self._feedback.published:
-                self.log(Level.ERROR, sentence)
+                self.log(Level.ERROR, f"{sentence}: {error}")
             else:
                 # All nodes were ended together: the driver's own end brings the arm to rest.
-                self.log(Level.WARN, f"{sentence}; whoever published it has ended as well")
+                self.log(Level.WARN, f"{sentence} by this node: who published /joint_states has ended as well")
 
     def _watch(self) -> None:
         """Stop a run that is no longer safe, begin one again that may; tell of the progress."""
@@ -247,8 +260,8 @@ class TrajectoryNode(LiveNode):
             return
         self.log(
             Level.WARN,
-            f"run {self._run_id} was stopped: {self._stream.reason}; beginning again, "
-            f"{self._again + 1} of {self._restarts} times",
+            f"run {self._run_id} was stopped: {self._stream.reason}; the driver is asked whether to "
+            f"begin again, {self._again + 1} of {self._restarts} times",
         )
         self._restart = Restart(self, self._begin)
 
@@ -359,6 +372,15 @@ class TrajectoryNode(LiveNode):
         if stream.late:
             return (Status(Level.WARN, f"{message}; {stream.late} set-points sent late", values),)
         return (Status(Level.OK, message + (f"; {stream.warning}" if stream.warning else ""), values),)
+
+
+def _unfit(path: Path) -> str:
+    """Why a trajectory file cannot be run as it is now; empty where it can."""
+    try:
+        load_trajectory(path)
+    except UserError as error:
+        return str(error)
+    return ""
 
 
 def main(arguments: Sequence[str]) -> int:
