@@ -23,6 +23,7 @@ from spacearm_ident.excitation.trajectory import Rest, Trajectory, random_feasib
 from spacearm_ident.excitation.trajectory_file import save_trajectory
 from spacearm_ident.nodes.runtime import STREAM
 from spacearm_ident.nodes.set_point_stream import SetPointMessage
+from spacearm_ident.nodes.twin import SILENCE_S
 from spacearm_ident.recording import cdr
 
 pytestmark = LIVE
@@ -485,6 +486,37 @@ def test_the_patched_message_is_what_the_encoder_writes():
     for stamp in (0, 1_795_262_547_999_999_999):
         expected = cdr.encode_joint_states([stamp], ["a", "long_name", "c"], q[None], qd[None])[0]
         assert message.encode(stamp, q, qd) == expected
+
+
+def test_a_second_node_of_the_same_name_is_said_and_neither_moves_the_arm_until_one_is_gone(
+    processes, probe, arm, file
+):
+    first, second = node(processes, file), node(processes, file)
+    words = "another node /trajectory is on this graph: end one of them, or start it in a namespace"
+    for process in (first, second):
+        probe.wait_for(lambda p=process: words in output(p), "the warning")
+    assert refusal(probe) == f"{words}; two would move one arm"
+    assert end(second) == 0
+    probe.spin(SILENCE_S + 0.5)
+    start(probe, arm)
+    assert output(first).count(words) == 1 + output(first).count("two would")
+
+
+@pytest.mark.parametrize("kind", ["recorder", "identifier"])
+def test_two_nodes_of_one_name_are_said_and_two_in_namespaces_are_not(processes, probe, tmp_path, kind):
+    def begin(place):
+        code = f"import sys; from spacearm_ident.nodes.main import start; sys.exit(start({kind!r}, sys.argv[1:]))"
+        return processes.python("-c", code, "--ros-args", "-r", f"__ns:={place}")
+
+    left, right = begin("/left"), begin("/right")
+    for name in (f"left/{kind}", f"right/{kind}"):
+        probe.wait_for(lambda n=name: n in probe.statuses, name)
+    probe.spin(3.0)
+    assert "another node" not in output(left) + output(right)
+    twin = begin("/right")
+    for process in (right, twin):
+        probe.wait_for(lambda p=process: f"another node /right/{kind} is on this graph" in output(p), "the warning")
+    assert "another node" not in output(left)
 
 
 def test_a_file_that_is_not_there_is_said_when_the_node_is_ready(processes, tmp_path):

@@ -53,6 +53,7 @@ from .message_buffer import Capture, MessageBuffer
 from .offers import RawStream
 from .residual_stream import ResidualStream
 from .runtime import LATCHED, STREAM, Level, LiveNode, Status, relative, run
+from .twin import TwinWatch
 from .worker import Failed, Step, Worker
 
 RATE_HZ = 1000.0
@@ -116,6 +117,7 @@ class Identifier(LiveNode):
         self._parameters_out = self.create_publisher(DiagnosticArray, "identifier/parameters", LATCHED)
         self._residuals = self.create_publisher(JointState, "identifier/residuals", STREAM)
         self._predicted = self.create_publisher(JointState, "identifier/predicted", STREAM)
+        self._twin = TwinWatch(self)
         self._subscribe()
         self.offer("identifier/identify", self._identify_buffer)
         self.every(WATCH_S, self._watch)

@@ -19,6 +19,7 @@ from ..errors import UserError
 from ..recording.background_writer import BackgroundWriter, Topic
 from .graph_reader import GraphReader, Sink
 from .runtime import Level, LiveNode, Status, require_folder, run
+from .twin import TwinWatch
 
 
 class Recorder(LiveNode):
@@ -44,6 +45,7 @@ class Recorder(LiveNode):
         self._writer: BackgroundWriter | None = None
         self._reader: GraphReader | None = None
         self._started = 0.0
+        self._twin = TwinWatch(self)
         self._refusal = ""
         self.offer("recorder/start", self.start)
         self.offer("recorder/stop", self.stop)

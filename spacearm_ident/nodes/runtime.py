@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -151,6 +152,7 @@ class LiveNode(Node):
 
     Attributes:
         exit_code: Set it and `run` ends with it, after `close`.
+        stamps: Of the latest diagnostics published, s and ns: who hears others knows them from its own.
     """
 
     def __init__(self, name: str, hardware_id: str = "") -> None:
@@ -158,6 +160,7 @@ class LiveNode(Node):
         self.hardware_id = hardware_id
         self.exit_code: int | None = None
         self._unspun: list[Node] = []
+        self.stamps: deque[tuple[int, int]] = deque(maxlen=100)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.every(_DIAGNOSTICS_S, self.publish_diagnostics)
@@ -250,6 +253,7 @@ class LiveNode(Node):
         """Publish what `diagnose` says now; the timer does so every second, call it on a change of state."""
         message = DiagnosticArray(status=[self._message(status) for status in self.diagnose()])
         message.header.stamp = self.get_clock().now().to_msg()
+        self.stamps.append((message.header.stamp.sec, message.header.stamp.nanosec))
         self._diagnostics.publish(message)
 
     def _message(self, status: Status) -> DiagnosticStatus:

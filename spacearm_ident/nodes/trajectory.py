@@ -51,6 +51,7 @@ from .trajectory_interlock import Interlock
 from .trajectory_output import JOINT_COMMAND, Output, Stream
 from .trajectory_path import PathWatch
 from .trajectory_restart import Restart
+from .twin import TwinWatch
 
 _WATCH_S = 0.05
 _AT_REST = 0.05
@@ -103,6 +104,7 @@ class TrajectoryNode(LiveNode):
         self._said: dict[str, object] = {}
         self._state = self.create_publisher(String, "excitation/state", LATCHED)
         self._feedback = Feedback(self)
+        self._twin = TwinWatch(self)
         self.offer("excitation/start", self.start)
         self.offer("excitation/stop", self.stop)
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -116,6 +118,8 @@ class TrajectoryNode(LiveNode):
         Raises:
             UserError: It cannot begin, with the reason.
         """
+        if twin := self._twin.sentence:
+            raise UserError(f"{twin}; two would move one arm")
         if self._restart is not None:
             raise UserError("about to begin the last run again; stop that first, or wait until it is done")
         if self._stream is not None:
