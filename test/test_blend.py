@@ -10,6 +10,7 @@ from effect_torque import assert_same_torque
 from planted_arm import Friction, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
+from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model import IdentifiedModel, Plain, TorqueModel, Unbounded, structure_of
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
@@ -18,9 +19,13 @@ from spacearm_ident.identification.fit import fit_model
 from spacearm_ident.identification.identify import PSO_LM, Settings, identify
 from spacearm_ident.identification.plain import plain_fit, plain_structure
 from spacearm_ident.identification.validation import validate
+from spacearm_ident.layers.compare import compare
 from spacearm_ident.recording import Recording
 from spacearm_ident.signals.prepare import prepare
+from spacearm_ident.simulations import read_simulation
 from spacearm_ident.solvers.solution_columns import residuals_of
+from spacearm_ident.tracking.rows import TrackedModel
+from spacearm_ident.tracking.tracker import Tracker
 
 LAWS = (Friction(k_v2=0.0, k_v3=0.0, f_b=1.0, f_c=1.0), Friction(k_v2=0.0, k_v3=0.0, f_b=1.0, f_c=1.0))
 IMPOSSIBLE = (LAWS[0], replace(LAWS[1], J_m=-0.4))
@@ -114,6 +119,37 @@ def test_prediction_is_the_convex_combination_of_the_three(beyond):
     simple = IdentifiedModel(model.plain.model, model.plain.parameters, model.plain.constants)
     expected = [0.5, 0.0] * consistent + [0.2, 0.5] * free + [0.3, 0.5] * simple.torque(motion)
     np.testing.assert_allclose(model.torque(motion), expected, atol=1e-9)
+
+
+def test_prediction_stays_when_terms_are_added_at_zero(beyond):
+    """A payload at zero comes to the unbounded parameters as well, in its place among them."""
+    model = both(beyond.model)
+    motion = prepare([held_out_recording(LAWS)], model.model.arm.joint_names, model.cutoff_hz)[0][0]
+    wider = TrackedModel(model, payload=True).model
+    assert len(wider.unbounded.parameters) == len(wider.parameters) > len(model.parameters)
+    assert_same_torque(wider.torque(motion), model.torque(motion))
+
+
+def test_tracked_model_takes_a_friction_level_to_all_that_predicts(beyond):
+    model = both(beyond.model)
+    motion = prepare([held_out_recording(LAWS)], model.model.arm.joint_names, model.cutoff_hz)[0][0]
+    tracked = TrackedModel(model)
+    tracker = Tracker(tracked)
+    number = tracked.symbols.index("k_v1")
+    tracker.filters.side[1] = tracker.filters.root[1] @ np.eye(len(tracked.symbols))[number]  # k_v1 of the elbow + 1
+    moved = tracker.model().torque(motion) - tracked.model.torque(motion)
+    np.testing.assert_allclose(moved[:, 1], motion.velocity[:, 1], atol=1e-9)
+
+
+def test_model_file_of_identify_is_compared_with_an_arm_as_a_simulation(beyond, tmp_path):
+    """Its bodies are one arm's, which what is blended into the prediction is not."""
+    assert beyond.model.unbounded is not None
+    save_model(beyond.model, tmp_path / "model.yaml")
+    simulation = read_simulation(tmp_path / "model.yaml")
+    own, other = two_link_run(IMPOSSIBLE, seconds=20.0, seed=3, speed=2.0), held_out_recording(IMPOSSIBLE)
+    comparison = compare(simulation, [own.recording(noise=0.2, seed=3)], [other], excluded=tuple(EFFECTS))
+    np.testing.assert_allclose(comparison.before_Nm, residual_rms(beyond.model.possible, IMPOSSIBLE), rtol=0.1)
+    assert comparison.after_Nm[1] < comparison.before_Nm[1]
 
 
 def test_plain_fit_recovers_the_parameters_of_a_plain_arm():

@@ -64,8 +64,7 @@ def run(options: argparse.Namespace) -> int:
     common.note_findings(options, recordings)
     model = load_model(options.model) if options.model else None
     if model is not None and options.gravity is not None:
-        wider = replace(model.model, arm=model.model.arm.with_gravity(options.gravity))
-        model = replace(model, model=wider)
+        model = model.with_gravity(options.gravity)
     arm = None
     if model is not None:
         arm = model.model.arm

@@ -420,11 +420,31 @@ class IdentifiedModel:
         return values
 
     def carried_to(self, model: TorqueModel) -> IdentifiedModel:
-        """Another model with the values of what both have; the rest of it is zero."""
+        """Another model with the values of what both have; the rest of it is zero.
+
+        Unbounded parameters are carried as well; a plain model is one of its own and stays.
+
+        Args:
+            model: Of the same arm, with other terms.
+        """
         known = self.by_term
-        parameters = [known.get(name, 0.0) for name in _names(model)]
         constants = [known.get((term.kind, item.name), 0.0) for term in model.terms for item in term.constants]
-        return replace(self, model=model, parameters=np.array(parameters), constants=np.array(constants), own=None)
+        unbounded = self.unbounded
+        if unbounded is not None:
+            unbounded = replace(unbounded, parameters=self._carried(unbounded.parameters, model))
+        return replace(
+            self,
+            model=model,
+            parameters=self._carried(self.parameters, model),
+            constants=np.array(constants),
+            unbounded=unbounded,
+            own=None,
+        )
+
+    def _carried(self, parameters: FloatArray, model: TorqueModel) -> FloatArray:
+        """(q,) parameters of another model: values (p,) of what this one has, zero for the rest."""
+        known = dict(zip(_names(self.model), parameters.tolist()))
+        return np.array([known.get(name, 0.0) for name in _names(model)])
 
     def value(self, symbol: str, joint: str) -> float:
         """A parameter or constant by name.

@@ -33,8 +33,8 @@ def read_simulation(path: Path, joints: Collection[str] = ()) -> Simulation:
         data = parse_yaml(text, str(path))
         if isinstance(data, dict) and data.get("schema") == ARM_SCHEMA:
             return of_urdf(load_arm(path), path.name)
-        model = load_model(path)
-        return Simulation(model, "model", path.name)
+        # What `identify` blends into predicted torque belongs to no body: a simulation is an arm that could be.
+        return Simulation(load_model(path).possible, "model", path.name)
     root = _root(text, path)
     if root == "mujoco":
         return read_mjcf(path)

@@ -188,7 +188,7 @@ class Tracker:
                 values[static.name] = static.identified + level.value - level.identified
         names = [parameter.name for parameter in known.model.parameters]
         parameters = [values.get(name, value) for name, value in zip(names, known.parameters)]
-        return replace(known, parameters=np.array(parameters, dtype=float))
+        return known.moved_to(np.array(parameters, dtype=float), known.constants)
 
     def _batch(self, rows: Rows) -> list[Change]:
         """Weigh, test, and take the rows of one batch."""
