@@ -14,7 +14,7 @@ from planted_arm import THREE_LINKS, TWO_LINKS, Friction, incommensurate, plant,
 from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
-from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, TorqueModel
+from spacearm_ident.dynamics.model import FRICTION_LAWS, IdentifiedModel, OwnRecordings, TorqueModel
 from spacearm_ident.signals.motion import Motion
 from spacearm_ident.tracking.information_filter import InformationFilter
 from spacearm_ident.tracking.innovation_noise import InnovationNoise
@@ -363,6 +363,46 @@ class TestStream:
         assert not rows.moving[np.abs(velocity) < 1e-3].any()
         sign = rows.own[:, :, 0][rows.moving]
         assert np.mean(np.abs(np.abs(sign) - 1.0) < 0.05) > 0.97
+
+    def known_from(self, acceleration: float) -> IdentifiedModel:
+        """`model` with recordings of its own, of this RMS acceleration, rad/s²."""
+        model, none = self.model(), np.zeros((0, 2))
+        own = OwnRecordings(2, np.full(2, acceleration), none, none, none, np.zeros((0, len(model.parameters))))
+        return replace(model, own=own)
+
+    def slowly(self, softness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Fast motion, then from one place to another and back as an approach does; friction is tanh(v / softness)."""
+        time = np.arange(0.0, 60.0, 1.0 / 250.0)
+        fast = [signal * np.clip(25.0 - time, 0.0, 1.0)[:, None] for signal in incommensurate(time, 2, 1, 0.8)]
+        s = np.clip((time - 30.0) / 10.0, 0.0, 1.0) - np.clip((time - 45.0) / 10.0, 0.0, 1.0)
+        there = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        q = fast[0] + 0.15 * there[:, None]
+        qd = np.gradient(q, time, axis=0)
+        motion = q, qd, np.gradient(qd, time, axis=0)
+        effort = plant(TWO_LINKS, self.LAWS, motion, 250.0).torque
+        level = np.array([law.f_c for law in self.LAWS])
+        effort = effort + level * (np.tanh(qd / softness) - np.sign(qd))
+        rng = np.random.default_rng(0)
+        return time, q + 1e-7 * rng.standard_normal(q.shape), effort + 0.03 * rng.standard_normal(q.shape)
+
+    def changes_of(self, model: IdentifiedModel, softness: float) -> int:
+        tracked = TrackedModel(model)
+        stream, tracker = RowStream(tracked, 250.0), Tracker(tracked)
+        return sum(len(tracker.add(rows)) for rows in stream.add(*self.slowly(softness)))
+
+    def test_friction_softer_than_the_speeds_of_the_identification_is_no_change(self):
+        """At 4 rad/s² in 10 Hz rows below 12 mrad/s were left out of the fit; an approach begins and ends below."""
+        assert self.changes_of(self.model(), 5e-3) > 0
+        assert self.changes_of(self.known_from(4.0), 5e-3) == 0
+
+    def test_rows_slower_than_those_of_the_identification_do_not_count(self):
+        time, position, effort = self.slowly(5e-3)
+        tracked = TrackedModel(self.known_from(4.0))
+        (rows,) = RowStream(tracked, 250.0).add(time, position, effort)
+        speed = np.abs(np.interp(rows.time, time, np.gradient(position[:, 0], time)))
+        assert tracked.slowest == pytest.approx(np.full(2, 0.1 * 1.96 * 4.0 / (2 * np.pi * 10.0)))
+        assert not rows.moving[speed < 0.011, 0].any()
+        assert rows.moving[(speed > 0.016) & (rows.time > 30.0), 0].all()
 
     def test_samples_that_are_not_finite_are_left_out(self):
         time, position, effort = self.run(self.LAWS, 20.0)

@@ -4,7 +4,8 @@
 is held where it was identified. Rows come from a stream of samples (`RowStream`, on a node) or from a recording
 (`rows_of`). In both, torque and columns are built at full rate, sign of the velocity included, and go through one
 low-pass together. A row into whose window a reversal reaches is not smeared into something between two signs but left
-out (`Rows.moving`): there friction is whatever balances the rest.
+out (`Rows.moving`): there friction is whatever balances the rest. So is a row that is slower than all that the model was
+identified from (`TrackedModel.slowest`): of such speeds it has never been asked.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ LOAD = "load"
 """A torque that does not turn with the direction of motion. It is no parameter: held at zero until a change says so."""
 ROWS_A_PERIOD = 2.0
 """Rows in one period of the cut-off: nearer together they would say the same twice."""
+PERCENTILE_95 = 1.96
+"""95th percentile of the absolute value of a normal variable over its RMS, for accelerations: `Motion.resolved_speed` is
+of the first, a model file keeps the second. A sine's is 1.41."""
 
 
 class TrackedModel:
@@ -44,12 +48,14 @@ class TrackedModel:
         symbols: Of what is followed at each joint, in the order of its columns; `load` is the last unless a payload is
             followed.
         shared: Numbers of the parameters that act on all joints, in `model.model.parameters`.
+        slowest: (n,) speed below which rows were left out of the identification, rad/s; 0 where the model does not tell.
     """
 
     def __init__(self, model: IdentifiedModel, payload: bool = False, temperature: bool = False) -> None:
         arm = model.model.arm
         self.joints = arm.joint_names
         self.payload = payload
+        self.slowest = _slowest(model)
         self.model = _with_terms(model, self.joints, payload, temperature)
         self.symbols = (*LEVELS, *([ALPHA] if temperature else []), *([] if payload else [LOAD]))
         numbers = {parameter.name: k for k, parameter in enumerate(self.model.model.parameters)}
@@ -81,6 +87,17 @@ class TrackedModel:
         return own, shared
 
 
+def _slowest(model: IdentifiedModel) -> FloatArray:
+    """(n,) `Motion.standstill` of the recordings that a model was identified from, rad/s, without their encoders' noise.
+
+    Friction below it was no part of the fit, nor of its validation: at the slow ends of an approach a tracker would take
+    what presliding and low-pass leave there for a change. 0 where the model does not say how fast its recordings were.
+    """
+    if model.own is None or model.cutoff_hz is None:
+        return np.zeros(len(model.model.arm.joints))
+    return REVERSAL_SHARE * PERCENTILE_95 * model.own.acceleration / (2 * np.pi * model.cutoff_hz)
+
+
 def _with_terms(model: IdentifiedModel, joints: Sequence[str], payload: bool, temperature: bool) -> IdentifiedModel:
     """The model with a payload and temperature terms where it has none, at zero."""
     known = {parameter.name for parameter in model.model.parameters}
@@ -109,7 +126,7 @@ class Rows(Residuals):
     Attributes:
         own: (M, n, k) columns of each joint's own parameters.
         shared: (M, n, s) columns of the shared ones.
-        moving: (M, n) whether a joint's row is free of reversals and standstill.
+        moving: (M, n) whether a joint's row is free of reversals, and of speeds below `TrackedModel.slowest`.
         white: (L,) autocorrelation by lag in rows that the low-pass gives to white noise; 1 at lag 0.
         spacing_s: Time between rows.
     """
@@ -124,13 +141,14 @@ class Rows(Residuals):
 def rows_of(tracked: TrackedModel, motion: Motion) -> Rows:
     """Rows of an uninterrupted stretch of a recording (not of averaged periods)."""
     own, shared = tracked.columns(motion)
+    judged = replace(motion, speed_noise=np.maximum(motion.speed_noise, tracked.slowest))
     return Rows(
         motion.time,
         motion.torque_rows,
         motion.reduce(tracked.model.torque(motion)),
         _reduced(motion, own),
         _reduced(motion, shared),
-        motion.moving,
+        judged.moving,
         motion.white_correlation,
         1.0 / motion.row_rate_hz,
     )
@@ -198,7 +216,7 @@ class RowStream:
             motion = replace(motion, temperature=np.broadcast_to(self.temperature, motion.position.shape))
         own, shared = self.tracked.columns(motion)
         blur = REVERSAL_SHARE * np.abs(motion.acceleration) / (2 * np.pi * self.stream.cutoff_hz)
-        slow = np.abs(motion.velocity) < np.maximum(blur, motion.speed_noise)
+        slow = np.abs(motion.velocity) < np.maximum(blur, np.maximum(motion.speed_noise, self.tracked.slowest))
         # A reversal may pass between two samples.
         turned = np.diff(motion.velocity > 0, axis=0)
         slow[1:] |= turned
