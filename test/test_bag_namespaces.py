@@ -158,7 +158,7 @@ def test_joint_states_of_any_name_are_read(tmp_path):
             if channel.topic not in channels:
                 channels[channel.topic] = writer.add_channel(channel)
             writer.write(channels[channel.topic], message.log_time_ns, message.payload)
-    with pytest.raises(UserError, match="no /joint_states"):
+    with pytest.raises(UserError, match=r"no /joint_states .*which is the arm's with --topic \(/measured\)"):
         read_recording(tmp_path / "odd")
     recording = read_recording(tmp_path / "odd", namespace="/measured")
     np.testing.assert_array_equal(recording.position, read_recording(path).position)

@@ -280,6 +280,21 @@ def params(folder: Path, text: str) -> list[CheckResult]:
             Level.OK,
             "every parameter exists",
         ),
+        ("trajectory: {ros__parameters: {rate_hz: fast}}", Level.FAIL, "rate_hz: 'fast' is not a number"),
+        ("/b/trajectory: {ros__parameters: {rate_hz: 5}}", Level.FAIL, "rate_hz: 5 is not from 10 to 5000"),
+        ("trajectory: {ros__parameters: {path_tolerance: -1}}", Level.FAIL, "-1 is not from 0.001 to 3.2"),
+        ("trajectory: {ros__parameters: {enabled_from: controller}}", Level.FAIL, "'controller' is not a list"),
+        ("trajectory: {ros__parameters: {arm: 5}}", Level.FAIL, "arm: 5 is not a text"),
+        ("identifier: {ros__parameters: {model: 5}}", Level.FAIL, "model: 5 is not a text"),
+        ("recorder: {ros__parameters: {start_immediately: 1}}", Level.FAIL, "1 is not true or false"),
+        ("recorder: {ros__parameters: {buffer_mb: 8.0}}", Level.FAIL, "8.0 is not a whole number"),
+        ("/**: {ros__parameters: {noise: loud}}", Level.FAIL, "noise: 'loud' is not a number"),
+        # A whole number does for a number, an exponent without a point is a text to YAML 1.1, a launch file fills in.
+        (
+            "trajectory: {ros__parameters: {rate_hz: 500, path_tolerance: 1e-2, feedback_timeout_s: $(var late)}}",
+            Level.OK,
+            "every parameter exists",
+        ),
         ("[a, list]", Level.FAIL, "holds no 'key: value' pairs"),
     ],
 )

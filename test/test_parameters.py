@@ -11,7 +11,7 @@ import rclpy
 from rcl_interfaces.msg import ParameterType
 from rclpy.signals import SignalHandlerOptions
 
-from spacearm_ident.commissioning.params_check import EVERY_NODE, known_parameters
+from spacearm_ident.commissioning.params_check import EVERY_NODE, declared_parameters, known_parameters
 from spacearm_ident.errors import UserError
 from spacearm_ident.nodes.main import NODES
 from spacearm_ident.nodes.runtime import LiveNode
@@ -76,6 +76,28 @@ def test_every_parameter_is_described_ranged_and_marked(node):
                 continue
         assert math.isfinite(bounds.from_value) and math.isfinite(bounds.to_value), name
         assert bounds.from_value <= node.get_parameter(name).value <= bounds.to_value, name
+
+
+def test_types_and_ranges_read_from_the_source_are_those_the_node_declares(node):
+    types = {
+        ParameterType.PARAMETER_BOOL: (bool, False),
+        ParameterType.PARAMETER_INTEGER: (int, False),
+        ParameterType.PARAMETER_DOUBLE: (float, False),
+        ParameterType.PARAMETER_STRING: (str, False),
+        ParameterType.PARAMETER_STRING_ARRAY: (str, True),
+        ParameterType.PARAMETER_DOUBLE_ARRAY: (float, True),
+    }
+    known = {name: one for name, one in declared_parameters(node.get_name()).items() if one.kind is not None}
+    assert len(known) > 3
+    for descriptor in node.describe_parameters(sorted(known)):
+        one = known[descriptor.name]
+        value = node.get_parameter(descriptor.name)
+        assert types[value.get_parameter_value().type] == (one.kind, one.several), descriptor.name
+        for bounds in (*descriptor.integer_range, *descriptor.floating_point_range):
+            # A limit that the source names by a constant is not known, and then not checked.
+            assert one.low in (bounds.from_value, -math.inf), descriptor.name
+            assert one.high in (bounds.to_value, math.inf), descriptor.name
+        assert not one.refusal(value.value if not one.several else list(value.value)), descriptor.name
 
 
 def test_what_is_marked_read_only_cannot_be_changed(node):

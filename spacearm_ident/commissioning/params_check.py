@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import math
+import operator
+import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -41,25 +45,99 @@ def check_params(path: Path) -> list[CheckResult]:
 
 DECLARING = {"parameter": 0, "_file": 1}
 """What the nodes' modules declare a parameter with, and which argument its name is."""
+WORDS: Final[Mapping[type, str]] = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+"""What a value of each type is called."""
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A parameter as a node declares it.
+
+    Attributes:
+        kind: Type of its value, of an item where `several`; None: not known without ROS.
+        low, high: Range of a number.
+        several: Whether it is a list.
+    """
+
+    kind: type | None
+    low: float = -math.inf
+    high: float = math.inf
+    several: bool = False
+
+    def refusal(self, value: Any) -> str:
+        """Why the node refuses a value; empty: it does not."""
+        if self.kind is None or value is None or (isinstance(value, str) and "$(" in value):
+            return ""  # Not known, not given, or put in by a launch file.
+        items = value if self.several and isinstance(value, list) else [value]
+        if self.several is not isinstance(value, list) or any(not self._fits(item) for item in items):
+            what = WORDS[self.kind]
+            return f"{value!r} is not {f'a list, each item {what}' if self.several else what}"
+        if self.kind in (int, float) and not all(self.low <= float(item) <= self.high for item in items):
+            return f"{value!r} is not from {self.low:g} to {self.high:g}"
+        return ""
+
+    def _fits(self, value: Any) -> bool:
+        """Whether ROS takes a value for one of this type; a whole number does for a number."""
+        if self.kind is float and isinstance(value, str):
+            return bool(EXPONENT.fullmatch(value))
+        taken = (int, float) if self.kind is float else (self.kind,)
+        return type(value) in taken
+
+
+EXPONENT: Final = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")
+"""A number to ROS (`1e-3`), which YAML 1.1 takes for a text."""
 
 
 @cache
 def known_parameters(node: str) -> frozenset[str]:
-    """Names a node declares, read from the source of its modules (NODE*.py), so that ROS need not be there."""
+    """Names a node declares."""
+    return frozenset(declared_parameters(node))
+
+
+@cache
+def declared_parameters(node: str) -> Mapping[str, Declared]:
+    """What a node declares, read from the source of its modules (NODE*.py), so that ROS need not be there."""
     spec = importlib.util.find_spec(f"spacearm_ident.nodes.{node}")
     if spec is None or spec.origin is None:
-        return frozenset()
-    files = Path(spec.origin).parent.glob(f"{node}*.py")
+        return {}
+    files = sorted(Path(spec.origin).parent.glob(f"{node}*.py"))
     calls = (item for file in files for item in ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
-    return frozenset(name for call in calls if isinstance(call, ast.Call) for name in _declared(call))
+    return dict(pair for call in calls if isinstance(call, ast.Call) for pair in _declared(call))
 
 
-def _declared(call: ast.Call) -> list[str]:
+def _declared(call: ast.Call) -> list[tuple[str, Declared]]:
     """The parameter a call declares, if it does."""
     named = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
     place = DECLARING.get(named, len(call.args))
-    values = [item.value for item in call.args[place : place + 1] if isinstance(item, ast.Constant)]
-    return [value for value in values if isinstance(value, str)]
+    names = [item.value for item in call.args[place : place + 1] if isinstance(item, ast.Constant)]
+    # A file is declared as a text.
+    value = "" if named == "_file" else _literal(next(iter(call.args[place + 1 : place + 2]), None))
+    limits = {item.arg: _literal(item.value) for item in call.keywords if item.arg in ("low", "high")}
+    ranges = {str(key): float(limit) for key, limit in limits.items() if isinstance(limit, (int, float))}
+    several = isinstance(value, list)
+    kind = type(value[0] if several else value) if value is not None else None
+    return [(name, Declared(kind, several=several, **ranges)) for name in names if isinstance(name, str)]
+
+
+def _literal(node: ast.expr | None) -> Any:
+    """The value of an expression of literals; None of any other."""
+    try:
+        # Limits are products and powers of literals here and there.
+        return None if node is None else _computed(node)
+    except ValueError:
+        return None
+
+
+def _computed(node: ast.expr) -> Any:
+    """As `_literal`.
+
+    Raises:
+        ValueError: It is not of literals alone.
+    """
+    operators = {ast.Pow: operator.pow, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Add: operator.add}
+    if isinstance(node, ast.BinOp) and type(node.op) in operators:
+        return operators[type(node.op)](_computed(node.left), _computed(node.right))
+    return ast.literal_eval(node)
 
 
 def _place(node: str) -> str:
@@ -92,8 +170,18 @@ def _node(key: str, given: Any) -> Iterator[CheckResult]:
         if name not in known:
             has = ", ".join(sorted(known - EVERY_NODE))
             yield fail("parameters", f"{node} has no parameter {name!r}; ROS would ignore it", f"it has {has}")
+            continue
+        why = next((why for one in nodes if (why := _refusal(one, str(name), value))), "")
+        if why:
+            yield fail("parameters", f"{node}: {name}: {why}; the node would not start", "correct it")
         elif name in FILES and value and not Path(str(value)).expanduser().exists():
             yield warn("parameters", f"{node}: {name}: there is no {value}", "write it before the node is started")
+
+
+def _refusal(node: str, name: str, value: Any) -> str:
+    """Why a node refuses a value of one of its parameters; empty: it does not, or has none of that name."""
+    known = declared_parameters(node).get(name)
+    return "" if known is None else known.refusal(value)
 
 
 def _one_arm(data: Mapping[str, Any]) -> Iterator[CheckResult]:

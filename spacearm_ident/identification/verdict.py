@@ -132,7 +132,8 @@ def _headline(level: Level, identified: Identified, validation: Validation) -> s
         return f"{words}; no joint could be validated"
     worst = max(known, key=known.__getitem__)
     every = "Every joint's torque is" if len(known) == len(identified.model.model.arm.joints) else "Torque is"
-    return f"{words}. {every} predicted to within {_percent(known[worst])} (RMS) while it moves, worst at {worst}"
+    said = f"{words}. {every} predicted to within {_percent(known[worst])} (RMS) while it moves, worst at {worst}"
+    return said if validation.held_out else f"{said}; on the data of the fit itself: other motion it may predict worse"
 
 
 def _joint(name: str, identified: Identified, validation: Validation) -> JointVerdict:

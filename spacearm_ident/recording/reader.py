@@ -40,9 +40,11 @@ def _read_states(bag: Bag, path: str, joints: Sequence[str] | None, preferred: S
     if stream is None:
         there = listing([f"{topic} ({kind or 'no type'})" for topic, kind in sorted(bag.topics.items())])
         damage = "".join(f"; {defect.text}" for defect in bag.defects[:2])
+        named = listing([topic for topic, kind in sorted(bag.topics.items()) if kind == messages.JOINT_STATE.name])
+        otherwise = f", or say which is the arm's with --topic ({named})" if named else ""
         raise UserError(
             f"{path}: no {messages.STATES_TOPIC} of type {messages.JOINT_STATE.name}; "
-            f"record that topic (found: {there or 'nothing'}{damage})"
+            f"record that topic{otherwise} (found: {there or 'nothing'}{damage})"
         )
     intake = Intake.of_stream(messages.STATES_TOPIC, stream, joints, use_log_time=False, preferred=preferred)
     unknown = [name for name in joints or () if name not in intake.known]

@@ -4,8 +4,8 @@
 is held where it was identified. Rows come from a stream of samples (`RowStream`, on a node) or from a recording
 (`rows_of`). In both, torque and columns are built at full rate, sign of the velocity included, and go through one
 low-pass together. A row into whose window a reversal reaches is not smeared into something between two signs but left
-out (`Rows.moving`): there friction is whatever balances the rest. So is a row that is slower than all that the model was
-identified from (`TrackedModel.slowest`): of such speeds it has never been asked.
+out (`Rows.moving`): there friction is whatever balances the rest. So is a row that is slower than all those that the
+model was identified from (`TrackedModel.slowest`).
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ LOAD = "load"
 ROWS_A_PERIOD = 2.0
 """Rows in one period of the cut-off: nearer together they would say the same twice."""
 PERCENTILE_95 = 1.96
-"""95th percentile of the absolute value of a normal variable over its RMS, for accelerations: `Motion.resolved_speed` is
-of the first, a model file keeps the second. A sine's is 1.41."""
+"""95th percentile of a normal variable's absolute value over its RMS, for accelerations: `Motion.resolved_speed` is of
+the first, a model file keeps the second. A sine's is 1.41."""
 
 
 class TrackedModel:
@@ -48,7 +48,7 @@ class TrackedModel:
         symbols: Of what is followed at each joint, in the order of its columns; `load` is the last unless a payload is
             followed.
         shared: Numbers of the parameters that act on all joints, in `model.model.parameters`.
-        slowest: (n,) speed below which rows were left out of the identification, rad/s; 0 where the model does not tell.
+        slowest: (n,) speed below which rows were left out of the identification, rad/s; 0 where it is not known.
     """
 
     def __init__(self, model: IdentifiedModel, payload: bool = False, temperature: bool = False) -> None:
@@ -88,10 +88,10 @@ class TrackedModel:
 
 
 def _slowest(model: IdentifiedModel) -> FloatArray:
-    """(n,) `Motion.standstill` of the recordings that a model was identified from, rad/s, without their encoders' noise.
+    """(n,) `Motion.standstill` of the recordings a model was identified from, rad/s, without their encoders' noise.
 
-    Friction below it was no part of the fit, nor of its validation: at the slow ends of an approach a tracker would take
-    what presliding and low-pass leave there for a change. 0 where the model does not say how fast its recordings were.
+    Friction below it was no part of the fit: at the slow ends of an approach a tracker would take what presliding
+    leaves there for a change. 0 where the model does not say how fast its recordings were.
     """
     if model.own is None or model.cutoff_hz is None:
         return np.zeros(len(model.model.arm.joints))
