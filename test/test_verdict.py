@@ -53,6 +53,12 @@ def test_verdict_is_that_of_the_worst_moving_joint(made, worst: float, level: st
     assert all(reason.startswith("slide: ") for reason in verdict.reasons)
 
 
+def test_verdict_on_the_data_of_the_fit_says_so(made) -> None:
+    identified, figures = made
+    own, other = (judge_result(identified, replace(figures, held_out=held)).headline for held in (False, True))
+    assert "on the data of the fit itself" in own and "on the data of the fit itself" not in other
+
+
 def test_verdict_is_unknown_only_where_no_joint_could_be_validated(made) -> None:
     nothing = judge_result(made[0], with_moving(made[1], math.nan, math.nan))
     assert nothing.level is Level.UNKNOWN and len(nothing.reasons) == 2
