@@ -1,4 +1,4 @@
-"""What a spring held at zero hides: the same as fitting again with the spring free."""
+"""What parameters that are left out hide: the same as fitting again with them free."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ def test_the_shift_is_that_of_a_fit_with_the_spring_free():
     residuals = [
         rows.torque - block @ held.parameters[number] for rows, block, number in zip(regression.rows, columns, numbers)
     ]
-    shifts = hidden_shifts(regression, inverse, prior.rows, weighted, numbers, residuals)
+    constants = np.zeros(len(regression.model.constants))
+    shifts = hidden_shifts(regression, constants, inverse, prior.rows, weighted, numbers, residuals)
     assert [joint for joint, _ in held_columns(regression)] == [0, 1]
     moved = np.abs(expected) > 1e-3
     assert moved.sum() >= 5
@@ -75,3 +76,42 @@ def test_standard_errors_hold_whatever_spring_is_left_out(spring):
     assert len(scores) >= 16
     assert np.max(np.abs(scores)) < 3.5
     assert np.mean(np.abs(scores) < 1.96) > 0.85
+
+
+def scores(planted, structure, noise: float, seed: int, joint: str) -> dict[str, float]:
+    """Errors of a joint's parameters in standard errors, of those that are called determined by the data."""
+    arm = arm_from_urdf(planted.urdf)
+    result = identify([planted.recording(noise=noise, seed=seed)], arm, Settings(structure=structure, blend=False))
+    return {
+        estimate.name: (estimate.value - planted.values[estimate.name]) / estimate.standard_error
+        for estimate in result.estimates
+        if estimate.identifiable and estimate.joint == joint
+    }
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.3, 1.0, -3.0])
+def test_standard_errors_hold_whatever_offset_is_left_out(offset):
+    found = []
+    for seed in range(4):
+        planted = two_link_run((Friction(offset=offset), Friction(f_c=3.0)), seed=seed, periodic=True)
+        structure = structure_of(arm_from_urdf(planted.urdf))
+        assert "torque_offset" not in structure
+        found += scores(planted, structure, 0.3, seed, "shoulder").values()
+    assert len(found) >= 16
+    assert np.max(np.abs(found)) < 3.5
+    assert np.mean(np.abs(found) < 1.96) > 0.85
+
+
+@pytest.mark.parametrize("static", [5.0, 5.5, 6.5])
+def test_standard_errors_hold_where_a_curve_stands_for_stribeck_friction(static):
+    """k_v2 and k_v3 take the place of a Stribeck term: f_c and k_v1 are then off by what its absence may hide."""
+    found = []
+    for seed in range(4):
+        law = Friction(f_b=static, v_b=0.2, k_v2=0.0, k_v3=0.0)
+        planted = two_link_run((law, Friction(f_c=3.0)), seed=seed, periodic=True)
+        structure = structure_of(arm_from_urdf(planted.urdf), "paper-odd")
+        structure["stribeck_friction"] = {"stribeck": False, "presliding": False}
+        found += scores(planted, structure, 0.3, seed, "shoulder").values()
+    assert len(found) >= 6
+    assert np.max(np.abs(found)) < 3.5
+    assert np.mean(np.abs(found) < 1.96) > 0.85

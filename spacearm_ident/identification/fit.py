@@ -213,7 +213,9 @@ def covariance_of(fit: Fit, further: Sequence[FloatArray] = ()) -> FloatArray:
         beliefs = np.pad(prior.rows, ((0, more), (0, known + more - count)))
         beliefs[len(prior.rows) :, known:] = np.eye(more) / GRAVITY_SCALE
         prior = replace(prior, rows=beliefs)
-    by_logarithm = covariance(regression, prior, columns, numbers, fit.residuals, correlation, known + more)
+    by_logarithm = covariance(
+        regression, prior, solution.constants, columns, numbers, fit.residuals, correlation, known + more
+    )
     between = friction_shifts(regression, solution.parameters, columns, numbers, fit.residuals, known + more)
     by_logarithm += between.T @ between
     unit = np.concatenate([np.ones(count), solution.constants, np.ones(more)])

@@ -25,6 +25,7 @@ TAPER_FACTOR = 4.0
 def covariance(
     regression: Regression,
     prior: Prior,
+    constants: FloatArray,
     columns: list[FloatArray],
     numbers: list[list[int]],
     residuals: list[FloatArray],
@@ -36,6 +37,7 @@ def covariance(
     Args:
         regression: Weighted rows.
         prior: Beliefs about the parameters (unknowns 0 ... p-1).
+        constants: (c,) at the solution.
         columns: Per joint, all columns (M, k), unweighted, derivatives by searched constants included.
         numbers: Per joint, the unknown each column belongs to.
         residuals: Per joint, (M,) unweighted residual.
@@ -64,7 +66,7 @@ def covariance(
             residual = residuals[joint][mine] * rows.weight[mine] * trust
             kernel = _kernel(residual, rows.place[mine], motion.white_correlation, correlation[joint][number])
             score[index] += freedom * _score(weighted[joint][mine] / trust[:, None], rows.place[mine], kernel)
-    shifts = hidden_shifts(regression, inverse, beliefs, weighted, numbers, residuals)
+    shifts = hidden_shifts(regression, constants, inverse, beliefs, weighted, numbers, residuals)
     return np.asarray(inverse @ score @ inverse + shifts.T @ shifts)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.background import Background
 from ..dynamics.model import TorqueModel
-from ..dynamics.term import Term, Values
+from ..dynamics.term import Constant, Term, Values
 from ..signals.motion import Motion
 
 KEPT_VALUES = 4_000_000
@@ -191,19 +191,20 @@ class Regression:
     @cached_property
     def grids(self) -> list[FloatArray]:
         """For every constant, the values of its grid that these motions can tell apart."""
-        grids = []
-        for constant in self.model.constants:
-            grid = np.array(constant.grid)
-            if constant.speed:
-                joint = self.model.arm.joint_names.index(constant.joint)
-                moving = [motion for motion in self.motions if motion.moving[:, joint].any()]
-                seen = [max(m.speed_noise[joint], NARROWEST_SHARE * m.resolved_speed[joint]) for m in moving]
-                floor = min(seen, default=np.inf)
-                above = grid[grid > floor]
-                ends = [floor] if len(above) and floor > grid[grid > 0][0] else []
-                grid = np.concatenate([grid[grid == 0], ends, above])
-            grids.append(grid)
-        return grids
+        return [self.visible(constant) for constant in self.model.constants]
+
+    def visible(self, constant: Constant) -> FloatArray:
+        """Values of a constant's grid that these motions can tell apart."""
+        grid = np.array(constant.grid)
+        if constant.speed:
+            joint = self.model.arm.joint_names.index(constant.joint)
+            moving = [motion for motion in self.motions if motion.moving[:, joint].any()]
+            seen = [max(m.speed_noise[joint], NARROWEST_SHARE * m.resolved_speed[joint]) for m in moving]
+            floor = min(seen, default=np.inf)
+            above = grid[grid > floor]
+            ends = [floor] if len(above) and floor > grid[grid > 0][0] else []
+            grid = np.concatenate([grid[grid == 0], ends, above])
+        return grid
 
     def shaped_terms(self) -> list[tuple[int, int, int]]:
         """(term number, first constant, number of constants) of the terms whose columns change with a solution."""
