@@ -15,6 +15,7 @@ import pytest
 from made_result import Page, arm, identification, identified_model, validation
 
 from spacearm_ident.cli.main import main
+from spacearm_ident.dynamics.model import TorqueModel
 from spacearm_ident.errors import UserError
 from spacearm_ident.estimate.identified import Determination, Identified
 from spacearm_ident.report import folder
@@ -223,3 +224,34 @@ def test_a_folder_without_results_is_said(tmp_path, capsys):
     assert not (tmp_path / "index.html").exists()
     assert main(["report", str(tmp_path / "nowhere")]) == 2
     assert "is not a result folder" in capsys.readouterr().err
+
+
+def with_stribeck_velocity(known: Identified, joint: str, value: float) -> Identified:
+    """The same with another v_b at a joint; all of it is determined by the data to 1 %."""
+    model = known.model
+    fastest = {name: 2.0 for name in model.model.arm.joint_names}
+    structure = {**model.model.structure, "viscous_friction": {"fastest": fastest}}
+    constants = model.constants.copy()
+    constants[[item.name for item in model.model.constants].index(f"v_b[{joint}]")] = value
+    estimates = tuple(
+        replace(item, standard_error=0.01 * abs(item.value) + 1e-4, determination=Determination.DATA)
+        for item in known.estimates
+    )
+    model = replace(model, model=TorqueModel(model.model.arm, structure), constants=constants)
+    return replace(known, model=model, estimates=estimates)
+
+
+def test_parameters_of_other_friction_laws_are_not_counted_and_friction_torque_is(known):
+    joint = known.model.model.arm.joint_names[0]
+    plain, stribeck = (with_stribeck_velocity(known, joint, value) for value in (0.0, 0.1))
+    far = shifted(stribeck, f"f_c[{joint}]", 30.0)
+    assert [item.name for item in moved(differences(stribeck, far))] == [f"f_c[{joint}]"], "of one law: counted"
+    found = differences(plain, far)
+    friction = [item for item in found if item.joint == joint and item.symbol in ("f_c", "f_b", "v_b", "k_v1", "k_v3")]
+    assert len(friction) == 5 and all(math.isnan(item.errors) for item in friction)
+    levels = [item for item in found if item.symbol.startswith("friction at")]
+    assert [item.symbol for item in levels] == [f"friction at {speed} rad/s" for speed in ("0.50", "1.0", "2.0")]
+    assert all(abs(item.errors) < 0.1 for item in levels), "v_b is far below these speeds: the torque is the same"
+    assert not moved(found)
+    assert any(item.joint != joint and item.symbol == "f_c" and math.isfinite(item.errors) for item in found)
+    assert all(math.isnan(item.errors) for item in base_differences(plain, far) if item.name == f"f_c[{joint}]")

@@ -72,6 +72,54 @@ def viscosity(
     return slopes @ identified.parameters[numbers], _errors(slopes, covariance[np.ix_(numbers, numbers)])
 
 
+def friction_terms(identified: IdentifiedModel, joint: str) -> frozenset[str]:
+    """Names of what one joint's friction is made of: two models that have the same have the same law there.
+
+    Args:
+        identified: The model.
+        joint: Its name.
+    """
+    found: set[str] = set()
+    for term, _, first_constant in identified.model.numbered():
+        if not term.friction:
+            continue
+        values = identified.constants[first_constant : first_constant + len(term.constants)]
+        found |= {item.symbol for item, value in zip(term.constants, values) if item.joint == joint and value > 0.0}
+        for parameter in term.parameters:
+            # Without a Stribeck velocity f_b moves no torque: v_b says whether there is one.
+            if parameter.joint == joint and not parameter.held and parameter.symbol != "f_b":
+                odd = isinstance(term, ViscousFriction) and term.is_odd(parameter)
+                found.add(ViscousFriction.ODD if odd else parameter.symbol)
+    return frozenset(found)
+
+
+def fastest_seen(identified: IdentifiedModel, joint: str) -> float | None:
+    """Largest speed of a joint in the data, rad/s (m/s); None where the model does not say."""
+    speed = identified.model.structure.get(ViscousFriction.kind, {}).get("fastest", {}).get(joint)
+    return None if speed is None else float(speed)
+
+
+def friction_level(
+    identified: IdentifiedModel, joint: int, speed: float, covariance: FloatArray
+) -> tuple[float, float]:
+    """Half of what one joint's steady friction differs by in its two directions at a speed.
+
+    Args:
+        identified: The model.
+        joint: Its index; the arm is in its zero position.
+        speed: Of the joint, rad/s.
+        covariance: (p + c, p + c) of parameters and constants, or of more.
+
+    Returns:
+        The torque and its standard error for given constants, N·m.
+    """
+    still = np.zeros(len(identified.model.arm.joint_names))
+    numbers, rows = _columns(identified, _steady(identified, joint, np.array([-speed, speed]), still), joint)
+    level = (rows[1:] - rows[:1]) / 2.0
+    error = _errors(level, covariance[np.ix_(numbers, numbers)])
+    return float((level @ identified.parameters[numbers])[0]), float(error[0])
+
+
 def _columns(
     identified: IdentifiedModel, motion: Motion, joint: int, kind: str | None = None
 ) -> tuple[list[int], FloatArray]:

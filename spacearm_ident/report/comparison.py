@@ -3,17 +3,21 @@
 A difference is divided by the standard error of a difference of two independent estimates, sqrt(s_a^2 + s_b^2). That
 is noise alone: what differs between two days (temperature, payload) is what one wants to see, and what the model
 leaves out moves estimates too. Values that rest on the prior are compared, but have no errors to count in.
+
+A joint's friction may have other terms in two results, and f_c beside a Stribeck term is another quantity than f_c
+beside a cubic one. There its parameters are shown and not counted; its torque is, at speeds that both have seen.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
+from ..dynamics.friction_curve import fastest_seen, friction_level, friction_terms
 from ..errors import UserError
-from ..estimate.identified import Estimate, Identified, JointValidation
+from ..estimate.identified import Determination, Estimate, Identified, JointValidation
 from ..identification.verdict import judge_result
 from ..results.store import Result
 from ..results.tables import base, by_joint
@@ -24,6 +28,8 @@ FAR: Final = 3.0
 """Standard errors beyond which a parameter is said to have moved."""
 BY_CHANCE: Final = 0.0027
 """Share of normal differences beyond `FAR`."""
+SPEED_SHARES: Final = (0.25, 0.5, 1.0)
+"""Shares of the largest speed that both results have seen, at which friction of different laws is compared."""
 WIDEST: Final = 10.0
 """Standard errors at which a bar is full."""
 
@@ -37,12 +43,14 @@ class Difference:
         joint: To which it belongs.
         first: In the one result.
         second: In the other.
+        alike: Whether it is the same quantity in both.
     """
 
     name: str
     joint: str
     first: Estimate | None
     second: Estimate | None
+    alike: bool = True
 
     @property
     def value(self) -> float:
@@ -53,8 +61,8 @@ class Difference:
 
     @property
     def errors(self) -> float:
-        """The same in standard errors of the difference; NaN where a result does not know its own."""
-        if self.first is None or self.second is None:
+        """The same in standard errors of the difference; NaN where a result does not know its own, or not alike."""
+        if self.first is None or self.second is None or not self.alike:
             return math.nan
         error = math.hypot(self.first.standard_error, self.second.standard_error)
         known = min(self.first.standard_error, self.second.standard_error) > 0.0
@@ -97,19 +105,56 @@ def differences(first: Identified, second: Identified) -> list[Difference]:
         raise UserError(
             f"the arms have no joint in common ({', '.join(mine)}; {', '.join(other)}): compare runs of one"
         )
-    return [
-        difference
-        for joint in dict.fromkeys([*mine, *other])
-        for difference in _pairs(mine.get(joint, []), other.get(joint, []))
-    ]
+    laws = _other_laws(first, second)
+    found = []
+    for joint in dict.fromkeys([*mine, *other]):
+        pairs = _pairs(mine.get(joint, []), other.get(joint, []))
+        found += [replace(pair, alike=pair.symbol not in laws.get(joint, ())) for pair in pairs]
+        found += _levels(first, second, joint) if joint in laws else []
+    return found
 
 
 def base_differences(first: Identified, second: Identified) -> list[Difference]:
     """Base parameters that are the same combination in both: what the data alone determine."""
-    theirs = {item.symbol: item for item in base(second)}
+    theirs, laws = {item.symbol: item for item in base(second)}, _other_laws(first, second)
+    other = {f"{symbol}[{joint}]" for joint, symbols in laws.items() for symbol in symbols}
     return [
-        Difference(item.symbol, item.joint, item, theirs[item.symbol]) for item in base(first) if item.symbol in theirs
+        Difference(item.symbol, item.joint, item, theirs[item.symbol], alike=item.symbol not in other)
+        for item in base(first)
+        if item.symbol in theirs
     ]
+
+
+def _other_laws(first: Identified, second: Identified) -> dict[str, frozenset[str]]:
+    """Joint whose friction has other terms in the second result than in the first -> symbols of its friction."""
+    models = first.model, second.model
+    found = {}
+    for joint in models[0].model.arm.joint_names:
+        if joint in models[1].model.arm.joint_names and len({friction_terms(model, joint) for model in models}) > 1:
+            terms = [term for model in models for term in model.model.terms if term.friction]
+            own = [item for term in terms for item in term.parameters if item.joint == joint]
+            searched = [item for term in terms for item in term.constants if item.joint == joint]
+            found[joint] = frozenset([item.symbol for item in own] + [item.symbol for item in searched])
+    return found
+
+
+def _levels(first: Identified, second: Identified, joint: str) -> list[Difference]:
+    """Friction torque of a joint at speeds that both results have seen; none where one does not say which."""
+    results = first, second
+    fastest = [fastest_seen(one.model, joint) for one in results]
+    known = [speed for speed in fastest if speed is not None]
+    if len(known) < len(results):
+        return []
+    places = [one.model.model.arm.joint_names.index(joint) for one in results]
+    revolute = first.model.model.arm.joints[places[0]].revolute
+    unit, found = "N m" if revolute else "N", []
+    for speed in (share * min(known) for share in SPEED_SHARES):
+        symbol, pair = f"friction at {number(speed, 2)} {'rad/s' if revolute else 'm/s'}", []
+        for one, place in zip(results, places):
+            value, error = friction_level(one.model, place, speed, one.covariance)
+            pair.append(Estimate(symbol, joint, unit, value, error, Determination.DATA))
+        found.append(Difference(f"{symbol}[{joint}]", joint, pair[0], pair[1]))
+    return found
 
 
 def _pairs(mine: Sequence[Estimate], theirs: Sequence[Estimate]) -> list[Difference]:
