@@ -53,6 +53,15 @@ def test_offset_is_estimated_where_it_is_planted(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+def test_stribeck_friction_is_found_beside_a_large_offset(seed):
+    elbow = replace(PLAIN[1], f_b=5.0, v_b=0.2, offset=3.0)
+    result = run(PLAIN[0], elbow, seed=seed)
+    assert (OptionalTerm.STRIBECK, "elbow") in found(result)
+    assert result.model.value("f_c", "elbow") == pytest.approx(elbow.f_c, rel=0.02)
+    assert result.model.value("k_v1", "elbow") == pytest.approx(elbow.k_v1, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_quadratic_friction_is_found_in_its_own_form(seed):
     odd, even = replace(PLAIN[0], k_v2=2.0, odd=True), replace(PLAIN[1], k_v2=1.0)
     result = run(odd, even, seed=seed)
