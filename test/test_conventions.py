@@ -231,6 +231,41 @@ def test_the_base_is_found_mounted_otherwise(truth, arm):
     assert finding.probability > 0.9
 
 
+SCARA = (
+    Link("inner", axis=(0, 0, 1), xyz=(0, 0, 0.4), mass=6.0, com=(0.16, 0.01, 0.0)),
+    Link("outer", parent="inner", axis=(0, 0, 1), xyz=(0.35, 0, 0.05), mass=5.0, com=(0.13, 0.02, 0.0)),
+    Link("quill", "prismatic", parent="outer", axis=(0, 0, 1), xyz=(0.28, 0, 0), mass=2.0, com=(0.02, 0.0, -0.1)),
+)
+ON_A_WALL = (-9.81, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def on_a_wall() -> Recording:
+    """A SCARA whose base is on a wall; a drive's offset of 4 N at the sliding joint, which gravity does not pull."""
+    time = np.arange(0.0, 30.0, 1 / 200)
+    motion = tuple(np.array([1.0, 1.0, 0.1]) * signal for signal in incommensurate(time, 3, speed=1.2))
+    laws = (Friction(4.0, k_v1=3.0, J_m=0.5), Friction(3.0, k_v1=2.0, J_m=0.3), Friction(20.0, k_v1=60.0, J_m=8.0))
+    made = plant(SCARA, (*laws[:2], replace(laws[2], offset=4.0)), motion, 200.0, ON_A_WALL)
+    return replace(made.recording(noise=[0.3, 0.2, 0.5], ar=0.5), velocity=motion[1])
+
+
+def test_an_offset_of_a_sliding_joint_tilts_no_base(on_a_wall):
+    report = check_conventions([on_a_wall], arm_from_urdf(on_a_wall.urdf))
+    (finding,) = [one for one in report.findings if one.kind == "gravity"]
+    np.testing.assert_array_equal(finding.values["value"], ON_A_WALL)
+    assert "give or take" in finding.statement and "-0" not in finding.remedy
+    assert "direction of gravity (a constant torque at quill looks the same)" in report.undecided
+
+
+def test_direction_of_gravity_is_decided_where_joints_feel_all_of_it(run, arm):
+    assert not any("direction of gravity" in text for text in check_conventions([run], arm).undecided)
+
+
+def test_gravity_that_is_estimated_is_no_mistake(on_a_wall):
+    arm = arm_from_urdf(on_a_wall.urdf)
+    assert "gravity" not in {one.kind for one in check_conventions([on_a_wall], arm, gravity_known=False).findings}
+
+
 @pytest.mark.parametrize("rated", [0.4, 1.6])
 def test_a_share_of_rated_torques_that_no_file_tells_is_named_and_its_remedy_mends_it(rated, run, arm):
     """As CiA 402's object 0x6077 in per cent: rated torques follow the limits, by an unknown factor."""

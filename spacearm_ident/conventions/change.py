@@ -202,6 +202,6 @@ def gravities(arm: Arm) -> list[FloatArray]:
     """(3,) gravity along the axes of the base frame but the stated one, and none, m/s^2."""
     size = float(np.linalg.norm(arm.gravity)) or 9.81
     stated = arm.gravity / size
-    axes = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    axes = [sign * axis + 0.0 for axis in np.eye(3) for sign in (1.0, -1.0)]  # no -0, which a remedy would print
     others = [size * axis for axis in axes if axis @ stated < 0.99]
     return [*others, np.zeros(3)] if arm.gravity.any() else others

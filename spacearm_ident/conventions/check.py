@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.special import expit
@@ -34,7 +35,7 @@ from .rows import rows_of
 from .scorer import Scored, Scorer, carried, loaded_joints
 from .search import SUSPECTED, Step, search
 from .setup import Setup
-from .values import zero_error
+from .values import LEAST_TILT_RAD, direction_error, zero_error
 from .words import corrections, is_unit, joint_names, rated_factors, remedy, statement
 
 SURE_PROBABILITY = 0.99
@@ -66,7 +67,8 @@ def check_conventions(
     Args:
         recordings: At least one, of the arm's joints.
         arm: The arm; its CAD inertials are the prior, its corrections are taken to have been applied.
-        gravity_known: Whether the arm's gravity is to be believed; else another one is a note.
+        gravity_known: Whether the arm's gravity is to be believed; else it is estimated, and that it is another one is
+            no mistake.
         progress: Called with a share done in 0..1 and what is being done.
 
     Raises:
@@ -75,12 +77,9 @@ def check_conventions(
     if progress is not None:
         progress(0.0, "checking conventions")
     found = merged(each(partial(_check, arm=arm), recordings))
-    return found if gravity_known else replace(found, findings=tuple(_gravity_noted(one) for one in found.findings))
-
-
-def _gravity_noted(finding: Finding) -> Finding:
-    """A finding about gravity as a note, where gravity is estimated anyway."""
-    return replace(finding, level=Level.NOTE) if finding.kind == Kind.GRAVITY else finding
+    if gravity_known:
+        return found
+    return replace(found, findings=tuple(one for one in found.findings if one.kind != Kind.GRAVITY))
 
 
 def recording_name(recording: Recording) -> str:
@@ -294,17 +293,23 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
             kind = Kind.EFFORT_UNIT
         else:
             joints = tuple(arm.joint_names[k] for k in loaded_joints(scorer, final))
+    values: dict[str, Any] = {"value": [float(v) for v in value]} if value else {}
+    said = statement(arm, change, evidence)
+    if kind is Kind.GRAVITY and any(value):
+        error = direction_error(scorer, final if change in final.changes else step.after)
+        values["direction_error_rad"] = round(error, 4)
+        said += f", give or take {np.degrees(error):.0f}°" if error > LEAST_TILT_RAD else ""
     suspected = "" if sure else "suspected: "
     return Finding(
         kind=str(kind),
         level=level,
         joints=joints,
-        statement=suspected + statement(arm, change, evidence),
+        statement=suspected + said,
         remedy=remedy(arm, change, evidence),
         corrections=corrections(arm, change, evidence),
         probability=probability,
         log_odds=step.gain,
-        values={"value": [float(v) for v in value]} if value else {},
+        values=values,
         alternatives=alternatives,
     )
 
@@ -338,6 +343,10 @@ def _undecided(scorer: Scorer, last: Step, plain: Plain) -> list[str]:
         zero_or_gain = (Kind.ENCODER_ZERO, Kind.DELAY, *TORQUE_SCALES)
         if change.kind not in zero_or_gain and one.score - start.score > -scorer.sure and change.joints:
             words.append(f"{str(change.kind).replace('_', ' ')} of {', '.join(joint_names(arm, change))}")
+    if start.setup.gravity.any() and direction_error(scorer, start) > LEAST_TILT_RAD:
+        told = [name for k, name in enumerate(arm.joint_names) if direction_error(scorer, start, [k]) <= LEAST_TILT_RAD]
+        beside = f" (a constant torque at {', '.join(told)} looks the same)" if told else ""
+        words.append(f"direction of gravity{beside}")
     open_zeros = [
         name
         for k, name in enumerate(arm.joint_names)

@@ -5,6 +5,7 @@ Zeros and gravity by Gauss-Newton steps with all parameters of the arm free, del
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -124,8 +125,10 @@ def _zero_normal(scorer: Scorer, here: Scored, joint: int) -> tuple[FloatArray, 
     return reduced(scorer, here, slope[:, :, None])
 
 
-def reduced(scorer: Scorer, here: Scored, along: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix (k, k) and vector (k,) of k further columns of the rigid arm, all parameters free.
+def reduced(
+    scorer: Scorer, here: Scored, along: FloatArray, known: Sequence[int] = ()
+) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix (k, k) and vector (k,) of k further columns of the rigid arm, all parameters free but some.
 
     The parameters' own columns are eliminated from both (Schur complement).
 
@@ -134,6 +137,7 @@ def reduced(scorer: Scorer, here: Scored, along: FloatArray) -> tuple[FloatArray
         here: The scored setup whose motion, gains and residual are used.
         along: (M, n, k) derivatives of the rigid-body torque by the k further unknowns, N·m per unit of the unknown,
             before gains.
+        known: Numbers of parameters that keep their values.
     """
     design, evidence = scorer.design(here.setup), here.evidence
     r, weight = design.rigid, evidence.weight
@@ -146,7 +150,9 @@ def reduced(scorer: Scorer, here: Scored, along: FloatArray) -> tuple[FloatArray
         cross[r + OWN * j : r + OWN * (j + 1)] += product[r:]
     square = np.einsum("mjk,j,mjl->kl", along, weight, along, optimize=True)
     vector = np.einsum("mjk,j,mj->k", along, weight, residual, optimize=True)
-    return square - cross.T @ np.linalg.solve(evidence.precision, cross), vector
+    free = np.setdiff1d(np.arange(len(cross)), known)
+    cross = cross[free]
+    return square - cross.T @ np.linalg.solve(evidence.precision[np.ix_(free, free)], cross), vector
 
 
 def tilts(scorer: Scorer, start: Scored) -> list[Scored]:
@@ -177,6 +183,9 @@ def tilts(scorer: Scorer, start: Scored) -> list[Scored]:
 def refined_gravity(scorer: Scorer, one: Scored) -> Scored:
     """Where gravity was changed: its direction, searched by Gauss-Newton with all parameters free.
 
+    An axis of the base frame is kept unless another direction explains more than fitting it costs: beside it a constant
+    torque at one joint, or noise, moves the best direction by degrees.
+
     Args:
         scorer: Scores, with the arm and what was recorded.
         one: The scored setup; returned as it is where its last change is none of gravity.
@@ -185,6 +194,7 @@ def refined_gravity(scorer: Scorer, one: Scored) -> Scored:
     size = 0.0 if last is None or last.kind is not Kind.GRAVITY else float(np.linalg.norm(last.value))
     if last is None or size == 0.0:
         return one
+    first = one
     for _ in range(3):
         vector = gravity_step(scorer, one, size)
         change = replace(last, value=tuple(float(v) for v in vector))
@@ -193,20 +203,42 @@ def refined_gravity(scorer: Scorer, one: Scored) -> Scored:
         if better.score <= one.score:
             break
         one = better
-    if all(tilted(along, one.setup.gravity) for along in gravities(scorer.arm) if along.any()):
-        return replace(one, score=one.score + _log_share_of_directions(scorer, one, size))
-    return one
+    on_axis = any(np.allclose(axis, first.setup.gravity) for axis in gravities(scorer.arm))
+    if on_axis and one is first:
+        return first
+    fitted = replace(one, score=one.score + _log_share_of_directions(scorer, one))
+    return first if on_axis and first.score >= fitted.score else fitted
 
 
-def _log_share_of_directions(scorer: Scorer, one: Scored, size: float) -> float:
+def _log_share_of_directions(scorer: Scorer, one: Scored) -> float:
     """Logarithm of the share of all directions of gravity that the data leave (Laplace): what fitting it costs.
 
     A base may be mounted at any angle, all as probable before; along an axis of its frame it is not fitted.
     """
-    square, _ = _gravity_normal(scorer, one)
-    _, _, turns = np.linalg.svd(one.setup.gravity[None])
-    information = size**2 * turns[1:] @ square @ turns[1:].T + np.eye(2)
+    information = _direction_information(scorer, one) + np.eye(2)
     return min(0.0, float(-np.log(2.0) - 0.5 * np.linalg.slogdet(information)[1]))
+
+
+def direction_error(scorer: Scorer, here: Scored, known: Sequence[int] = ()) -> float:
+    """Standard error of gravity's direction where the data tell it least, before any belief about it, rad.
+
+    Args:
+        scorer: Scores, with the arm and what was recorded.
+        here: The scored setup, under a gravity that is not zero.
+        known: Joints whose constant torque is taken for known.
+
+    Returns:
+        At most pi.
+    """
+    least = float(np.linalg.eigvalsh(_direction_information(scorer, here, known))[0])
+    return float(1.0 / np.sqrt(max(least, np.pi**-2)))
+
+
+def _direction_information(scorer: Scorer, one: Scored, known: Sequence[int] = ()) -> FloatArray:
+    """Information (2, 2) on gravity's direction, 1/rad^2, all parameters free but the offsets of some joints."""
+    square, _ = _gravity_normal(scorer, one, known)
+    size, turns = float(np.linalg.norm(one.setup.gravity)), np.linalg.svd(one.setup.gravity[None])[2]
+    return np.asarray(size**2 * turns[1:] @ square @ turns[1:].T)
 
 
 def gravity_step(scorer: Scorer, one: Scored, size: float) -> FloatArray:
@@ -222,13 +254,14 @@ def gravity_step(scorer: Scorer, one: Scored, size: float) -> FloatArray:
     return np.asarray(size * vector / np.linalg.norm(vector))
 
 
-def _gravity_normal(scorer: Scorer, one: Scored) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix (3, 3) and vector (3,) of gravity with all parameters free."""
+def _gravity_normal(scorer: Scorer, one: Scored, known: Sequence[int] = ()) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix (3, 3) and vector (3,) of gravity with all parameters free but the offsets of some joints."""
     design = scorer.design(one.setup)
     position = design.motion.position
     inertials, still = scorer.frame.inertials(one.evidence.parameters[: design.rigid]), np.zeros_like(position)
     pulls = [rigid_body_torque(scorer.arm.with_gravity(axis), inertials, position, still, still) for axis in np.eye(3)]
-    return reduced(scorer, one, np.stack(pulls, axis=2))
+    offsets = [design.rigid + OWN * (joint + 1) - 1 for joint in known]
+    return reduced(scorer, one, np.stack(pulls, axis=2), offsets)
 
 
 def delays(scorer: Scorer, start: Scored) -> list[Scored]:
