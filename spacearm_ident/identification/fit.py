@@ -13,6 +13,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.base_parameters import BaseParameters, base_parameters
 from ..dynamics.model import TorqueModel
+from ..dynamics.rigid_body import TorqueOffset
 from ..estimate.environment import GRAVITY_SCALE
 from ..noise.between import friction_shifts
 from ..noise.uncertainty import covariance
@@ -81,6 +82,31 @@ def allowed(regression: Regression, constants: FloatArray) -> FloatArray:
     """
     absent = np.array([grid[-1] <= 0.0 for grid in regression.grids], dtype=bool)
     return np.where(absent, 0.0, constants)
+
+
+def with_hidden_speeds(fit: Fit) -> Fit:
+    """A fit with the Stribeck velocities that a model with an offset at every joint has, where its own has none.
+
+    The constants of a fit of the paper's law shape the columns that are offered to the choice of terms. An offset that
+    this law lacks stays in its residual, slow and large, and hides a Stribeck velocity from the search: that term could
+    not be chosen then.
+
+    Args:
+        fit: Of the paper's law.
+
+    Returns:
+        The fit, with other constants where there are any; parameters and weights are as they were.
+    """
+    model, constants = fit.regression.model, fit.solution.constants
+    hidden = {c.joint for c, value in zip(model.constants, constants) if c.symbol == "v_b" and not value}
+    if not hidden:
+        return fit
+    with_offsets = fit_model(TorqueModel(model.arm, {**model.structure, TorqueOffset.kind: {}}), fit.regression.motions)
+    known = {
+        c.name: value for c, value in zip(with_offsets.regression.model.constants, with_offsets.solution.constants)
+    }
+    found = [known[c.name] if c.joint in hidden else value for c, value in zip(model.constants, constants)]
+    return replace(fit, solution=replace(fit.solution, constants=np.array(found)))
 
 
 def searched(regression: Regression, prior: Prior) -> Solution:

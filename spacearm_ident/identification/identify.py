@@ -26,7 +26,6 @@ from ..dynamics.model import (
     over_temperature,
     structure_of,
 )
-from ..dynamics.rigid_body import TorqueOffset
 from ..environment.gravity import require_gravity_choice
 from ..environment.gravity_loop import GravityLoop
 from ..environment.momentum import base_body
@@ -48,7 +47,7 @@ from .block_grams import BlockGrams
 from .cad_scale import prior_note
 from .coupled_wrist import try_coupling
 from .cross_check import fit_instrumental, fit_output_error
-from .fit import Fit, covariance_of, fit_as_published, fit_model, freedom, revealed
+from .fit import Fit, covariance_of, fit_as_published, fit_model, freedom, revealed, with_hidden_speeds
 from .own_recordings import own_recordings, parts_left_out
 from .structure import choose_structure
 from .torque_gain import assumed_covariance, gain_shifts, with_gain
@@ -64,8 +63,7 @@ class Settings:
     Attributes:
         cutoff_hz: Low-pass cut-off; chosen from the data where None.
         structure: Terms and options; None: what `choose` makes of the paper's.
-        choose: Chooses the structure from a fit of the paper's; None: held-out prediction does (`structure.py`), from a
-            fit that has an offset at every joint as well.
+        choose: Chooses the structure from a fit of the paper's; by default by held-out prediction (`structure.py`).
         solver: One of `solvers.SOLVERS`. `pso-lm` takes the paper's unknowns, and nothing the data might demand.
         seed: Of the particle swarm: the same seed gives the same result.
         temperature: What of friction follows the joints' temperatures, some of `model.OVER_TEMPERATURE`; beside
@@ -90,7 +88,7 @@ class Settings:
     gains: TorqueGains | None = None
     blend: bool = True
     couple: bool = True
-    choose: Callable[[Fit], tuple[Structure, tuple[Choice, ...]]] | None = None
+    choose: Callable[[Fit], tuple[Structure, tuple[Choice, ...]]] = choose_structure
 
 
 def identify(
@@ -174,10 +172,6 @@ def _fitted(
     if settings.solver == PSO_LM:
         published = TorqueModel(model.arm, pso_lm.as_published(model.structure))
         return fit_as_published(published, motions, settings.seed), (), None
-    if settings.structure is None and settings.choose is None:
-        # The constants of this fit shape the columns that are offered. An offset that it lacked would stay in its
-        # residual, slow and large, and hide a Stribeck velocity from the search: that term could not be chosen then.
-        model = TorqueModel(model.arm, {**model.structure, TorqueOffset.kind: {}})
     fit = gravity_loop.settle(fit_model(model, motions))
     coupling = try_coupling(fit) if settings.couple else None
     if settings.structure is not None:
@@ -188,7 +182,9 @@ def _fitted(
         model = TorqueModel(arm, {**model.structure, CoupledMotor.kind: {}})
         fit = gravity_loop.settle(fit_model(model, motions))
     report(0.5, "choosing the terms that predict held-out data better")
-    structure, choices = (settings.choose or choose_structure)(fit)
+    if settings.choose is choose_structure:
+        fit = with_hidden_speeds(fit)
+    structure, choices = settings.choose(fit)
     fit = gravity_loop.settle(fit_model(TorqueModel(fit.regression.model.arm, structure), motions, fit))
     return fit, choices, coupling
 

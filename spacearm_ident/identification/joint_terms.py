@@ -12,7 +12,7 @@ from typing import Any
 
 from ..dynamics.friction import StribeckFriction, ViscousFriction
 from ..dynamics.model import Structure
-from ..dynamics.rigid_body import JointSpring, TorqueOffset
+from ..dynamics.rigid_body import JointSpring
 
 FLAGS = ("offset", "stribeck", "presliding", "load", "cubic", "spring")
 """Terms that are there or not; quadratic friction has a form."""
@@ -125,7 +125,6 @@ def structure_with(
     }
     if having("spring"):
         chosen[JointSpring.kind] = {"free": having("spring")}
-    chosen.pop(TorqueOffset.kind, None)
     if having("offset"):
-        chosen[TorqueOffset.kind] = {"joints": having("offset")}
+        chosen["torque_offset"] = {"joints": having("offset")}
     return chosen

@@ -57,7 +57,7 @@ def choose_structure(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
     """The structure whose optional terms predict held-out data best.
 
     Args:
-        fit: Fitted with all terms of the paper's law, and an offset at every joint.
+        fit: Fitted with all terms of the paper's law.
 
     Returns:
         The structure, and every decision with its evidence.

@@ -114,7 +114,7 @@ class Trials:
         """Build the columns of every optional term beside those of a fitted model.
 
         Args:
-            fit: Fitted with all terms of the paper's law and offsets; its constants shape the columns.
+            fit: Fitted with all terms of the paper's law; its constants shape the columns.
         """
         constants = fit.solution.constants
         regression = with_optional_terms(fit.regression, fit.solution, {JointSpring.kind: {"free": True}})

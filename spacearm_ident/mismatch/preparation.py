@@ -27,6 +27,7 @@ from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..estimate.identified import Choice, OptionalTerm
 from ..identification.fit import Fit
 from ..identification.identify import Settings, identify
+from ..identification.structure import choose_structure
 from ..noise.between import day_share
 from ..recording.recording import Recording
 from ..regression.held_out import LEVEL, bound, t_of_all
@@ -138,7 +139,7 @@ def prepare_evidence(
         start = _identified(healthy or field, arm, cutoff, choose, couple=bool(healthy))
         found = _with_noise(start, referred or examined, coloured if healthy else of_field)
         if healthy:
-            found = _suited(found, _identified(healthy, arm, cutoff, None, couple=True), referred)
+            found = _suited(found, _identified(healthy, arm, cutoff, choose_structure, couple=True), referred)
     else:
         found = _known(_possible(known, cutoff), examined)
     base, noise = found.start.base, found.noise
@@ -208,7 +209,7 @@ def _identified(
     recordings: Sequence[Recording],
     arm: Arm,
     cutoff_hz: float,
-    choose: ChooseStructure | None,
+    choose: ChooseStructure,
     couple: bool,
 ) -> _Start:
     settings = Settings(cutoff_hz=cutoff_hz, choose=choose, blend=False, couple=couple)
