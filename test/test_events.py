@@ -101,11 +101,9 @@ def test_an_object_that_is_picked_up_and_put_down_twice_is_one_payload_with_its_
     answer = explain(ARM, RunSet([holding(2, *windows)], [HEALTHY], [holding(3, (5.0, 11.0))]))
     (payload,) = answer.findings
     assert payload.effect == "payload" and payload.joints == ("elbow",)
-    known = sorted(
-        (payload.parameters[f"start{number}[elbow]"], payload.parameters[f"length{number}[elbow]"], number)
-        for number in ("", "_2")
-    )
-    for (start, length, number), (begin, end) in zip(known, windows):
+    numbers = sorted(("", "_2"), key=lambda number: payload.parameters[f"start{number}[elbow]"].value)
+    for number, (begin, end) in zip(numbers, windows):
+        start, length = (payload.parameters[f"{name}{number}[elbow]"] for name in ("start", "length"))
         assert start.value == pytest.approx(begin, abs=0.2)
         assert length.value == pytest.approx(end - begin, abs=0.3)
         assert start.low >= 0.0 and start.high <= 16.0
@@ -113,7 +111,7 @@ def test_an_object_that_is_picked_up_and_put_down_twice_is_one_payload_with_its_
         assert mass.value == pytest.approx(0.7, rel=0.15)
         assert mass.low < 0.7 < mass.high
     # While something is held in the recording judged on, nothing is judged.
-    assert [(one.effect, one.recording) for one in answer.happened] == [("payload", 1)]
+    assert [(one.kind, one.recording) for one in answer.happened] == [("payload", 1)]
     assert np.all(answer.after_Nm < 1.15 * np.array(NOISE))
 
 

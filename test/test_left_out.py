@@ -197,7 +197,7 @@ def test_a_finding_must_be_larger_than_what_healthy_parts_differ_by(rippled):
     assert beyond_healthy(finding, {joint: size}, {joint: 0.9 * size})
     assert not beyond_healthy(finding, {joint: size}, {joint: 1.1 * size})
     assert not beyond_healthy(finding, {joint: 0.5 * size}, {joint: 0.9 * size})
-    event = replace(finding, effect="external_contact", before_Nm={joint: 0.0})
+    event = replace(finding, effect="external_contact", event=True, before_Nm={joint: 0.0})
     assert beyond_healthy(event, {joint: 0.0}, {joint: 0.9 * finding.felt_Nm[joint]})
     assert not beyond_healthy(event, {joint: 0.0}, {joint: 1.1 * finding.felt_Nm[joint]})
 

@@ -98,13 +98,14 @@ def with_hidden_speeds(fit: Fit) -> Fit:
         The fit, with other constants where there are any; parameters and weights are as they were.
     """
     model, constants = fit.regression.model, fit.solution.constants
-    hidden = {c.joint for c, value in zip(model.constants, constants) if c.symbol == "v_b" and not value}
-    if not hidden:
+    lacking = {c.joint for c, value in zip(model.constants, constants) if c.symbol == "v_b" and not value}
+    if not lacking:
         return fit
     with_offsets = fit_model(TorqueModel(model.arm, {**model.structure, TorqueOffset.kind: {}}), fit.regression.motions)
     known = {
         c.name: value for c, value in zip(with_offsets.regression.model.constants, with_offsets.solution.constants)
     }
+    hidden = {joint for joint in lacking if known[f"v_b[{joint}]"] > 0.0}
     found = [known[c.name] if c.joint in hidden else value for c, value in zip(model.constants, constants)]
     return replace(fit, solution=replace(fit.solution, constants=np.array(found)))
 

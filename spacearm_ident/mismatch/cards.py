@@ -49,11 +49,12 @@ class Cards:
         quantities = self._quantities(number, values)
         rivals = self._rivals(number)
         felt = self._felt_in_field(number)
+        # Of what has no name nobody knows whether it is an event: it is judged as what lasts.
+        event = effect.event and effect.kind != UNKNOWN
+        before, after, beside, explained = self._on_held_out(number, felt)
         if effect.event:
-            before, after, explained = self._while_it_lasts(number)
-            beside = after
-        else:
-            before, after, beside, explained = self._on_held_out(number, felt)
+            own_before, beside, explained = self._while_it_lasts(number)
+            before, after = (own_before, beside) if event else (before, after)
         joints = effect.joints or tuple(before)
         return Finding(
             effect=effect.kind,
@@ -74,7 +75,7 @@ class Cards:
             beside_Nm=beside,
             against=effect.against(values) or _weightless(effect, quantities),
             felt_Nm=felt,
-            event=effect.event,
+            event=event,
         )
 
     def _rivals(self, number: int) -> list[Scored]:

@@ -266,7 +266,7 @@ class Competition:
         values = self.evidence.refit(self.accepted).values
         first = sum(len(candidate.effect.parameters) for candidate in self.accepted[:number])
         own = values[first : first + len(self.accepted[number].effect.parameters)]
-        return plausible(self.accepted[number], own, self._coulomb)
+        return self._is_plausible(self.accepted[number], own)
 
     def _leave_out_events(self) -> None:
         """Judge nothing on held-out rows during an event like one that was found."""
@@ -627,7 +627,7 @@ class Competition:
         inner = [inner_each(one, grid) if own is None else own[2] for one, own in zip(others, known)]
         values, gains = self.evidence.refit_each(others, grid, beside, inner)
         for k in np.argsort(-gains).tolist():
-            if np.isfinite(gains[k]) and plausible(grid[k], values[k], self._coulomb):
+            if np.isfinite(gains[k]) and self._is_plausible(grid[k], values[k]):
                 return float(gains[k] - beside.gain), k, inner
         return -np.inf, len(grid) - 1, inner
 
@@ -636,7 +636,7 @@ class Competition:
         together = self.evidence.refit([*others, candidate], beside)
         values = together.values[len(beside.values) :]
         gain = together.gain - beside.gain
-        return gain if np.isfinite(gain) and plausible(candidate, values, self._coulomb) else -np.inf
+        return gain if np.isfinite(gain) and self._is_plausible(candidate, values) else -np.inf
 
     def _polished(self, scored: Scored) -> Scored:
         """The winner with its constants searched together; a touch's once more, for a simplex may end where none is."""
@@ -650,14 +650,29 @@ class Competition:
         together = self.evidence.refit([*self.accepted, candidate], beside)
         gain = together.gain - beside.gain
         held_out_after = self._on_held_out([*self.accepted, candidate], together.values)
-        held_out = _squares(held_out_before) - _squares(held_out_after)
+        # What happened in the field says nothing of other recordings, whatever the base becomes beside it. Of what has
+        # no name nobody knows whether it did: it must not make them worse.
+        happened_here = candidate.effect.event and candidate.effect.kind != UNKNOWN
+        held_out = 0.0 if happened_here else _squares(held_out_before) - _squares(held_out_after)
         values = together.values[len(beside.values) :]
         score = gain + held_out - penalty(candidate.effect, self.evidence.rows)
         foretold, count = _squares(held_out_before - held_out_after), len(held_out_after)
         not_excited = is_not_excited(
             gain / self.evidence.rows, gain / self._rows_of(candidate, values), held_out, foretold, count
         )
-        return Scored(candidate, gain, held_out, score, plausible(candidate, values, self._coulomb), not_excited)
+        return Scored(candidate, gain, held_out, score, self._is_plausible(candidate, values), not_excited)
+
+    def _is_plausible(self, candidate: Candidate, values: FloatArray) -> bool:
+        """Whether its physics has such values, and an event ends or begins within the recordings that it is in."""
+        effect = candidate.effect
+        if effect.event:
+            begin, end = effect.window(candidate.constants)
+            here = [motion for motion in self.evidence.field.motions if not effect.elsewhere(motion)]
+            first = min(motion.start_s for motion in here)
+            last = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in here)
+            if min(end, last) - max(begin, first) > effect.often * (last - first):
+                return False
+        return plausible(candidate, values, self._coulomb)
 
     def _rows_of(self, candidate: Candidate, values: FloatArray) -> int:
         """How many rows of the field feel an effect, at the joints that feel it most."""

@@ -63,7 +63,7 @@ class Finding:
         against: What its own values say against its name, in words that follow "whose".
         not_excited: Whether the held-out data do not excite it, by its own law.
         felt_Nm: By joint, RMS of what it adds to the torque in the field where it acts.
-        event: Whether it begins and ends in time.
+        event: Whether it has a name, and begins and ends in time; the RMS are those of the field then, while it lasts.
     """
 
     effect: str
