@@ -111,7 +111,9 @@ def test_an_object_that_is_picked_up_and_put_down_twice_is_one_payload_with_its_
         assert mass.value == pytest.approx(0.7, rel=0.15)
         assert mass.low < 0.7 < mass.high
     # While something is held in the recording judged on, nothing is judged.
-    assert [(one.kind, one.recording) for one in answer.happened] == [("payload", 1)]
+    assert {(one.kind, one.recording) for one in answer.happened} == {("payload", 1)}
+    assert min(one.begin_s for one in answer.happened) == pytest.approx(5.0, abs=1.0)
+    assert max(one.end_s for one in answer.happened) == pytest.approx(11.0, abs=1.0)
     assert np.all(answer.after_Nm < 1.15 * np.array(NOISE))
 
 
