@@ -9,6 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from .competition import Outcome
+from .constants import recorded_span
 from .evidence import Evidence
 from .finding import Alternative, Finding, Quantity
 from .intervals import Intervals, step_of
@@ -215,9 +216,7 @@ class Cards:
         lengths = dict.fromkeys(effect.sizes, (0.0, np.inf))
         if not effect.event:
             return lengths
-        here = [motion for motion in self.evidence.field.motions if not effect.elsewhere(motion)]
-        begin = min(motion.start_s for motion in here)
-        end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in here)
+        begin, end = recorded_span(effect, self.evidence.field.motions)
         known = {constant.symbol: constant.reach or (0.0, end - begin) for constant in effect.constants}
         return lengths | known | {constant.symbol: (begin, end) for constant in effect.constants if constant.begins}
 

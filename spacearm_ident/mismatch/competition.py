@@ -18,7 +18,7 @@ from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from ..forks import each
-from .constants import Method, grid_points, polish, refine, search
+from .constants import Method, grid_points, polish, recorded_span, refine, search
 from .evidence import Candidate, Evidence, HeldOut, Refit, inner_each, with_own
 from .finding import Happened
 from .happened import happened, without
@@ -667,9 +667,7 @@ class Competition:
         effect = candidate.effect
         if effect.event:
             begin, end = effect.window(candidate.constants)
-            here = [motion for motion in self.evidence.field.motions if not effect.elsewhere(motion)]
-            first = min(motion.start_s for motion in here)
-            last = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in here)
+            first, last = recorded_span(effect, self.evidence.field.motions)
             if min(end, last) - max(begin, first) > effect.often * (last - first):
                 return False
         return plausible(candidate, values, self._coulomb)

@@ -36,8 +36,7 @@ def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[flo
         motions: Recordings that it may act in.
     """
     motions = [motion for motion in motions if not effect.elsewhere(motion)]
-    begin = min(motion.start_s for motion in motions)
-    end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in motions)
+    begin, end = recorded_span(effect, motions)
     grids = []
     for constant in effect.constants:
         low, high = -np.inf, np.inf
@@ -49,6 +48,18 @@ def grid_points(effect: Effect, motions: Sequence[Motion]) -> Iterator[tuple[flo
             high = max(motion.position[:, row].max() for motion in motions)
         grids.append([value for value in constant.grid if low <= value < high])
     return product(*grids)
+
+
+def recorded_span(effect: Effect, motions: Sequence[Motion]) -> tuple[float, float]:
+    """Start and end of the recordings that an effect may act in, s.
+
+    Args:
+        effect: The effect.
+        motions: Recordings; at least one is not elsewhere.
+    """
+    here = [motion for motion in motions if not effect.elsewhere(motion)]
+    end = max(motion.start_s + len(motion.position) / motion.rate_hz for motion in here)
+    return min(motion.start_s for motion in here), end
 
 
 def search(
