@@ -24,6 +24,7 @@ from spacearm_ident.mismatch.intervals import Intervals
 from spacearm_ident.mismatch.rivals import UNKNOWN
 from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.mismatch.scene import one_way
+from spacearm_ident.recording.recording import Series
 from spacearm_ident.signals.prepare import prepare
 
 SLOW_ONES = ("joint_elasticity", "backlash", "link_flexibility", "base_flexibility", "floating_base")
@@ -394,6 +395,26 @@ def test_what_the_reference_shows_over_a_smaller_range_was_there_and_what_was_ad
     amplitudes = [one.parameters["amplitude"].value for one in found.findings if one.effect == "position_friction"]
     assert len(found.findings) == len(amplitudes)
     assert amplitudes == ([] if change is None else [pytest.approx(change, rel=0.1)])
+
+
+@pytest.mark.parametrize("run_in, found", [(0.0, False), (0.15, True)])
+def test_a_law_that_the_reference_hardly_shows_was_there_if_it_has_the_same_values_there(run_in, found):
+    """Joints warm up by 1 K in the reference and are 30 K warmer in the field; friction may run in (N·m) meanwhile."""
+
+    def warm(seed, begin, end, seconds=16.0, run_in=0.0):
+        time = run(seed, seconds=seconds).time
+        share = time / time[-1]
+        warmth = begin + (end - begin) * share
+        change = -0.04 * (warmth - 20.0) + run_in * share
+        recording = run(seed, lambda planted: np.outer(change * np.sign(planted.qd[:, 1]), [0.0, 1.0]), seconds)
+        return replace(recording, temperatures={name: Series(time, warmth) for name in recording.joints})
+
+    reference = warm(1, 20.0, 21.0, 48.0, run_in)
+    answer = explain(ARM, RunSet([warm(2, 44.0, 56.0)], [reference], [warm(3, 47.0, 53.0)]), SLOW_ONES)
+    assert any("temperature" in words for words in answer.already_there) != found
+    assert [(one.effect, one.joints) for one in answer.findings] == [("temperature_friction", ("elbow",))] * found
+    for one in answer.findings:
+        assert one.parameters["alpha_c"].low < -0.04 < one.parameters["alpha_c"].high
 
 
 def test_two_effects_that_an_arm_cannot_both_have_are_not_both_found(monkeypatch):

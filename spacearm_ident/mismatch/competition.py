@@ -38,7 +38,7 @@ NAMED_SHARE, NAMED_PAIR = 0.8, 0.9
 """A named effect stands if it explains this share of what the best generic rival does, or two of them this share."""
 SHARED = 0.3
 """An effect that explains this share as much in the reference, row for row, was there before; so was one that explains
-this share of what it does in the field if both have it alike, where the reference excites it less."""
+this share of what it does in the field with the parameters that the reference shows, where that excites it less."""
 MINOR_SHARE = 0.01
 """Beside a large effect at the same joints, less than this share of it is more likely the large one's own law being
 a little different than a second physics: it is left unexplained, not named."""
@@ -490,19 +490,19 @@ class Competition:
         if reference is None:
             return False
         effect, healthy = winner.candidate.effect, self.evidence.healthy
-        alone = healthy.candidate(effect, winner.candidate.constants)
-        gain = healthy.refit([alone]).gain - penalty(effect, len(reference))
+        alone = healthy.refit([healthy.candidate(effect, winner.candidate.constants)])
+        gain = alone.gain - penalty(effect, len(reference))
         if gain <= 0.5 * self.gate:
             return False
         alike = gain / len(reference) > SHARED * winner.gain / self.evidence.rows
-        return alike or self._gain_if_shared(winner) > SHARED * winner.gain
+        return alike or self._gain_at(winner, alone.values) > SHARED * winner.gain
 
-    def _gain_if_shared(self, winner: Scored) -> float:
-        """Drop in chi-square of an effect that reference and field have alike, beside what is accepted."""
-        shared = self._with_shared(winner)
-        accepted = [shared.candidate(one.effect, one.constants, one.stacked) for one in self.accepted]
-        before = self.evidence.squares_left - self.evidence.refit(self.accepted).gain
-        return before - (shared.squares_left - shared.refit(accepted).gain)
+    def _gain_at(self, winner: Scored, values: FloatArray) -> float:
+        """Drop in chi-square of an effect with given parameters (k,), beside what is accepted and the base refitted."""
+        fitted = self.evidence.refit([*self.accepted, winner.candidate])
+        off = values - fitted.values[-len(values) :]
+        own = fitted.covariance[-len(values) :, -len(values) :]
+        return winner.gain - float(off @ np.linalg.pinv(own, hermitian=True) @ off)
 
     def _with_shared(self, winner: Scored) -> Evidence:
         old = self.evidence
