@@ -36,6 +36,9 @@ SURE, CHANCE = 7.0, 0.02
 """Log odds from which a change is a fact: `SURE`, and what explaining a share `CHANCE` of the residual's variance
 gains. The residual is what the model leaves out: a change that is wrong explains a little of it (Panda: 2 %)."""
 
+BUILT_UP = 1e-3
+"""Share of Coulomb friction that is still to build up, past a reversal: after 35 mrad, seven `rows.PRESLIDING_RAD`."""
+
 
 @dataclass(frozen=True)
 class Scored:
@@ -100,9 +103,16 @@ class Scorer:
 
     def where_all_move(self, columns: np.ndarray) -> Scorer:
         """The same with only those rows of some recorded columns in which all of them move."""
-        other, moving = copy(self), self.rows.moving.copy()
+        moving = self.rows.moving.copy()
         moving[:, columns] &= moving[:, columns].all(axis=1, keepdims=True)
-        share = moving.sum(axis=0) / np.maximum(self.rows.moving.sum(axis=0), 1)
+        return self._where(moving)
+
+    def past_reversals(self) -> Scorer:
+        """The same without rows in which a joint's friction has not built up since its velocity changed sign."""
+        return self._where(self.rows.moving & (np.abs(self.rows.unbuilt) < BUILT_UP))
+
+    def _where(self, moving: np.ndarray) -> Scorer:
+        other, share = copy(self), moving.sum(axis=0) / np.maximum(self.rows.moving.sum(axis=0), 1)
         other.rows, other.counts, other._designs = replace(self.rows, moving=moving), self.counts * share, []
         return other
 
