@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import importlib.util
 import json
-import shutil
-import subprocess
 import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -17,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import small_arm
+from exported_code import Library, module_of
 from mujoco_arm import inverse_in_mujoco
 
 from spacearm_ident.cli.main import main
@@ -83,83 +81,52 @@ def torque_at(model: IdentifiedModel, q: np.ndarray, qd: np.ndarray, qdd: np.nda
 # --- code ---------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module", params=["paper", "rich"])
+@pytest.fixture(scope="module", params=[paper, rich], ids=["paper", "rich"])
 def compiled(request, tmp_path_factory):
-    """The exported C as a shared library, with the model that it is of and its prefix."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("needs a C compiler (cc)")
-    model = {"paper": paper, "rich": rich}[request.param]()
-    folder = tmp_path_factory.mktemp("c")
-    _, files = export_model(model, None, "c", folder, "a test")
-    source = next(file for file in files if file.suffix == ".c")
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off"]
-    words = [compiler, *strict, "-shared", "-fPIC", str(source), "-o", str(folder / "arm.so"), "-lm"]
-    made = subprocess.run(words, capture_output=True, text=True)
-    assert made.returncode == 0, made.stderr
-    return model, ctypes.CDLL(str(folder / "arm.so")), source.stem
-
-
-def call(library, name: str, shape: tuple[int, ...], *arguments) -> np.ndarray:
-    """A function of the library for one state."""
-    out = np.zeros(shape)
-    pointer = ctypes.POINTER(ctypes.c_double)
-    kept = [np.ascontiguousarray(one) if isinstance(one, np.ndarray) else ctypes.c_double(one) for one in arguments]
-    words = [one.ctypes.data_as(pointer) if isinstance(one, np.ndarray) else one for one in kept]
-    getattr(library, name)(*words, out.ctypes.data_as(pointer))
-    return out
+    """A model, and its exported C."""
+    model = request.param()
+    return model, Library(model, None, tmp_path_factory.mktemp("c"))
 
 
 def test_c_has_the_model_s_torque_and_regressor(compiled):
-    model, library, name = compiled
+    model, library = compiled
     n = len(model.model.arm.joints)
     q, qd, qdd = states(model)
     expected = torque_at(model, q, qd, qdd)
     whole = regressor(model.model.arm, q, qd, qdd)
     for k in range(len(q)):
-        torque = call(library, f"{name}_torque", (n,), q[k], qd[k], qdd[k])
+        torque = library.call("torque", (n,), q[k], qd[k], qdd[k])
         assert np.abs(torque - expected[k]).max() < 1e-10 * max(1.0, np.abs(expected[k]).max())
-        matrix = call(library, f"{name}_regressor", (n, 10 * n), q[k], qd[k], qdd[k])
+        matrix = library.call("regressor", (n, 10 * n), q[k], qd[k], qdd[k])
         assert np.abs(matrix - whole[k]).max() < 1e-10
 
 
 def test_c_and_numpy_agree_everywhere_and_on_friction_at_zero_speed(compiled, tmp_path):
-    model, library, name = compiled
+    model, library = compiled
     n = len(model.model.arm.joints)
-    export_model(model, None, "numpy", tmp_path / "arm_np.py", "a test")
-    spec = importlib.util.spec_from_file_location("arm_np", tmp_path / "arm_np.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = module_of(model, None, "numpy", tmp_path)
     q, qd, qdd = states(model)
     assert np.abs(module.torque(q, qd, qdd) - torque_at(model, q, qd, qdd)).max() < 1e-10 * 100
     assert np.abs(module.regressor(q, qd, qdd) - regressor(model.model.arm, q, qd, qdd)).max() < 1e-10
     for k, speed in enumerate((1.0, 0.3 * ZERO_SPEED, 0.0)):
         one = q[k], speed * np.sign(qd[k])
-        ours, theirs = call(library, f"{name}_friction", (n,), *one, -1.0), module.friction(*one)
+        ours, theirs = library.call("friction", (n,), *one, -1.0), module.friction(*one)
         assert np.abs(ours - theirs).max() < 1e-10
-        assert np.abs(call(library, f"{name}_gravity", (n,), one[0]) - module.gravity(one[0])).max() < 1e-9
+        assert np.abs(library.call("gravity", (n,), one[0]) - module.gravity(one[0])).max() < 1e-9
     assert np.all(ours == 0.0)
 
 
-@pytest.fixture(scope="module", params=["paper", "rich"])
+@pytest.fixture(scope="module", params=[paper, rich], ids=["paper", "rich"])
 def in_casadi(request, tmp_path_factory):
-    """The exported module of CasADi functions, with the model that it is of and its law."""
+    """A model, and its exported module of CasADi functions."""
     pytest.importorskip("casadi", reason="needs casadi")
-    model = {"paper": paper, "rich": rich}[request.param]()
-    path = tmp_path_factory.mktemp("casadi") / "arm.py"
-    export_model(model, None, "casadi", path, "a test")
-    spec = importlib.util.spec_from_file_location("arm_casadi", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return model, module
+    model = request.param()
+    return model, module_of(model, None, "casadi", tmp_path_factory.mktemp("casadi"))
 
 
 def test_casadi_has_the_model_s_torque_gravity_friction_and_regressor(in_casadi, tmp_path):
     model, module = in_casadi
-    export_model(model, None, "numpy", tmp_path / "arm_np.py", "a test")
-    spec = importlib.util.spec_from_file_location("arm_np", tmp_path / "arm_np.py")
-    other = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(other)
+    other = module_of(model, None, "numpy", tmp_path)
     q, qd, qdd = states(model, 20)
     expected = torque_at(model, q, qd, qdd)
     whole = regressor(model.model.arm, q, qd, qdd)
@@ -193,13 +160,13 @@ def test_casadi_s_smooth_torque_has_the_slope_of_its_finite_differences_at_a_rev
 
 
 def test_friction_compensation_is_continuous_and_whole_beyond_its_zero_speed(compiled):
-    model, library, name = compiled
+    model, library = compiled
     n = len(model.model.arm.joints)
     q, still = np.zeros(n), np.zeros(n)
     for speed in (0.02, -0.5):
         qd = np.full(n, speed)
         moving = torque_at(model, q[None], qd[None], still[None])[0]
-        holding = call(library, f"{name}_gravity", (n,), q)
+        holding = library.call("gravity", (n,), q)
         # Gyroscopic torques of 0.5 rad/s stand between, in the friction that grows with the load as well.
         rigid = model.model.torque(
             replace(sweep(model.model.arm), position=q[None], velocity=qd[None], acceleration=still[None]),
@@ -207,9 +174,9 @@ def test_friction_compensation_is_continuous_and_whole_beyond_its_zero_speed(com
             model.constants,
             ("rigid_body", "joint_spring", "torque_offset"),
         )[0]
-        friction = call(library, f"{name}_friction", (n,), q, qd, 0.01)
+        friction = library.call("friction", (n,), q, qd, 0.01)
         assert np.abs(friction - (moving - rigid)).max() < 0.06 * np.abs(rigid - holding).max() + 1e-9
-    below, above = (call(library, f"{name}_friction", (n,), q, np.full(n, 0.01 + d), 0.01) for d in (-1e-9, 1e-9))
+    below, above = (library.call("friction", (n,), q, np.full(n, 0.01 + d), 0.01) for d in (-1e-9, 1e-9))
     assert np.abs(below - above).max() < 1e-5
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from exported_code import Library
 from mujoco_arm import inverse_in_mujoco
 
 from spacearm_ident.cli.main import main
@@ -107,22 +105,11 @@ def test_mujoco_predicts_the_paper_s_arm_on_another_motion_within_the_stated_cos
 
 
 def test_the_c_code_leaves_the_residuals_of_the_model_on_held_out_motion(real, tmp_path):
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("needs a C compiler (cc)")
     model, validation = read_result(real)
-    _, files = export_model(model, validation, "c", tmp_path, "a test")
-    source = next(file for file in files if file.suffix == ".c")
-    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC"]
-    subprocess.run([compiler, *flags, str(source), "-o", str(tmp_path / "arm.so"), "-lm"], check=True)
-    torque = getattr(ctypes.CDLL(str(tmp_path / "arm.so")), f"{source.stem}_torque")
-    pointer = ctypes.POINTER(ctypes.c_double)
-    law, names = control_law(model), ("position", "velocity", "acceleration")
+    library, law = Library(model, validation, tmp_path), control_law(model)
     for motion in motions_of(model, validation):
-        out = np.zeros_like(motion.position)
-        for k in range(len(out)):
-            state = [np.ascontiguousarray(getattr(motion, name)[k]) for name in names]
-            torque(*(one.ctypes.data_as(pointer) for one in state), out[k].ctypes.data_as(pointer))
+        states = zip(motion.position, motion.velocity, motion.acceleration)
+        out = np.array([library.call("torque", (motion.position.shape[1],), *state) for state in states])
         expected = law.model.torque(motion)
         assert np.abs(out - expected).max() < 1e-10 * np.abs(expected).max()
         residual, own = motion.torque - out, motion.torque - expected

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-import importlib.util
 import json
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +10,7 @@ import numpy as np
 import pytest
 import small_arm
 import yaml
+from exported_code import Library, module_of
 from scipy.signal import lfilter
 
 from spacearm_ident.cli.main import main
@@ -130,27 +127,14 @@ def test_the_command_writes_thresholds_of_held_out_recordings_only(result, tmp_p
 
 
 def test_c_and_numpy_have_the_thresholds_of_the_file(result, tmp_path):
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("needs a C compiler (cc)")
     model, validation = read_result(result / "result")
+    library, module = Library(model, validation, tmp_path), module_of(model, validation, "numpy", tmp_path)
     export_model(model, validation, "thresholds", tmp_path / "t.json", "a test")
-    export_model(model, validation, "numpy", tmp_path / "arm_np.py", "a test")
-    _, files = export_model(model, validation, "c", tmp_path, "a test")
-    source = next(file for file in files if file.suffix == ".c")
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-shared", "-fPIC"]
-    subprocess.run([compiler, *strict, str(source), "-o", str(tmp_path / "arm.so"), "-lm"], check=True)
-    function = getattr(ctypes.CDLL(str(tmp_path / "arm.so")), f"{source.stem}_threshold")
-    spec = importlib.util.spec_from_file_location("arm_np", tmp_path / "arm_np.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
     joints = json.loads((tmp_path / "t.json").read_text())["joints"].values()
     for part in range(4):
         ranges = [own[part] for own in joints]
         speed = np.array([-0.5 * (one["speed_from"] + one["speed_to"]) for one in ranges])
         expected = [np.inf if one["threshold"] is None else one["threshold"] for one in ranges]
-        out = np.zeros(2)
-        pointer = ctypes.POINTER(ctypes.c_double)
-        function(speed.ctypes.data_as(pointer), out.ctypes.data_as(pointer))
-        assert np.array_equal(out, expected) and np.array_equal(module.threshold(speed), expected)
+        assert np.array_equal(library.call("threshold", (2,), speed), expected)
+        assert np.array_equal(module.threshold(speed), expected)
     assert module.threshold(np.zeros((5, 2))).shape == (5, 2)
