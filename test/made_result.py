@@ -187,6 +187,7 @@ class Page(HTMLParser):
         super().__init__()
         self.tags: list[str] = []
         self.references: list[str] = []
+        self.drawings: list[str] = []
         self.words: list[str] = []
         self._open: list[str] = []
         self.feed(text)
@@ -203,6 +204,8 @@ class Page(HTMLParser):
         for name, value in attrs:
             if name in ("src", "href", "xlink:href", "action", "data", "srcset"):
                 self.references.append(value or "")
+            if (tag, name) == ("svg", "aria-label"):
+                self.drawings.append(value or "")
             assert not name.startswith("on"), f"<{tag}> would run a script: {name}"
 
     def handle_endtag(self, tag: str) -> None:
@@ -210,6 +213,11 @@ class Page(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        """Its words, one space between."""
+        return " ".join(" ".join(self.words).split())
 
 
 def parsed(text: str) -> ET.Element:

@@ -67,7 +67,7 @@ def runs(directory: Path, **results: Identified) -> Path:
 
 
 def text_of(page: Path) -> str:
-    return " ".join(" ".join(Page(page.read_text()).words).split())
+    return Page(page.read_text()).text
 
 
 # --- differences ------------------------------------------------------------------------------------------------

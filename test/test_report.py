@@ -47,19 +47,25 @@ from spacearm_ident.results.store import Result, load_result, save_result
 from spacearm_ident.results.tables import PAPER_SYMBOLS
 from spacearm_ident.results.urdf import identified_urdf
 
+Subject = tuple[Identified, Validation]
+
 
 @pytest.fixture(scope="module")
-def subject() -> tuple[Identified, Validation]:
+def subject() -> Subject:
     known = provenance([recording("a.mcap"), recording("b.mcap")], [recording("v.mcap")], "spacearm identify a.mcap")
     model = replace(identified_model(arm()), provenance=known)
     return identification(model), validation(model.model.arm.joint_names)
 
 
 @pytest.fixture(scope="module")
-def written(subject: tuple[Identified, Validation], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(subject: Subject, tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("report") / "new" / "result"
     assert write_result(*subject, directory) == directory / "report.html"
     return directory
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
 
 
 @pytest.fixture
@@ -75,17 +81,16 @@ def test_folder_holds_every_file_of_the_contract_and_nothing_else(written: Path)
     assert {path.name for path in written.iterdir()} == FILES
 
 
-def test_model_loads_back_to_the_same_numbers(written: Path, subject: tuple[Identified, Validation]) -> None:
+def test_model_loads_back_to_the_same_numbers(written: Path, subject: Subject) -> None:
     model, loaded = subject[0].model, load_model(written / "model.yaml")
     assert np.array_equal(loaded.parameters, model.parameters)
     assert np.array_equal(loaded.constants, model.constants)
     assert loaded.provenance == model.provenance
 
 
-def test_parameter_table_says_what_the_model_says(written: Path, subject: tuple[Identified, Validation]) -> None:
+def test_parameter_table_says_what_the_model_says(written: Path, subject: Subject) -> None:
     identified = subject[0]
-    with (written / "parameters.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(written / "parameters.csv")
     for joint in identified.model.model.arm.joint_names:
         mine = [row for row in rows if row["joint"] == joint]
         assert tuple(row["name"] for row in mine[:18]) == PAPER_SYMBOLS
@@ -110,16 +115,14 @@ def test_parameters_the_model_leaves_out_are_listed_as_fixed(tmp_path: Path) -> 
     vacuum = {**STRUCTURE, "viscous_friction": {"vacuum": True}}
     model = identified_model(arm(), vacuum)
     write_result(identification(model), validation(model.model.arm.joint_names), tmp_path)
-    with (tmp_path / "parameters.csv").open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["name"] == "k_v3"]
+    rows = [row for row in rows_of(tmp_path / "parameters.csv") if row["name"] == "k_v3"]
     assert [row["joint"] for row in rows] == ["turn", "slide"]
     assert all(float(row["value"]) == 0.0 and row["identifiable"] == "no" for row in rows)
 
 
-def test_base_parameter_table(written: Path, subject: tuple[Identified, Validation]) -> None:
+def test_base_parameter_table(written: Path, subject: Subject) -> None:
     identified = subject[0]
-    with (written / "base_parameters.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(written / "base_parameters.csv")
     assert [row["name"] for row in rows] == list(identified.base.names)
     assert [float(row["value"]) for row in rows] == list(identified.base_values)
     assert rows[0]["standard_error"] == "", "no error is known, which is not an error of zero"
@@ -131,7 +134,7 @@ def refuse(constant: str) -> float:
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_validation_has_the_shape_of_the_contract(tmp_path: Path, subject: tuple[Identified, Validation]) -> None:
+def test_validation_has_the_shape_of_the_contract(tmp_path: Path, subject: Subject) -> None:
     identified, whole = subject
     nothing = Fit(0, math.nan, math.nan, math.nan, math.nan, math.nan)
     joints = {**whole.joints, "slide": JointValidation(fit(), nothing, fit(), None)}
@@ -151,9 +154,7 @@ def test_validation_has_the_shape_of_the_contract(tmp_path: Path, subject: tuple
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_a_second_result_replaces_the_first_and_leaves_foreign_files(
-    tmp_path: Path, subject: tuple[Identified, Validation]
-) -> None:
+def test_a_second_result_replaces_the_first_and_leaves_foreign_files(tmp_path: Path, subject: Subject) -> None:
     identified, figures = subject
     write_result(identified, figures, tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
@@ -174,7 +175,7 @@ def test_a_failure_leaves_the_old_result(
     failing: str,
     tmp_path: Path,
     written: Path,
-    subject: tuple[Identified, Validation],
+    subject: Subject,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     directory = tmp_path / "result"
@@ -196,7 +197,7 @@ def test_a_failure_leaves_the_old_result(
 @pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("renames", range(len(FILES)))
 def test_power_loss_between_renames_does_not_pass_for_a_result(
-    renames: int, tmp_path: Path, subject: tuple[Identified, Validation], monkeypatch: pytest.MonkeyPatch
+    renames: int, tmp_path: Path, subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     identified, figures = subject
     write_result(identified, figures, tmp_path)
@@ -217,7 +218,7 @@ def test_power_loss_between_renames_does_not_pass_for_a_result(
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, subject: tuple[Identified, Validation]) -> None:
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, subject: Subject) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match=r"^cannot write .*file: .*: choose another --out$"):
         write_result(*subject, tmp_path / "file")
@@ -252,7 +253,7 @@ def same(left: object, right: object) -> bool:
     return left == right
 
 
-def test_everything_about_a_result_comes_back(tmp_path: Path, subject: tuple[Identified, Validation]) -> None:
+def test_everything_about_a_result_comes_back(tmp_path: Path, subject: Subject) -> None:
     identified, figures = subject
     figures = replace(figures, traces=(trace(2), trace(2, 50, "other", seed=4)), held_out=False)
     identified = replace(identified, joints_at_rest=("slide",), consistency_shift=math.inf)
@@ -307,7 +308,7 @@ def test_page_needs_nothing_else(written: Path) -> None:
 
 
 def test_page_shows_the_figures_of_merit(written: Path) -> None:
-    words = " ".join(Page((written / "report.html").read_text(encoding="utf-8")).words)
+    words = Page((written / "report.html").read_text(encoding="utf-8")).text
     for expected in ("Good fit.", "5.0 %", "0.9987", "6.25", "validation.mcap", "five times the 1.5 Hz", "ab" * 32):
         assert expected in words
     assert words.index("Good fit.") < words.index("Torque over time") < words.index("How it was obtained")
@@ -315,7 +316,7 @@ def test_page_shows_the_figures_of_merit(written: Path) -> None:
 
 def test_page_has_units_of_each_kind_of_joint_and_tables_that_scroll_in_their_own_frames(written: Path) -> None:
     text = (written / "report.html").read_text(encoding="utf-8")
-    words = " ".join(" ".join(Page(text).words).split())
+    words = Page(text).text
     assert "N·m (N for slide)" in words and "N in place of N·m: slide" in words
     assert text.count("<table") == text.count('<div class="wide"><table') > 3
 
@@ -339,7 +340,7 @@ def test_text_from_outside_cannot_become_markup(tmp_path: Path) -> None:
     assert {'<b>&"x</b>', "<slide>"} <= {joint.get("name") for joint in root.iter("joint")}
 
 
-def test_page_of_a_long_recording_is_no_larger(subject: tuple[Identified, Validation]) -> None:
+def test_page_of_a_long_recording_is_no_larger(subject: Subject) -> None:
     identified, figures = subject
     small, large = (
         len(page_of(identified, replace(figures, traces=(trace(2, rows),))).encode()) for rows in (3000, 60_000)
@@ -347,7 +348,7 @@ def test_page_of_a_long_recording_is_no_larger(subject: tuple[Identified, Valida
     assert large < 1.5 * small < 1_000_000
 
 
-def test_page_without_signals_or_figures(subject: tuple[Identified, Validation]) -> None:
+def test_page_without_signals_or_figures(subject: Subject) -> None:
     empty = trace(2, 0)
     for figures in (
         Validation({}, (), "nothing", False),
@@ -361,25 +362,25 @@ def test_page_of_an_arm_with_a_coupled_motor(tmp_path: Path) -> None:
     small = replace(arm(), couplings=(Coupling("wrist", {"turn": 1.0, "slide": 2.0}),))
     model = identified_model(small, {**STRUCTURE, "coupled_motor": {}})
     write_result(identification(model), validation(small.joint_names), tmp_path)
-    words = " ".join(Page((tmp_path / "report.html").read_text(encoding="utf-8")).words)
+    words = Page((tmp_path / "report.html").read_text(encoding="utf-8")).text
     assert "3 wrist" in words
-    with (tmp_path / "parameters.csv").open(encoding="utf-8", newline="") as file:
-        assert [row["name"] for row in csv.DictReader(file) if row["joint"] == "wrist"] == ["J_m", "k_v1", "f_c"]
+    rows = rows_of(tmp_path / "parameters.csv")
+    assert [row["name"] for row in rows if row["joint"] == "wrist"] == ["J_m", "k_v1", "f_c"]
 
 
 # --- its first lines ------------------------------------------------------------------------------------------
 
 
-def test_page_opens_with_the_verdict_and_its_reasons(subject: tuple[Identified, Validation]) -> None:
+def test_page_opens_with_the_verdict_and_its_reasons(subject: Subject) -> None:
     identified = replace(subject[0], joints_at_rest=("slide",), consistency_shift=70.0)
     first = opening(identified, subject[1])
     assert first.verdict.level == "suspect"
-    words = " ".join(Page(page_of(identified, subject[1])).words)
+    words = Page(page_of(identified, subject[1])).text
     assert first.verdict.headline in words
     assert first.verdict.reasons and all(reason in words for reason in first.verdict.reasons)
 
 
-def test_page_warns_of_what_weakens_its_figures(subject: tuple[Identified, Validation]) -> None:
+def test_page_warns_of_what_weakens_its_figures(subject: Subject) -> None:
     identified, figures = subject
     assert opening(identified, figures).warnings == ()
     lacking = {"turn": replace(figures.joints["turn"], lack_of_fit=LackOfFit(6.0, 1e-9, 0.1))}
