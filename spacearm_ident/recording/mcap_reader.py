@@ -86,7 +86,6 @@ class Message(NamedTuple):
     channel: Channel
     log_time_ns: int
     publish_time_ns: int
-    sequence: int
     payload: bytes
 
 
@@ -213,13 +212,13 @@ class McapFile:
                 self._report("corrupt_record", f"a record at byte {offset} overruns its chunk; rest left out")
                 return
             if opcode == 5 and length >= 22:
-                channel_id, sequence, log_time, publish_time = read_message(data, body)
+                channel_id, _, log_time, publish_time = read_message(data, body)
                 self._seen += 1
                 if channel_id not in yielded:
                     self._homeless += 1
                 elif (channel := yielded[channel_id]) is not None:
                     self._last_log_time = log_time
-                    yield Message(channel, log_time, publish_time, sequence, data[body + 22 : position])
+                    yield Message(channel, log_time, publish_time, data[body + 22 : position])
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._define(opcode, data[body:position], offset)
             elif opcode == 0:

@@ -6,7 +6,6 @@ message of a type that a recording is made of is decoded and encoded again; any 
 
 from __future__ import annotations
 
-import hashlib
 import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from spacearm_ident.documents import parse_yaml, read_text
+from spacearm_ident.documents import file_sha256, parse_yaml, read_text
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import cdr, messages
 from spacearm_ident.recording.contents import Bag
@@ -98,19 +97,12 @@ def ros_messages(
         if progress is not None:
             progress(number / len(files))
         try:
-            data = file.read_bytes() if file.stat().st_size < 2**20 else None
-            digest = hashlib.sha256(data) if data is not None else _digest(file)
-            bag.sources.append(Source(str(file), file.stat().st_size, digest.hexdigest()))
+            bag.sources.append(Source(str(file), file.stat().st_size, file_sha256(file)))
         except OSError as error:
             raise UserError(f"{file}: cannot be read ({error.strerror}); check the file") from error
         yield from _ros1(file, wanted, bag) if _is_ros1(file) else _sqlite(file, wanted, bag)
     if progress is not None:
         progress(1.0)
-
-
-def _digest(file: Path) -> Any:
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256")
 
 
 def _is_ros1(file: Path) -> bool:
@@ -134,12 +126,12 @@ def _sqlite(file: Path, wanted: Callable[[Channel], bool], bag: Bag) -> Iterator
             reader = Sqlite3Reader(place)
             reader.open()
             stack.callback(reader.close)
-            channels = {one.id: _channel(one.topic, one.msgtype, "cdr") for one in reader.connections}
+            channels = {one.id: _channel(one.topic, one.msgtype) for one in reader.connections}
             bag.topics |= {channel.topic: channel.type_name for channel in channels.values()}
             chosen = [one for one in reader.connections if wanted(channels[one.id])]
             for one, stamp, data in reader.messages(chosen) if chosen else ():
                 last = max(0, int(stamp))
-                yield Message(channels[one.id], last, last, 0, bytes(data))
+                yield Message(channels[one.id], last, last, bytes(data))
         except (UserError, GeneratorExit):
             raise
         except ReaderError as error:
@@ -179,8 +171,8 @@ def _inflated(file: Path, stack: ExitStack) -> Path:
     return place
 
 
-def _channel(topic: str, kind: str, encoding: str) -> Channel:
-    return Channel(topic, kind, "", b"", encoding, {})
+def _channel(topic: str, kind: str) -> Channel:
+    return Channel(topic, kind, "", b"", "cdr", {})
 
 
 def _ros1(file: Path, wanted: Callable[[Channel], bool], bag: Bag) -> Iterator[Message]:
@@ -193,7 +185,7 @@ def _ros1(file: Path, wanted: Callable[[Channel], bool], bag: Bag) -> Iterator[M
     unreadable = 0
     try:
         with Reader(file) as reader:
-            channels = {one.id: _channel(one.topic, one.msgtype, "cdr") for one in reader.connections}
+            channels = {one.id: _channel(one.topic, one.msgtype) for one in reader.connections}
             bag.topics |= {channel.topic: channel.type_name for channel in channels.values()}
             chosen = [one for one in reader.connections if one.msgtype in _ENCODERS and wanted(channels[one.id])]
             for one, stamp, data in reader.messages(chosen) if chosen else ():
@@ -203,7 +195,7 @@ def _ros1(file: Path, wanted: Callable[[Channel], bool], bag: Bag) -> Iterator[M
                 except Exception:  # whatever a damaged message makes numpy and struct raise
                     unreadable += 1
                     continue
-                yield Message(channels[one.id], last, last, 0, payload)
+                yield Message(channels[one.id], last, last, payload)
     except GeneratorExit:
         raise
     except Exception as error:  # damaged indices make rosbags raise of everything
