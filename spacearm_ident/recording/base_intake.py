@@ -8,6 +8,7 @@ the ground, nothing in free fall (REP-145). An odometry's twist is in the axes o
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from spacearm_ident.arrays import BoolArray, FloatArray, IntArray
 from spacearm_ident.recording import cdr, messages
 from spacearm_ident.recording.contents import Bag, Stream
-from spacearm_ident.recording.intake import Finding, Intake, gap_threshold_s, increasing, int64_ns
+from spacearm_ident.recording.intake import Finding, Intake, gap_threshold_s, increasing
 from spacearm_ident.recording.recording import BaseSensor
 
 FEWEST = 16
@@ -77,18 +78,9 @@ class _BaseIntake:
 
     def _decoded(self, texts: int, numbers: int) -> tuple[IntArray, np.ndarray, FloatArray]:
         """Stamps (K,), frames (K,) and numbers (K, numbers) of the messages that can be decoded."""
-        rows, logs = [], []
-        for payload, log_time in zip(self._stream.payloads, self._stream.log_times_ns, strict=True):
-            try:
-                rows.append(cdr.decode_stamped(payload, texts, numbers))
-                logs.append(log_time)
-            except cdr.CdrError:
-                continue
+        stamps, rows = self._states.decoded(self._stream, partial(cdr.decode_stamped, texts=texts, numbers=numbers))
         if lost := len(self._stream.payloads) - len(rows):
             self._find("undecodable_message", f"{lost} messages left out that cannot be decoded", lost)
-        stamps = np.array([stamp for stamp, _, _ in rows], dtype=np.int64)
-        if self._states.on_log_time or (len(stamps) and not stamps.any()):
-            stamps = int64_ns(logs)
         # The sensor's frame is the header's of an IMU, the child of an odometry: the last string of either.
         frames = np.array([words[-1].lstrip("/") for _, words, _ in rows], dtype=object)
         return stamps, frames, np.array([values for _, _, values in rows]).reshape(-1, numbers)

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -25,6 +26,7 @@ _EPOCH_NS = 10**17  # a clock beyond this (1973) counts from 1970: a stamp of ze
 GAP_MEDIANS = 5.0
 """How many median intervals make a gap."""
 _LATEST_NS = 2**62
+_Row = TypeVar("_Row", bound=tuple[Any, ...])
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,16 @@ class Intake:
         self.known = sorted(samples.joints)
         self.on_log_time = on_log_time
         self.clock_shift_ns = clock_shift_ns
+
+    def decoded(self, stream: Stream, decode: Callable[[bytes], _Row]) -> tuple[IntArray, list[_Row]]:
+        """Stamps (K,) on the clock of the states, and messages of another topic: those that can be decoded."""
+        rows, logs = [], []
+        for payload, log_time in zip(stream.payloads, stream.log_times_ns, strict=True):
+            with suppress(cdr.CdrError):
+                rows.append(decode(payload))
+                logs.append(log_time)
+        stamps = np.array([stamp for stamp, *_ in rows], dtype=np.int64)
+        return int64_ns(logs) if self.on_log_time or not stamps.any() else stamps, rows
 
     @classmethod
     def of_stream(

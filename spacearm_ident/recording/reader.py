@@ -28,7 +28,7 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.recording import cdr, messages
 from spacearm_ident.recording.base_intake import read_base
 from spacearm_ident.recording.contents import Bag
-from spacearm_ident.recording.intake import Finding, Intake, Samples, gap_threshold_s, increasing, int64_ns, listing
+from spacearm_ident.recording.intake import Finding, Intake, Samples, gap_threshold_s, increasing, listing
 from spacearm_ident.recording.mcap_reader import Defect, Progress
 from spacearm_ident.recording.namespace import read_arm
 from spacearm_ident.recording.recording import Issue, Recording, Series, Source
@@ -98,21 +98,11 @@ def _read_temperatures(bag: Bag, states: Intake) -> tuple[dict[str, Series], lis
     stream = bag.streams.get(messages.TEMPERATURES_TOPIC)
     if stream is None:
         return {}, []
-    rows: list[tuple[int, str, float]] = []
-    logs = []
-    for payload, log_time in zip(stream.payloads, stream.log_times_ns, strict=True):
-        try:
-            rows.append(cdr.decode_temperature(payload))
-            logs.append(log_time)
-        except cdr.CdrError:
-            continue
+    stamps, rows = states.decoded(stream, cdr.decode_temperature)
     places: dict[str, list[int]] = {}
     for place, (_, name, _) in enumerate(rows):
         places.setdefault(name, []).append(place)
     values = np.array([value for _, _, value in rows], dtype=np.float64)
-    stamps = np.array([stamp for stamp, _, _ in rows], dtype=np.int64)
-    if states.on_log_time or (len(stamps) and not stamps.any()):
-        stamps = int64_ns(logs)
     result, kept = {}, 0
     for name, of_name in places.items():
         mine = np.array(of_name)
