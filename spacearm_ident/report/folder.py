@@ -110,8 +110,9 @@ def replacing(directory: Path, marker: str | None = FIGURES) -> Iterator[Path]:
     Raises:
         UserError: The folder cannot be written.
     """
-    made = not directory.exists()
+    made = False
     try:
+        made = not directory.exists()
         directory.mkdir(parents=True, exist_ok=True)
         with _alone(directory), TemporaryDirectory(prefix=_STAGING, dir=directory) as name:
             staging = Path(name)

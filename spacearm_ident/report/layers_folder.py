@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..dynamics.model_file import save_model
-from ..errors import UserError
 from ..layers.comparison import Comparison
 from ..layers.document import comparison_document
 from ..layers.item import Mended
@@ -47,15 +46,12 @@ def write_comparison(
     sources = provenance(fitted, held, command)
     document = comparison_document(comparison, simulation.source, mended)
     page = comparison_html(comparison, simulation, mended, sources)
-    try:
-        with replacing(directory, DOCUMENT) as part:
-            text = json.dumps({**document, "provenance": sources}, indent=2, allow_nan=False)
-            (part / DOCUMENT).write_text(text + "\n", encoding="utf-8")
-            if comparison.model is not None:
-                save_model(replace(comparison.model, provenance=sources), part / EXTENDED_MODEL)
-            if mended is not None:
-                (part / mended.name).write_text(mended.text, encoding="utf-8")
-            (part / REPORT).write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write {directory}: {error}") from error
+    with replacing(directory, DOCUMENT) as part:
+        text = json.dumps({**document, "provenance": sources}, indent=2, allow_nan=False)
+        (part / DOCUMENT).write_text(text + "\n", encoding="utf-8")
+        if comparison.model is not None:
+            save_model(replace(comparison.model, provenance=sources), part / EXTENDED_MODEL)
+        if mended is not None:
+            (part / mended.name).write_text(mended.text, encoding="utf-8")
+        (part / REPORT).write_text(page, encoding="utf-8")
     return directory / REPORT

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from ..dynamics.arm import Arm
 from ..dynamics.model_file import save_model
-from ..errors import UserError
 from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import save_trajectory
 from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN, to_document
@@ -44,15 +43,12 @@ def write_mismatch(
     """
     sources = {**provenance(runs.field, runs.validation, command), "reference": provenance(runs.healthy, ())[FITTED]}
     page = mismatch_html(explanation, arm, sources)
-    try:
-        with replacing(directory, DOCUMENT) as part:
-            document = {**to_document(explanation), "provenance": sources}
-            (part / DOCUMENT).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-            if explanation.model is not None:
-                save_model(replace(explanation.model, provenance=sources), part / EXTENDED_MODEL)
-            if planned is not None:
-                save_trajectory(planned, part / NEXT_RUN)
-            (part / REPORT).write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write {directory}: {error}") from error
+    with replacing(directory, DOCUMENT) as part:
+        document = {**to_document(explanation), "provenance": sources}
+        (part / DOCUMENT).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        if explanation.model is not None:
+            save_model(replace(explanation.model, provenance=sources), part / EXTENDED_MODEL)
+        if planned is not None:
+            save_trajectory(planned, part / NEXT_RUN)
+        (part / REPORT).write_text(page, encoding="utf-8")
     return directory / REPORT
