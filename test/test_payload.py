@@ -15,9 +15,10 @@ from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.dynamics.regressor import rigid_body_blocks
 from spacearm_ident.errors import UnfitDataError, UserError
+from spacearm_ident.export.frames import principal
 from spacearm_ident.export.motion import sweep
 from spacearm_ident.export.payload import Held, find_payload, tool_frame
-from spacearm_ident.export.payload_calls import franka, kuka, principal, urscript
+from spacearm_ident.export.payload_calls import franka, kuka, urscript
 from spacearm_ident.recording import Recording, write_recording
 
 MODEL = replace(load_model(config_path("paper_arm_model.yaml")), cutoff_hz=10.0)

@@ -21,7 +21,7 @@ from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..results.formats import CODE, lost_in_code
 from ..signals.motion import Motion
-from .law import SIMPLE_TERMS, SLOW_SHARE, Nearest, possible
+from .law import SIMPLE_TERMS, SLOW_SHARE, Nearest
 
 JOINT_NUMBERS = ("J_m", "k_1", "offset", "f_c", "f_b", "v_b", "mu", "k_v1", "k_v2_even", "k_v2_odd", "k_v3", "fastest")
 """What is held of each joint beside its body, SI."""
@@ -49,7 +49,7 @@ class ControlLaw:
 
 def control_law(model: IdentifiedModel) -> ControlLaw:
     """The law that comes nearest to a model: its own values, without what the law does not have."""
-    reduced = _reduced(possible(model))
+    reduced = _reduced(model.possible)
     arm = reduced.model.arm
     numbers = np.zeros((len(arm.joints), len(JOINT_NUMBERS)))
     numbers[:, JOINT_NUMBERS.index("fastest")] = np.inf

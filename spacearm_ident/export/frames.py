@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..dynamics.arm import Arm, Joint
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..errors import UserError
+from ..results.urdf import inertia_about_centre
 
 
 @dataclass(frozen=True)
@@ -45,25 +47,20 @@ def bodies_of(model: IdentifiedModel) -> list[Body]:
             raise UserError(f"the body of {joint.name!r} has no positive mass: give the arm a CAD prior with masses")
         centre = values[1:4] / values[0]
         inertia = inertia_about_centre(values)
-        principal = np.linalg.eigvalsh(inertia)
-        if principal[0] <= 0.0 or principal[2] > (1.0 + 1e-9) * (principal[0] + principal[1]):
+        moments = np.linalg.eigvalsh(inertia)
+        if moments[0] <= 0.0 or moments[2] > (1.0 + 1e-9) * (moments[0] + moments[1]):
             raise UserError(
-                f"the body of {joint.name!r} has principal moments {', '.join(f'{one:.3g}' for one in principal)} "
+                f"the body of {joint.name!r} has principal moments {', '.join(f'{one:.3g}' for one in moments)} "
                 "kg m^2, which no body has: identify again, or give the arm a CAD prior with inertias"
             )
         bodies.append(Body(joint, float(values[0]), centre, inertia))
     return bodies
 
 
-def inertia_about_centre(values: FloatArray) -> FloatArray:
-    """(3, 3) inertia about the centre of mass, by the parallel axis theorem.
-
-    Args:
-        values: (10,) m, mc, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the frame's origin, kg, kg m, kg m^2.
-    """
-    centre = values[1:4] / values[0]
-    about_origin = values[4:][[0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(3, 3)
-    return np.asarray(about_origin - values[0] * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
+def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Principal moments (3,) of an inertia, and their axes (3, 3) as the columns of a rotation."""
+    moments, axes = np.linalg.eigh(inertia)
+    return moments, axes * np.sign(np.linalg.det(axes))
 
 
 def children_of(arm: Arm, parent: int) -> list[int]:
@@ -83,6 +80,11 @@ def rpy(rotation: FloatArray) -> FloatArray:
         # At a pitch of 90 degrees one angle is free; scipy takes zero for it, which is as good as any, and warns.
         warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)
         return np.asarray(Rotation.from_matrix(rotation).as_euler("xyz"))
+
+
+def comment(notes: Sequence[str]) -> list[str]:
+    """The lines of an XML comment."""
+    return ["<!--", *(f"  {note.replace('--', '- -')}" for note in notes), "-->"]
 
 
 def words(values: FloatArray | list[float]) -> str:

@@ -84,11 +84,6 @@ class Nearest:
         return [*lines, *self.further]
 
 
-def possible(model: IdentifiedModel) -> IdentifiedModel:
-    """The physically consistent model alone: no simulator takes bodies that cannot be."""
-    return model.possible
-
-
 def nearest(model: IdentifiedModel, form: Format, motions: Sequence[Motion]) -> Nearest:
     """Fit a format's parameters to a model.
 
@@ -97,7 +92,7 @@ def nearest(model: IdentifiedModel, form: Format, motions: Sequence[Motion]) -> 
         form: The format.
         motions: Where it is to be near.
     """
-    whole_model, model = model, possible(model)
+    whole_model, model = model, model.possible  # no simulator takes bodies that cannot be
     arm = model.model.arm
     values: dict[str, dict[str, float]] = {}
     cost, most, size = {}, {}, {}

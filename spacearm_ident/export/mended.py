@@ -28,7 +28,7 @@ from ..simulations import Simulation, read_simulation
 from ..simulations.mjcf import mujoco_or_error, simulation_of_mujoco
 from ..simulations.simulation import without
 from .closed_loop import follow
-from .frames import bodies_of, quaternion
+from .frames import bodies_of, principal, quaternion
 from .law import Nearest, nearest
 from .mended_sdf import LEAST, mended_sdf
 
@@ -169,9 +169,8 @@ def _mjcf(mujoco: ModuleType, path: Path, model: IdentifiedModel, fit: Nearest) 
         carrier.explicitinertial = True
         carrier.mass = body.mass
         carrier.ipos = body.centre + joint.pos
-        principal, axes = np.linalg.eigh(body.inertia)
-        carrier.inertia, carrier.fullinertia = principal, [np.nan] * 6
-        carrier.iquat = quaternion(axes * np.sign(np.linalg.det(axes)))
+        moments, axes = principal(body.inertia)
+        carrier.inertia, carrier.fullinertia, carrier.iquat = moments, [np.nan] * 6, quaternion(axes)
         for fixed in _fixed(carrier, joints):
             # Its mass is part of the body that carries it: kept here as well, it would count twice.
             fixed.explicitinertial = True

@@ -16,8 +16,9 @@ from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import INERTIAL_SYMBOLS
 from ..results.attached import attached_links, divided
 from ..results.formats import DAMPING, FRICTION, REST, STIFFNESS
+from ..results.urdf import inertia_about_centre
 from ..simulations.sdf import SdfModel, model_of_arm
-from .frames import bodies_of, inertia_about_centre, words
+from .frames import bodies_of, words
 from .law import Nearest
 
 LEAST = 1e-9

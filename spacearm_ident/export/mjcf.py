@@ -8,7 +8,7 @@ import numpy as np
 
 from ..dynamics.model import IdentifiedModel
 from ..results.formats import ARMATURE, DAMPING, FRICTION, REST, STIFFNESS
-from .frames import Body, bodies_of, children_of, quaternion, words
+from .frames import Body, bodies_of, children_of, comment, quaternion, words
 from .law import Nearest
 
 SHARP = "0.9999 0.9999 0.001 0.5 2"
@@ -30,9 +30,7 @@ def mjcf(model: IdentifiedModel, fit: Nearest, notes: list[str]) -> str:
     arm = model.model.arm
     bodies = bodies_of(model)
     lines = [
-        "<!--",
-        *(f"  {note.replace('--', '- -')}" for note in notes),
-        "-->",
+        *comment(notes),
         f"<mujoco model={quoteattr(arm.name)}>",
         '  <compiler angle="radian" autolimits="true" balanceinertia="false"/>',
         f'  <default><joint solimpfriction="{SHARP}"/></default>',

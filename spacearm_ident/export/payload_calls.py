@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
+from .frames import principal
 from .payload import Held
 
 GAIN_CAVEAT = (
@@ -27,8 +28,7 @@ def urscript(held: Held) -> str:
 def kuka(held: Held) -> str:
     """`$LOAD`: kg, centre in mm, principal moments in kg m^2 along axes that A, B, C (deg, about z, y, x) turn to."""
     x, y, z = 1e3 * held.centre
-    moments, angles = principal(held.inertia) if held.inertia is not None else (np.zeros(3), np.zeros(3))
-    a, b, c = angles
+    moments, (a, b, c) = _turned(held.inertia) if held.inertia is not None else (np.zeros(3), np.zeros(3))
     return (
         f"$LOAD = {{M {held.mass:.3f}, CM {{X {x:.1f}, Y {y:.1f}, Z {z:.1f}, A {a:.2f}, B {b:.2f}, C {c:.2f}}}, "
         f"J {{X {moments[0]:.6f}, Y {moments[1]:.6f}, Z {moments[2]:.6f}}}}}"
@@ -43,10 +43,9 @@ def franka(held: Held) -> str:
     return f"robot.setLoad({held.mass:.3f}, {{{{{centre}}}}}, {{{{{numbers}}}}});"
 
 
-def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _turned(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Principal moments (3,), and A, B, C (3,) in degrees: turns about z, y', x'' onto their axes."""
-    moments, axes = np.linalg.eigh(inertia)
-    axes = axes * np.sign(np.linalg.det(axes))
+    moments, axes = principal(inertia)
     return moments, np.asarray(Rotation.from_matrix(axes).as_euler("ZYX", degrees=True))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..dynamics.model import IdentifiedModel
 from ..results.formats import DAMPING, FRICTION, REST, STIFFNESS
-from .frames import Body, bodies_of, rpy, words
+from .frames import Body, bodies_of, comment, rpy, words
 from .law import Nearest
 
 
@@ -18,9 +18,7 @@ def sdf(model: IdentifiedModel, fit: Nearest, notes: list[str]) -> str:
     bodies = bodies_of(model)
     lines = [
         '<?xml version="1.0"?>',
-        "<!--",
-        *(f"  {note.replace('--', '- -')}" for note in notes),
-        "-->",
+        *comment(notes),
         '<sdf version="1.9">',
         '  <world name="world">',
         f"    <gravity>{words(list(arm.gravity))}</gravity>",

@@ -7,6 +7,7 @@ from xml.sax.saxutils import quoteattr
 from ..dynamics.model import IdentifiedModel
 from ..results.formats import DAMPING, FRICTION
 from ..results.urdf import identified_urdf
+from .frames import comment
 from .law import Nearest
 
 
@@ -24,9 +25,8 @@ def urdf(model: IdentifiedModel, fit: Nearest, notes: list[str]) -> str:
     dynamics = {joint: (values[DAMPING], values[FRICTION]) for joint, values in fit.values.items()}
     text = identified_urdf(model, dynamics)
     head, tail = text.rsplit("</robot>", 1)
-    comment = ["<!--", *(f"  {note.replace('--', '- -')}" for note in notes), "-->"]
     control = [] if "<ros2_control" in text else _control(model)
-    return head + "\n".join([*comment, *control, "</robot>"]) + tail
+    return head + "\n".join([*comment(notes), *control, "</robot>"]) + tail
 
 
 def _control(model: IdentifiedModel) -> list[str]:

@@ -18,7 +18,7 @@ from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..recording.tables.optional import optional
 from ..results.formats import ARMATURE, DAMPING, FRICTION
-from .frames import Body, bodies_of, quaternion
+from .frames import Body, bodies_of, principal, quaternion
 from .law import Nearest
 
 
@@ -70,8 +70,7 @@ def _mass(physics: Any, prim: Any, body: Body, gf: Any) -> None:
     """Mass, centre and principal inertia of a link."""
     physics.RigidBodyAPI.Apply(prim)
     mass = physics.MassAPI.Apply(prim)
-    moments, axes = np.linalg.eigh(body.inertia)
-    axes = axes * np.sign(np.linalg.det(axes))
+    moments, axes = principal(body.inertia)
     mass.CreateMassAttr().Set(body.mass)
     mass.CreateCenterOfMassAttr().Set(gf.Vec3f(*map(float, body.centre)))
     mass.CreateDiagonalInertiaAttr().Set(gf.Vec3f(*map(float, moments)))

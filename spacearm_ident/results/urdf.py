@@ -128,7 +128,7 @@ def _set_inertial(document: Document, link: Element, values: FloatArray) -> None
         name = link.getAttribute("name")
         raise UserError(f"link {name!r} was identified without a positive mass: give the arm a CAD prior with masses")
     centre = values[1:4] / mass
-    about_centre = _tensor(values[4:]) - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    about_centre = inertia_about_centre(values)
     inertial = document.createElement("inertial")
     origin = _add(document, inertial, "origin")
     origin.setAttribute("xyz", " ".join(repr(float(c)) for c in centre))
@@ -142,10 +142,15 @@ def _set_inertial(document: Document, link: Element, values: FloatArray) -> None
     link.insertBefore(document.createTextNode("\n    "), inertial)
 
 
-def _tensor(elements: FloatArray) -> FloatArray:
-    """(3, 3) from Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""
-    xx, xy, yy, xz, yz, zz = elements
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+def inertia_about_centre(values: FloatArray) -> FloatArray:
+    """(3, 3) inertia about the centre of mass, by the parallel axis theorem.
+
+    Args:
+        values: (10,) m, mc, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the frame's origin, kg, kg m, kg m^2.
+    """
+    centre = values[1:4] / values[0]
+    about_origin = values[4:][[0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(3, 3)
+    return np.asarray(about_origin - values[0] * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
 
 
 def _add(document: Document, parent: Element, tag: str) -> Element:
