@@ -6,7 +6,6 @@ The report is made from these alone, without the recordings, and a later identif
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import zipfile
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..bayes.from_prior import GroundPrior
+from ..documents import file_sha256
 from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
@@ -61,7 +61,7 @@ def save_result(result: Result, directory: Path) -> None:
     """Write the three files into an existing directory."""
     save_model(result.identified.model, directory / MODEL)
     np.savez_compressed(directory / ARRAYS, **_arrays(result))
-    sums = {name: _checksum(directory / name) for name in (MODEL, ARRAYS)}
+    sums = {name: file_sha256(directory / name) for name in (MODEL, ARRAYS)}
     text = json.dumps(_as_json({"schema": SCHEMA, "sha256": sums, **_plain(result)}), indent=1, allow_nan=False)
     (directory / FIGURES).write_text(text + "\n", encoding="utf-8")
 
@@ -84,7 +84,7 @@ def load_result(directory: Path) -> Result:
     try:
         for name in (MODEL, ARRAYS):  # by our names, never by those a file brings
             expected = data["sha256"][name]
-            if _checksum(directory / name) != expected:
+            if file_sha256(directory / name) != expected:
                 raise UserError(f"{directory / name} is not the file this result was written with: identify again")
         with np.load(directory / ARRAYS, allow_pickle=False) as arrays:
             return _rebuild(data, dict(arrays), directory)
@@ -114,16 +114,12 @@ def load_prior(path: Path) -> GroundPrior:
         raise UserError(f"{file} has no covariance beside it ({missing}), a prior needs one: {PRIOR_ADVICE}") from error
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise UserError(f"the covariance beside {file} cannot be read: {PRIOR_ADVICE}, or identify again") from error
-    if sums.get(MODEL) != _checksum(file) or sums.get(ARRAYS) != _checksum(folder / ARRAYS):
+    if sums.get(MODEL) != file_sha256(file) or sums.get(ARRAYS) != file_sha256(folder / ARRAYS):
         raise UserError(f"{file} is not the model that the covariance beside it was written with: {PRIOR_ADVICE}")
     prior = GroundPrior(model, covariance, f"{file} (SHA-256 {sums[MODEL][:12]})")
     if covariance.shape != (len(prior.names),) * 2 or not np.isfinite(covariance).all():
         raise UserError(f"the covariance beside {file} does not fit it: identify again")
     return prior
-
-
-def _checksum(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _arrays(result: Result) -> dict[str, Any]:
@@ -152,11 +148,7 @@ def _plain(result: Result) -> dict[str, Any]:
     return {
         "written": result.written,
         "estimates": [_estimate_dict(item) for item in identified.estimates],
-        "base": {
-            "independent": list(identified.base.independent),
-            "names": list(identified.base.names),
-            "unseen": list(identified.base.unseen),
-        },
+        "base": {name: list(getattr(identified.base, name)) for name in ("independent", "names", "unseen")},
         "consistency_shift": identified.consistency_shift,
         "bandwidth": {key: getattr(bandwidth, key) for key in ("cutoff_hz", "crossing_hz", "dynamic_hz", "reason")},
         "choices": [asdict(choice) for choice in identified.choices],
