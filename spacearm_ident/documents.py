@@ -7,6 +7,7 @@ takes time and memory in proportion to its size.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import stat
 import xml.etree.ElementTree as ET
@@ -107,6 +108,11 @@ def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def finite(value: float) -> float | None:
+    """A plain float, or None for NaN and infinities, which JSON does not have."""
+    return float(value) if math.isfinite(value) else None
 
 
 def read_yaml(path: Path, what: str) -> Any:

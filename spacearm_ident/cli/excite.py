@@ -12,6 +12,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..canbus.arm_bus import EXTRAPOLATION
+from ..documents import finite
 from ..driver.playback import BRIDGED_ACCELERATION, EASED_ACCELERATION, acceleration_for_stalls
 from ..driver.safety import Margins
 from ..dynamics.arm import Arm, load_arm
@@ -386,18 +387,14 @@ def document(
     series = excitation.series
     return out | {
         "criterion": options.criterion,
-        "criteria": {name: _finite(value) for name, value in excitation.criteria.items()},
+        "criteria": {name: finite(value) for name, value in excitation.criteria.items()},
         "harmonics": series.a.shape[1],
         "fundamental_hz": series.fundamental_hz,
         "periods": series.periods,
-        "tried": [{"harmonics": n, "value": _finite(value)} for n, value in excitation.tried],
+        "tried": [{"harmonics": n, "value": finite(value)} for n, value in excitation.tried],
         "prediction_sd_Nm": dict(zip(trajectory.joints, excitation.prediction_sd.tolist())),
         "constants_relative_error": whole_errors(excitation, trajectory),
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def whole_errors(excitation: Excitation, trajectory: Trajectory) -> dict[str, float]:

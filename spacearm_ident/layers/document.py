@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from ..arrays import FloatArray
-from ..mismatch.document import EXTENDED_MODEL, smallest_size, to_document
+from ..documents import finite
+from ..mismatch.document import EXTENDED_MODEL, by_joint, smallest_size, to_document
 from ..mismatch.finding import DATA_UNFIT, MISMATCH, NO_MISMATCH, unfit
 from .comparison import Comparison
 from .item import Item, Layer, Mended
@@ -28,21 +26,21 @@ def comparison_document(comparison: Comparison, simulation: str, mended: Mended 
     document |= {
         "verdict": verdict(comparison),
         "reasons": list(comparison.reasons),
-        "noise_floor_Nm": _by_joint(joints, comparison.noise_Nm),
-        "residual_before_Nm": _by_joint(joints, comparison.before_Nm),
-        "residual_after_Nm": _by_joint(joints, comparison.after_Nm),
-        "torque_Nm": _by_joint(joints, comparison.torque_Nm),
+        "noise_floor_Nm": by_joint(joints, comparison.noise_Nm),
+        "residual_before_Nm": by_joint(joints, comparison.before_Nm),
+        "residual_after_Nm": by_joint(joints, comparison.after_Nm),
+        "torque_Nm": by_joint(joints, comparison.torque_Nm),
         "residuals_on": comparison.judged_on,
         "simulation": simulation,
         "layers": [_layer(layer, joints) for layer in comparison.layers],
-        "ceiling_Nm": _by_joint(joints, comparison.ceiling_Nm),
-        "mended_Nm": _by_joint(joints, comparison.mended_Nm),
+        "ceiling_Nm": by_joint(joints, comparison.ceiling_Nm),
+        "mended_Nm": by_joint(joints, comparison.mended_Nm),
         "would_have_seen": [smallest_size(one) for one in comparison.would_have_seen],
         "suspected": [
             {"names": list(one.names), "values": list(one.values), "probability": round(one.probability, 4)}
             for one in comparison.suspected
         ],
-        "replicated_share": _finite(replicated_share(comparison)),
+        "replicated_share": finite(replicated_share(comparison)),
         "unconfirmed": list(comparison.unconfirmed),
         "model": EXTENDED_MODEL if comparison.model is not None else None,
         "mended_simulation": None if mended is None else mended.name,
@@ -69,7 +67,7 @@ def _layer(layer: Layer, joints: Sequence[str]) -> dict[str, Any]:
     return {
         "layer": layer.name,
         "joints": {
-            joint: {"rms_before_Nm": _finite(before), "rms_after_Nm": _finite(after)}
+            joint: {"rms_before_Nm": finite(before), "rms_after_Nm": finite(after)}
             for joint, before, after in zip(joints, layer.before_Nm, layer.after_Nm)
         },
         "items": [_item(item) for item in layer.items],
@@ -82,11 +80,11 @@ def _item(item: Item) -> dict[str, Any]:
         "name": item.name,
         "joints": list(item.joints),
         "where": item.where,
-        "was": _finite(item.was),
-        "is": _finite(item.value),
+        "was": finite(item.was),
+        "is": finite(item.value),
         "unit": item.unit,
-        "ci95": [_finite(item.low), _finite(item.high)],
-        "share": _finite(item.share),
+        "ci95": [finite(item.low), finite(item.high)],
+        "share": finite(item.share),
         "replicated": item.replicated,
         "combination": dict(item.combination),
         "equivalents": list(item.equivalents),
@@ -98,16 +96,8 @@ def _closed_loop(mended: Mended) -> dict[str, Any] | None:
         return None
     return {
         name: {
-            "position_rms": {joint: _finite(value) for joint, value in run.position.items()},
-            "feedback_rms_Nm": {joint: _finite(value) for joint, value in run.feedback_Nm.items()},
+            "position_rms": {joint: finite(value) for joint, value in run.position.items()},
+            "feedback_rms_Nm": {joint: finite(value) for joint, value in run.feedback_Nm.items()},
         }
         for name, run in zip(("simulation", "mended"), mended.closed_loop)
     }
-
-
-def _by_joint(joints: Sequence[str], values: FloatArray) -> Mapping[str, float | None]:
-    return {joint: _finite(value) for joint, value in zip(joints, values)}
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from ..arrays import FloatArray
+from ..documents import finite
 from .finding import Detectable, Explanation, Finding
 
 SCHEMA = "spacearm_ident/mismatch/1"
@@ -20,14 +20,14 @@ def to_document(explanation: Explanation) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "verdict": explanation.verdict,
-        "noise_floor_Nm": _by_joint(explanation, explanation.noise_floor_Nm),
-        "detectable_Nm": _by_joint(explanation, explanation.detectable_Nm),
-        "residual_before_Nm": _by_joint(explanation, explanation.before_Nm),
-        "residual_after_Nm": _by_joint(explanation, explanation.after_Nm),
+        "noise_floor_Nm": by_joint(explanation.joints, explanation.noise_floor_Nm),
+        "detectable_Nm": by_joint(explanation.joints, explanation.detectable_Nm),
+        "residual_before_Nm": by_joint(explanation.joints, explanation.before_Nm),
+        "residual_after_Nm": by_joint(explanation.joints, explanation.after_Nm),
         "residuals_on": explanation.judged_on,
         "findings": [_finding(finding) for finding in explanation.findings],
         "unexplained": [
-            {"joints": list(left.joints), "where": left.where, "fraction": _finite(left.fraction)}
+            {"joints": list(left.joints), "where": left.where, "fraction": finite(left.fraction)}
             for left in explanation.unexplained
         ],
         "already_in_reference": list(explanation.already_there),
@@ -41,11 +41,12 @@ def to_document(explanation: Explanation) -> dict[str, Any]:
 def smallest_size(one: Detectable) -> dict[str, Any]:
     """What was not found, with the smallest size that would have been, as plain data; null where it is not known."""
     named = {"quantity": one.quantity} if one.quantity else {}
-    return {"name": one.name, "joints": list(one.joints), "size": _finite(one.size), "unit": one.unit, **named}
+    return {"name": one.name, "joints": list(one.joints), "size": finite(one.size), "unit": one.unit, **named}
 
 
-def _by_joint(explanation: Explanation, values: FloatArray) -> dict[str, float | None]:
-    return {joint: _finite(value) for joint, value in zip(explanation.joints, values)}
+def by_joint(joints: Sequence[str], values: FloatArray) -> dict[str, float | None]:
+    """Joint -> its value (n,), as JSON has it: null where it is not known."""
+    return {joint: finite(value) for joint, value in zip(joints, values)}
 
 
 def _finding(finding: Finding) -> dict[str, Any]:
@@ -55,22 +56,18 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "where": finding.where,
         "equation": finding.equation,
         "parameters": {
-            name: {"value": _finite(q.value), "unit": q.unit, "ci95": [_finite(q.low), _finite(q.high)]}
+            name: {"value": finite(q.value), "unit": q.unit, "ci95": [finite(q.low), finite(q.high)]}
             for name, q in finding.parameters.items()
         },
         "confidence": finding.confidence,
-        "visibility": _finite(finding.visibility),
+        "visibility": finite(finding.visibility),
         "alternatives": [
-            {"effect": a.effect, "joints": list(a.joints), "score": _finite(a.score), "why_not": a.why_not}
+            {"effect": a.effect, "joints": list(a.joints), "score": finite(a.score), "why_not": a.why_not}
             for a in finding.alternatives
         ],
         "validation": {
-            "rms_before_Nm": {joint: _finite(value) for joint, value in finding.before_Nm.items()},
-            "rms_after_Nm": {joint: _finite(value) for joint, value in finding.after_Nm.items()},
-            "explained_fraction": _finite(finding.explained),
+            "rms_before_Nm": {joint: finite(value) for joint, value in finding.before_Nm.items()},
+            "rms_after_Nm": {joint: finite(value) for joint, value in finding.after_Nm.items()},
+            "explained_fraction": finite(finding.explained),
         },
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

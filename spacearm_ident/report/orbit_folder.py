@@ -10,11 +10,12 @@ from typing import Any
 
 from ..bayes.adaptation import Adaptation
 from ..bayes.adaptation_causes import causes, reason
+from ..documents import finite
 from ..dynamics.model_file import save_model
 from ..estimate.identified import Validation
 from ..recording.recording import Recording
 from ..results.provenance import provenance
-from ..results.tables import finite, fit_dict
+from ..results.tables import fit_dict
 from .folder import REPORT, replacing
 from .orbit_html import MODELS, orbit_html, worst
 

@@ -11,11 +11,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from ..documents import finite
 from ..estimate.identified import Estimate
 from ..identification.verdict import judge_result
 from ..results.provenance import moment
 from ..results.store import Result
-from ..results.tables import by_joint, finite
+from ..results.tables import by_joint
 from ..results.trends import DATE, TEMPERATURE, runs_by_arm, trend_dict, trends
 from .folder import replacing
 from .index import INDEX, SUMMARY, Progress, find_mismatches, find_results, index_html, merit, with_failures

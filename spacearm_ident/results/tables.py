@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..documents import finite
 from ..dynamics.term import Parameter
 from ..estimate.counts import counts
 from ..estimate.identified import Determination, Estimate, Fit, Identified, Validation
@@ -182,11 +183,6 @@ def fit_dict(fit: Fit) -> dict[str, float | None]:
         "r": finite(fit.correlation),
         "relative_rms": finite(fit.relative_rms),
     }
-
-
-def finite(value: float) -> float | None:
-    """A plain float, or None for NaN and infinities, which JSON does not have."""
-    return float(value) if math.isfinite(value) else None
 
 
 def _cell(value: float) -> str:
