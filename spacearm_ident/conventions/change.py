@@ -34,22 +34,10 @@ class Kind(StrEnum):
     TIME_REVERSED = "time_reversed"
 
 
-RIGHT_OR_WRONG = frozenset(
-    {
-        Kind.EFFORT_SIGN,
-        Kind.POSITION_SIGN,
-        Kind.AXIS_REVERSED,
-        Kind.DEGREES,
-        Kind.MOTOR_SIDE,
-        Kind.POSITIONS_EXCHANGED,
-        Kind.EFFORTS_EXCHANGED,
-        Kind.JOINTS_EXCHANGED,
-        Kind.TIME_REVERSED,
-    }
-)
-"""Kinds without a size: signs, units of angle, order, the direction of time."""
 TORQUE_SCALES = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED)
 """Mistakes that multiply torques by positive factors."""
+RIGHT_OR_WRONG = frozenset(Kind) - {*TORQUE_SCALES, Kind.GRAVITY, Kind.ENCODER_ZERO, Kind.DELAY}
+"""Kinds without a size: signs, units of angle, order, the direction of time."""
 FREE_GAIN_SD = 1.0
 """Standard deviation of the logarithm of a gain that is wrong: a factor of 1/e to e."""
 FREE_UNIT_SD = 3.4

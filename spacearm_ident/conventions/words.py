@@ -30,6 +30,7 @@ def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
         evidence: Of the setup with this change; its gains and their errors are quoted where `change` is a gain.
     """
     names = ", ".join(joint_names(arm, change))
+    what = "all positions are" if len(change.joints) == len(arm.joints) > 1 else f"the position of {names} is"
     match change.kind:
         case Kind.EFFORT_SIGN:
             return f"the torque of {names} has the wrong sign for its motion"
@@ -38,10 +39,8 @@ def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
         case Kind.AXIS_REVERSED:
             return f"position and torque of {names} have the opposite sign of its axis in the URDF"
         case Kind.DEGREES:
-            what = "all positions are" if len(change.joints) == len(arm.joints) > 1 else f"the position of {names} is"
             return f"{what} in degrees, not radians"
         case Kind.MOTOR_SIDE:
-            what = "all positions are" if len(change.joints) == len(arm.joints) > 1 else f"the position of {names} is"
             return f"{what} of the motor, not of the joint: larger by the gear ratio"
         case Kind.POSITIONS_EXCHANGED:
             return f"the positions of {names} are exchanged: {_order(arm, change)}"

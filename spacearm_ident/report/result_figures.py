@@ -18,6 +18,7 @@ from ..estimate.identified import Determination, Estimate, Identified, Spectrum
 from ..results.recorded_runs import RecordedRun
 from .figures import name_axes, short
 from .plotting import COLOUR, grid, to_svg
+from .text import SUPERSCRIPT
 
 LARGEST_DISC_PT = 26.0
 """Diameter of the heaviest link's disc on the drawing of the arm, points."""
@@ -71,10 +72,7 @@ def power_of_ten(value: float) -> str:
     if not value > 0.0:
         return ""
     exponent = round(math.log10(value))
-    return f"{value:g}" if -1 <= exponent <= 3 else f"10{str(exponent).translate(_SUPERSCRIPT)}"
-
-
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    return f"{value:g}" if -1 <= exponent <= 3 else f"10{str(exponent).translate(SUPERSCRIPT)}"
 
 
 def correlation(covariance: FloatArray) -> FloatArray:
