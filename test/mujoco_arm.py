@@ -79,9 +79,7 @@ def inverse(text: str, position: np.ndarray, velocity: np.ndarray, acceleration:
     return np.asarray(torque + np.array(model.dof_frictionloss) * np.sign(velocity))
 
 
-def recorded(
-    text: str, seed: int = 0, seconds: float = 24.0, rate_hz: float = 200.0, noise_Nm: float = 0.02
-) -> Recording:
+def recorded(text: str, seed: int = 0, seconds: float = 24.0, noise_Nm: float = 0.02) -> Recording:
     """A recording of the arm along a sum of sines, with white noise on its torque."""
     rng, rate_hz = np.random.default_rng(seed), 200.0
     time = np.arange(int(seconds * rate_hz)) / rate_hz

@@ -18,7 +18,7 @@ from spacearm_ident.dynamics.model import TorqueModel
 from spacearm_ident.errors import UserError
 from spacearm_ident.layers.compare import compare
 from spacearm_ident.layers.comparison import Comparison
-from spacearm_ident.layers.conventions import find_wiring
+from spacearm_ident.layers.conventions import Wired, find_wiring
 from spacearm_ident.layers.discrete import find_mistakes
 from spacearm_ident.layers.item import Item
 from spacearm_ident.layers.joint_fit import JointFit, in_newton_metres
@@ -32,16 +32,39 @@ from spacearm_ident.mismatch.preparation import banded
 from spacearm_ident.recording import Recording
 from spacearm_ident.recording.recording import Series
 from spacearm_ident.recording.writer import write_recording
+from spacearm_ident.signals.motion import Motion
 from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.simulations import Simulation, read_simulation
+
+STRONG = {"armature": 1.0, "damping": 3.0, "friction": 4.0}
+"""Joints beside whose friction and rotor inertia the links weigh little."""
+
+
+def _written(tmp_path: Path, **changes: float) -> Path:
+    """The file of a simulation."""
+    mujoco_or_skip()
+    path = tmp_path / "three.xml"
+    path.write_text(mjcf(**changes))
+    return path
 
 
 @pytest.fixture
 def simulation(tmp_path: Path) -> Simulation:
-    mujoco_or_skip()
-    path = tmp_path / "three.xml"
-    path.write_text(mjcf())
-    return read_simulation(path)
+    return read_simulation(_written(tmp_path))
+
+
+@pytest.fixture
+def strong(tmp_path: Path) -> Simulation:
+    return read_simulation(_written(tmp_path, **STRONG))
+
+
+def _motions(*runs: Recording) -> list[Motion]:
+    return banded(runs, JOINTS, 20.0, 70.0)
+
+
+def _wired(simulation: Simulation, run: Recording) -> Wired:
+    """The wiring that a recording of the simulation's arm demands."""
+    return find_wiring(simulation.model, _motions(run), simulation.own)
 
 
 def _compared(simulation: Simulation, **changes: float) -> Comparison:
@@ -112,7 +135,7 @@ def test_wiring_that_is_off_is_found_with_its_size(
     simulation: Simulation, wiring: Wiring, found: tuple[str, ...]
 ) -> None:
     run = _recorded_as(recorded(mjcf(), 3), wiring)
-    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.own)
+    wired = _wired(simulation, run)
     assert wired.found == found
     np.testing.assert_allclose(wired.wiring.gain, wiring.gain, rtol=0.02)
     np.testing.assert_allclose(wired.wiring.zero_rad, wiring.zero_rad, atol=0.004)
@@ -121,7 +144,7 @@ def test_wiring_that_is_off_is_found_with_its_size(
 
 @pytest.mark.parametrize("by_state", [False, True])
 def test_linear_problem_with_another_delay_is_the_one_built_with_it(simulation: Simulation, by_state: bool) -> None:
-    motions = banded([recorded(mjcf(), seed) for seed in (3, 4)], JOINTS, 20.0, 70.0)
+    motions = _motions(*(recorded(mjcf(), seed) for seed in (3, 4)))
     weights, other = in_newton_metres(simulation.arm), Wiring(np.array([1.0, 0.8, 1.0]), np.array([0.0, 0.02, 0.0]))
     known = Linear(simulation.model, motions, weights, other, by_state)
     late, rebuilt = (
@@ -136,17 +159,14 @@ def test_linear_problem_with_another_delay_is_the_one_built_with_it(simulation: 
 
 
 @pytest.mark.long
-def test_a_gain_beside_a_push_is_found_with_its_size(tmp_path: Path) -> None:
+def test_a_gain_beside_a_push_is_found_with_its_size(simulation: Simulation) -> None:
     """Where the push acts was found beside torque that is off, and would explain the gain."""
-    mujoco_or_skip()
-    path = tmp_path / "three.xml"
-    path.write_text(mjcf())
     wiring = Wiring(np.array([0.8, 1.0, 1.0]), np.zeros(3))
     runs = [recorded(mjcf(), seed, noise_Nm=0.05) for seed in (1, 2, 3)]
     for number, begin_s in enumerate((7.0, 9.0)):
         runs[number] = pushed(runs[number], mjcf(), (20.0, -20.0, 20.0), begin_s, begin_s + 3.0)
     runs = [_recorded_as(run, wiring) for run in runs]
-    comparison = compare(read_simulation(path), runs[:2], runs[2:])
+    comparison = compare(simulation, runs[:2], runs[2:])
     (gain,) = _items(comparison, "conventions")
     assert (gain.name, gain.joints) == ("effort_gain", ("base_turn",))
     assert gain.low < 0.8 < gain.high and gain.value == pytest.approx(0.8, abs=0.015)
@@ -201,7 +221,7 @@ def test_tilted_base_is_found_about_the_axis_it_is_tilted_about(simulation: Simu
     text = mjcf().replace(
         'timestep="0.001"', f'timestep="0.001" gravity="0 {-9.81 * np.sin(0.03)} {-9.81 * np.cos(0.03)}"'
     )
-    wired = find_wiring(simulation.model, banded([recorded(text, 3)], JOINTS, 20.0, 70.0), simulation.own)
+    wired = _wired(simulation, recorded(text, 3))
     assert "tilt[x]" in wired.found and set(wired.found) <= {"tilt[x]", "tilt[y]"}
     np.testing.assert_allclose(wired.wiring.tilt_rad, [0.03, 0.0, 0.0], atol=0.002)
 
@@ -209,21 +229,17 @@ def test_tilted_base_is_found_about_the_axis_it_is_tilted_about(simulation: Simu
 @pytest.mark.parametrize(
     ("own", "gain", "noise_Nm", "found"),
     [
-        ({"armature": 1.0, "damping": 3.0, "friction": 4.0}, 0.8, 1.0, ("gain[base_turn]",)),
+        (STRONG, 0.8, 1.0, ("gain[base_turn]",)),
         ({"armature": 0.8, "damping": 1.8, "friction": 2.2}, 0.8, 1.0, ()),
-        ({"armature": 1.0, "damping": 3.0, "friction": 4.0}, 0.97, 0.05, ()),
+        (STRONG, 0.97, 0.05, ()),
     ],
     ids=["as written but for the gain", "less by shares of their own", "no better known than a file's digits"],
 )
 def test_gain_at_a_joint_without_load_is_told_by_what_it_leaves_as_written(
-    tmp_path: Path, own: dict[str, float], gain: float, noise_Nm: float, found: tuple[str, ...]
+    strong: Simulation, own: dict[str, float], gain: float, noise_Nm: float, found: tuple[str, ...]
 ) -> None:
-    mujoco_or_skip()
-    path = tmp_path / "heavy.xml"
-    path.write_text(mjcf(armature=1.0, damping=3.0, friction=4.0))
-    written = read_simulation(path)
     run = _recorded_as(recorded(mjcf(**own), 3, noise_Nm=noise_Nm), Wiring(np.array([gain, 1.0, 1.0]), np.zeros(3)))
-    wired = find_wiring(written.model, banded([run], JOINTS, 20.0, 70.0), written.own)
+    wired = _wired(strong, run)
     assert wired.found == found
     np.testing.assert_allclose(wired.wiring.gain[0], gain if found else 1.0, atol=0.02)
 
@@ -239,19 +255,17 @@ def _rubbing(run: Recording, share: float, armature: float) -> Recording:
 
 def test_friction_by_the_load_on_the_motors_side_is_no_gain(simulation: Simulation) -> None:
     run = _rubbing(recorded(mjcf(), 3), 0.15, 0.05)
-    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.own)
+    wired = _wired(simulation, run)
     assert wired.found == () and wired.suspected == ()
 
 
-def test_friction_by_the_load_where_there_is_little_is_named_and_not_friction_that_has_grown(tmp_path: Path) -> None:
+def test_friction_by_the_load_where_there_is_little_is_named_and_not_friction_that_has_grown(
+    strong: Simulation,
+) -> None:
     """There it is all of a joint's friction by one factor: that the file has both right distinguishes the two."""
-    mujoco_or_skip()
-    text = mjcf(armature=1.0, damping=3.0, friction=4.0)
-    path = tmp_path / "heavy.xml"
-    path.write_text(text)
-    runs = [_rubbing(recorded(text, seed, noise_Nm=0.2), 0.15, 1.0) for seed in (1, 2)]
+    runs = [_rubbing(recorded(mjcf(**STRONG), seed, noise_Nm=0.2), 0.15, 1.0) for seed in (1, 2)]
     others = [kind for kind in EFFECTS if kind != "load_friction"]
-    comparison = compare(read_simulation(path), runs[:1], runs[1:], excluded=others)
+    comparison = compare(strong, runs[:1], runs[1:], excluded=others)
     assert _items(comparison, "conventions") == _items(comparison, "parameters") == ()
     (item,) = _items(comparison, "physics")
     assert (item.name, item.joints) == ("load_friction", ("base_turn",))
@@ -259,15 +273,11 @@ def test_friction_by_the_load_where_there_is_little_is_named_and_not_friction_th
     assert item.value == pytest.approx(0.15, abs=0.01)
 
 
-def test_friction_and_damping_by_one_factor_are_not_named_where_they_may_be_another_thing(tmp_path: Path) -> None:
-    mujoco_or_skip()
-    path = tmp_path / "heavy.xml"
-    path.write_text(mjcf(armature=1.0, damping=3.0, friction=4.0))
-    written = read_simulation(path)
+def test_friction_and_damping_by_one_factor_are_not_named_where_they_may_be_another_thing(strong: Simulation) -> None:
     runs = [recorded(mjcf(armature=1.0, damping=3.9, friction=5.2), seed, noise_Nm=1.0) for seed in (3, 4)]
-    wired = find_wiring(written.model, banded(runs[:1], JOINTS, 20.0, 70.0), written.own)
+    wired = _wired(strong, runs[0])
     assert list(wired.open_factors) == ["elbow"]
-    comparison = compare(written, runs[:1], runs[1:], excluded=tuple(EFFECTS))
+    comparison = compare(strong, runs[:1], runs[1:], excluded=tuple(EFFECTS))
     named = {(item.name, item.joints[0]) for item in _items(comparison, "parameters")}
     assert named == {(word, joint) for word in ("damping", "frictionloss") for joint in ("base_turn", "shoulder")}
     (parameters,) = [layer for layer in comparison.layers if layer.name == "parameters"]
@@ -277,16 +287,12 @@ def test_friction_and_damping_by_one_factor_are_not_named_where_they_may_be_anot
 
 
 def test_what_the_model_leaves_out_is_judged_once_values_have_settled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    strong: Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One step after a gain and friction have changed, what is left is the step's error, a function of the state."""
-    mujoco_or_skip()
-    path = tmp_path / "heavy.xml"
-    path.write_text(mjcf(armature=1.0, damping=3.0, friction=4.0))
-    written = read_simulation(path)
-    run = _recorded_as(recorded(path.read_text(), 3, noise_Nm=0.02), Wiring(np.array([0.7, 1.0, 1.0]), np.zeros(3)))
-    motions = banded([run], JOINTS, 20.0, 70.0)
-    known = find_wiring(written.model, motions, written.own)
+    run = _recorded_as(recorded(mjcf(**STRONG), 3, noise_Nm=0.02), Wiring(np.array([0.7, 1.0, 1.0]), np.zeros(3)))
+    motions = _motions(run)
+    known = find_wiring(strong.model, motions, strong.own)
     assert known.found == ("gain[base_turn]",)
     shares = []
 
@@ -296,7 +302,7 @@ def test_what_the_model_leaves_out_is_judged_once_values_have_settled(
 
     monkeypatch.setattr("spacearm_ident.layers.hypotheses.model_error_share", share)
     rough = replace(known, wiring=replace(known.wiring, gain=np.ones(3)))
-    again = find_wiring(written.model, motions, written.own, rough)
+    again = find_wiring(strong.model, motions, strong.own, rough)
     assert shares[0][0] < 0.2
     assert again.found == known.found
     np.testing.assert_allclose(again.wiring.gain[0], 0.7, atol=0.01)
@@ -308,24 +314,21 @@ def test_share_of_a_residual_that_is_a_function_of_the_joints_state(simulation: 
     away = (run.position + 0.1) / 0.15
     bump = away * np.exp(-0.5 * away**2) * np.array([1.0, 0.0, 0.0])
     for size, least, most in ((0.0, 0.0, 0.1), (0.5, 0.6, 1.0)):
-        motions = banded([replace(run, effort=run.effort + size * bump)], JOINTS, 20.0, 70.0)
+        motions = _motions(replace(run, effort=run.effort + size * bump))
         left = [motion.torque - simulation.model.torque(motion) for motion in motions]
         share = model_error_share(simulation.model, motions, left)
         assert least <= share[0] <= most
         assert np.all(share[1:] < 0.1)
 
 
-def test_torque_of_the_position_that_no_term_has_makes_no_gain(tmp_path: Path) -> None:
+def test_torque_of_the_position_that_no_term_has_makes_no_gain(strong: Simulation) -> None:
     """It is the same function in every recording, so that rows beyond the first of a place say nothing new."""
-    mujoco_or_skip()
-    path = tmp_path / "heavy.xml"
-    path.write_text(mjcf(armature=1.0, damping=3.0, friction=4.0))
     runs = []
     for seed in (1, 2, 3):
         run = recorded(mjcf(armature=1.0, damping=4.5, friction=4.0), seed, noise_Nm=0.05)
         away = (run.position[:, 0] + 0.1) / 0.15
         runs.append(replace(run, effort=run.effort + np.outer(-6.0 * away * np.exp(-0.5 * away**2), [1.0, 0.0, 0.0])))
-    comparison = compare(read_simulation(path), runs[:2], runs[2:], excluded=tuple(EFFECTS))
+    comparison = compare(strong, runs[:2], runs[2:], excluded=tuple(EFFECTS))
     assert _items(comparison, "conventions") == ()
     assert [item.joints for item in _items(comparison, "rest")] == [("base_turn",)]
 
@@ -339,7 +342,7 @@ def test_static_level_that_was_left_out_is_not_in_the_corrected_simulation(simul
     }
     whole = model.carried_to(TorqueModel(model.model.arm, structure))
     constants = np.array([0.2 if one.name == "v_b[elbow]" else 0.0 for one in whole.model.constants])
-    motions = banded([recorded(mjcf(), seed) for seed in (1, 2)], JOINTS, 20.0, 70.0)
+    motions = _motions(*(recorded(mjcf(), seed) for seed in (1, 2)))
     whole = replace(whole, constants=constants)
     fit = JointFit(simulation, whole, find_wiring(whole, motions, simulation.own), motions[:1], motions[1:])
     fit.leave_out(optional_terms(whole, model.model))
@@ -353,7 +356,7 @@ def test_corrected_simulation_keeps_bodies_as_they_are_as_far_as_that_predicts(
     simulation: Simulation, mass: float
 ) -> None:
     """All are asked to stay, as if nothing differed; where one does, prediction on other recordings goes first."""
-    motions = banded([recorded(mjcf(upper_mass=mass), seed) for seed in (1, 2)], JOINTS, 20.0, 70.0)
+    motions = _motions(*(recorded(mjcf(upper_mass=mass), seed) for seed in (1, 2)))
     wired = find_wiring(simulation.model, motions, simulation.own)
     fit = JointFit(simulation, simulation.model, wired, motions[:1], motions[1:])
     known = combinations(fit.linear, simulation)
@@ -399,7 +402,7 @@ def test_intervals_hold_where_friction_has_physics_that_is_not_in_the_model(simu
 def test_current_offset_does_not_hide_a_torque_constant(simulation: Simulation) -> None:
     run = _recorded_as(recorded(mjcf(), 3), Wiring(np.array([1.0, 1.0, 0.8]), np.zeros(3)))
     run = replace(run, effort=run.effort + np.array([0.0, 0.0, 0.5]))
-    wired = find_wiring(simulation.model, banded([run], JOINTS, 20.0, 70.0), simulation.own)
+    wired = _wired(simulation, run)
     assert wired.found == ("gain[elbow]",)
     assert abs(wired.wiring.gain[2] - 0.8) < 0.02
 
@@ -471,7 +474,7 @@ def test_stribeck_velocity_is_fitted_with_the_friction_beside_it(simulation: Sim
     named = {**model.model.structure, "stribeck": {"at": [{"joint": JOINTS[1]}]}}
     whole = model.carried_to(TorqueModel(model.model.arm, named))
     whole = replace(whole, constants=np.append(np.zeros(len(whole.constants) - 1), 0.36))
-    motions = banded(runs, JOINTS, 20.0, 70.0)
+    motions = _motions(*runs)
     wired = find_wiring(simulation.model, motions[:1], simulation.own)
     losses = []
     for _ in range(4):
@@ -521,15 +524,25 @@ def test_physics_that_held_out_data_need_stands_though_they_do_not_tell_its_size
     assert abs(item.value + 0.02 * 0.8) < 0.001
 
 
-def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    mujoco_or_skip()
-    sim, out = tmp_path / "three.xml", tmp_path / "out"
-    sim.write_text(mjcf())
+def _in_a_shell(tmp_path: Path, simulation: Path, **changes: float) -> Path:
+    """The result of the command on two recordings of a changed arm, no effect of the catalogue being considered."""
     for name, seed in (("real.mcap", 4), ("real_2.mcap", 5)):
-        write_recording(tmp_path / name, recorded(mjcf(fore_mass=2.3), seed))
-    bags = [str(tmp_path / "real.mcap"), "--validate", str(tmp_path / "real_2.mcap")]
-    without = ["--without", *EFFECTS]
-    assert main(["mismatch", *bags, "--simulation", str(sim), "--out", str(out), *without]) == 0
+        write_recording(tmp_path / name, recorded(mjcf(**changes), seed))
+    words = [tmp_path / "real.mcap", "--validate", tmp_path / "real_2.mcap", "--simulation", simulation]
+    assert main(["mismatch", *map(str, words), "--out", str(tmp_path / "out"), "--without", *EFFECTS]) == 0
+    return tmp_path / "out"
+
+
+def _refused(tmp_path: Path, simulation: Path, capsys: pytest.CaptureFixture) -> str:
+    """What the command says that refuses a simulation."""
+    write_recording(tmp_path / "real.mcap", recorded(mjcf(), 4, seconds=6.0))
+    words = [tmp_path / "real.mcap", "--simulation", simulation, "--out", tmp_path / "out"]
+    assert main(["mismatch", *map(str, words)]) == 2
+    return capsys.readouterr().err
+
+
+def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    out = _in_a_shell(tmp_path, _written(tmp_path), fore_mass=2.3)
     assert "mass of fore" in capsys.readouterr().out
     document = json.loads((out / "mismatch.json").read_text())
     assert document["verdict"] == "mismatch"
@@ -543,34 +556,16 @@ def test_command_line_writes_layers_the_mended_file_and_a_page(tmp_path: Path, c
     assert "mass of fore" in page and "mended.xml" in page and "In closed loop" in page
 
 
-def _compared_in_a_shell(tmp_path: Path, suffix: str) -> tuple[dict, str]:
-    """The document and the page of a comparison with the arm as this kind of file."""
-    simulation = read_simulation(_written(tmp_path))
-    sim, out = tmp_path / f"three.{suffix}", tmp_path / "out"
-    if suffix == "urdf":
-        sim.write_text(simulation.arm.urdf)
-    for name, seed in (("real.mcap", 4), ("real_2.mcap", 5)):
-        write_recording(tmp_path / name, recorded(mjcf(fore_mass=2.3, armature=0.4), seed))
-    bags = [str(tmp_path / "real.mcap"), "--validate", str(tmp_path / "real_2.mcap")]
-    without = ["--without", *EFFECTS]
-    assert main(["mismatch", *bags, "--simulation", str(sim), "--out", str(out), *without]) == 0
-    return json.loads((out / "mismatch.json").read_text()), (out / "report.html").read_text()
-
-
-def _written(tmp_path: Path) -> Path:
-    path = tmp_path / "three.xml"
-    path.write_text(mjcf())
-    return path
-
-
 def test_corrected_column_is_of_the_file_where_its_format_cannot_hold_what_differs(
-    tmp_path: Path, capsys: pytest.CaptureFixture
+    simulation: Simulation, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     """A URDF has no rotor inertia: 0.4 kg m^2 of three joints stay in the residual."""
-    mujoco_or_skip()
-    document, _ = _compared_in_a_shell(tmp_path, "urdf")
+    urdf = tmp_path / "three.urdf"
+    urdf.write_text(simulation.arm.urdf)
+    out = _in_a_shell(tmp_path, urdf, fore_mass=2.3, armature=0.4)
+    document = json.loads((out / "mismatch.json").read_text())
     assert "cannot hold: rotor inertia J_m" in capsys.readouterr().out
-    file = read_simulation(tmp_path / "out" / "mended.urdf").model
+    file = read_simulation(out / "mended.urdf").model
     motions, _ = prepare([recorded(mjcf(fore_mass=2.3, armature=0.4), 5)], JOINTS)
     left = np.concatenate([motion.torque_rows - motion.reduce(file.torque(motion)) for motion in motions])
     moving = np.concatenate([motion.moving for motion in motions])
@@ -583,55 +578,42 @@ def test_corrected_column_is_of_the_file_where_its_format_cannot_hold_what_diffe
 def test_comparison_stands_where_no_corrected_file_can_be_written(
     tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mujoco_or_skip()
-
     def refused(*_: object) -> None:
         raise UserError("no body has such moments")
 
     monkeypatch.setattr("spacearm_ident.sessions.simulation.mend", refused)
-    document, page = _compared_in_a_shell(tmp_path, "xml")
+    out = _in_a_shell(tmp_path, _written(tmp_path), fore_mass=2.3, armature=0.4)
+    document = json.loads((out / "mismatch.json").read_text())
     assert document["verdict"] == "mismatch" and document["mended_simulation"] is None
     said = "there is no corrected file: no body has such moments"
     assert said in capsys.readouterr().out
-    assert said[1:] in page  # It begins a sentence there.
+    assert said[1:] in (out / "report.html").read_text()  # It begins a sentence there.
 
 
 def test_simulation_that_the_result_would_replace_is_refused_and_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    mujoco_or_skip()
-    out = tmp_path / "out"
-    out.mkdir()
-    sim = out / "mended.xml"
-    sim.write_text(mjcf())
-    write_recording(tmp_path / "real.mcap", recorded(mjcf(), 4, seconds=6.0))
-    assert main(["mismatch", str(tmp_path / "real.mcap"), "--simulation", str(sim), "--out", str(out)]) == 2
-    assert "would be replaced" in capsys.readouterr().err
+    (tmp_path / "out").mkdir()
+    sim = _written(tmp_path).rename(tmp_path / "out" / "mended.xml")
+    assert "would be replaced" in _refused(tmp_path, sim, capsys)
     assert sim.read_text() == mjcf()
 
 
 def test_simulation_of_other_joints_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    mujoco_or_skip()
-    sim, out = tmp_path / "three.xml", tmp_path / "out"
+    sim = _written(tmp_path)
     sim.write_text(mjcf().replace("elbow", "ellbogen"))
-    write_recording(tmp_path / "real.mcap", recorded(mjcf(), 4, seconds=6.0))
-    assert main(["mismatch", str(tmp_path / "real.mcap"), "--simulation", str(sim), "--out", str(out)]) == 2
-    assert "same names" in capsys.readouterr().err
-    assert not out.exists()
+    assert "same names" in _refused(tmp_path, sim, capsys)
+    assert not (tmp_path / "out").exists()
 
 
 def test_simulation_whose_joints_have_a_prefix_is_compared_and_its_corrected_file_keeps_it(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    mujoco_or_skip()
-    sim, out, text = tmp_path / "three.xml", tmp_path / "out", mjcf()
+    sim, text = _written(tmp_path), mjcf()
     for joint in JOINTS:
         text = text.replace(f'name="{joint}"', f'name="left/{joint}"')
     sim.write_text(text)
-    for name, seed in (("real.mcap", 4), ("real_2.mcap", 5)):
-        write_recording(tmp_path / name, recorded(mjcf(fore_mass=2.3), seed))
-    bags = [str(tmp_path / "real.mcap"), "--validate", str(tmp_path / "real_2.mcap")]
-    assert main(["mismatch", *bags, "--simulation", str(sim), "--out", str(out), "--without", *EFFECTS]) == 0
+    out = _in_a_shell(tmp_path, sim, fore_mass=2.3)
     said = capsys.readouterr().out
     assert "mass of fore" in said and "left/elbow is elbow" in said
     document = json.loads((out / "mismatch.json").read_text())
@@ -646,16 +628,12 @@ def test_simulation_whose_joints_have_a_prefix_is_compared_and_its_corrected_fil
 def test_simulation_of_two_arms_whose_names_may_both_be_the_recordings_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    mujoco_or_skip()
-    sim, body = tmp_path / "two.xml", mjcf().split("<worldbody>")[1].split("</worldbody>")[0]
+    sim, body = _written(tmp_path), mjcf().split("<worldbody>")[1].split("</worldbody>")[0]
     arms = "".join(body.replace('name="', f'name="{side}/') for side in ("left", "right"))
     sim.write_text(f"<mujoco><worldbody>{arms}</worldbody></mujoco>")
-    write_recording(tmp_path / "real.mcap", recorded(mjcf(), 4, seconds=6.0))
-    out = tmp_path / "out"
-    assert main(["mismatch", str(tmp_path / "real.mcap"), "--simulation", str(sim), "--out", str(out)]) == 2
-    said = capsys.readouterr().err
+    said = _refused(tmp_path, sim, capsys)
     assert "prefix 'left/'" in said and "prefix 'right/'" in said and "keep one arm" in said
-    assert not out.exists()
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(("was", "now", "named"), [(15.0, 15.04, False), (15.0, 15.2, True), (0.0, 0.04, True)])
