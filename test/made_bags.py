@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 from mcap.writer import Writer
 
-from spacearm_ident.recording import Recording, cdr, messages
+from spacearm_ident.recording import Recording, cdr, messages, read_recording
 
 START = 1_700_000_000_123_456_789
 JOINTS = ("shoulder", "elbow", "wrist")
@@ -36,11 +37,9 @@ def bag_bytes(rows, *, topic=messages.STATES_TOPIC, others=(), finish=True, flus
     writer = Writer(stream, **options)
     writer.start(profile="ros2")
     channels = {}
-    everything = (
-        sorted([*((log, topic, payload) for log, payload in rows), *others], key=lambda row: row[0])
-        if others
-        else [(log, topic, payload) for log, payload in rows]
-    )
+    everything = [*((log, topic, payload) for log, payload in rows), *others]
+    if others:
+        everything.sort(key=lambda row: row[0])
     for number, (log, name, payload) in enumerate(everything):
         if name not in channels:
             kind = messages.TOPIC_TYPES.get(
@@ -56,6 +55,13 @@ def bag_bytes(rows, *, topic=messages.STATES_TOPIC, others=(), finish=True, flus
     else:
         writer.flush()
     return stream.getvalue()
+
+
+def read_bytes(folder: Path, data: bytes, **options) -> Recording:
+    """A bag of these bytes, written into a folder and read."""
+    path = folder / "bag.mcap"
+    path.write_bytes(data)
+    return read_recording(path, **options)
 
 
 def issues(recording: Recording) -> dict[str, int]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_arm
-from made_bags import START, bag_bytes, issues, numbers, state, states
+from made_bags import START, bag_bytes, issues, numbers, read_bytes, state, states
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.model_file import load_model
@@ -19,12 +19,21 @@ from spacearm_ident.recording.bag import messages as bag_messages
 IMU = cdr.encode_stamped(START, ("base",), (0.0,) * 37)
 
 
+def write_renamed(path: Path, rows) -> None:
+    """A bag of messages under other topics: (message, topic) in order."""
+    with RecordingWriter(path) as writer:
+        channels = {}
+        for message, topic in rows:
+            if topic not in channels:
+                channels[topic] = writer.add_channel(replace(message.channel, topic=topic))
+            writer.write(channels[topic], message.log_time_ns, message.payload)
+
+
 def read(tmp_path: Path, arms: dict[str, int], others=(), namespace: str | None = None):
     """A bag of arms (namespace -> samples) read; `others` are (topic, payload), logged first."""
-    path = tmp_path / "bag.mcap"
     rows = [(log, f"{place}/joint_states", payload) for place, count in arms.items() for log, payload in states(count)]
-    path.write_bytes(bag_bytes([], others=[*((START - 1, *other) for other in others), *rows]))
-    return read_recording(path, namespace=namespace)
+    data = bag_bytes([], others=[*((START - 1, *other) for other in others), *rows])
+    return read_bytes(tmp_path, data, namespace=namespace)
 
 
 @pytest.mark.parametrize("place", ["", "/arm_1", "/cell/arm_1"])
@@ -108,14 +117,8 @@ def two_arms(tmp_path_factory):
     rows = []
     for place, recording in (("/moving", small_arm.recording(8.0)), ("/still", still)):
         write_recording(folder / "one.mcap", recording)
-        for message in bag_messages(folder / "one.mcap"):
-            rows.append((message.log_time_ns, replace(message.channel, topic=place + message.channel.topic), message))
-    with RecordingWriter(folder / "two") as writer:
-        channels = {}
-        for log_time, channel, message in sorted(rows, key=lambda row: row[0]):
-            if channel.topic not in channels:
-                channels[channel.topic] = writer.add_channel(channel)
-            writer.write(channels[channel.topic], log_time, message.payload)
+        rows += [(message, place + message.channel.topic) for message in bag_messages(folder / "one.mcap")]
+    write_renamed(folder / "two", sorted(rows, key=lambda row: row[0].log_time_ns))
     return folder / "two"
 
 
@@ -149,15 +152,8 @@ def test_an_arm_may_be_named_by_its_topic(two_arms, tmp_path, capsys):
 def test_joint_states_of_any_name_are_read(tmp_path):
     path = tmp_path / "odd.mcap"
     write_recording(path, small_arm.recording(2.0))
-    rows = [
-        (replace(m.channel, topic=m.channel.topic.replace("joint_states", "measured")), m) for m in bag_messages(path)
-    ]
-    with RecordingWriter(tmp_path / "odd") as writer:
-        channels = {}
-        for channel, message in rows:
-            if channel.topic not in channels:
-                channels[channel.topic] = writer.add_channel(channel)
-            writer.write(channels[channel.topic], message.log_time_ns, message.payload)
+    rows = [(m, m.channel.topic.replace("joint_states", "measured")) for m in bag_messages(path)]
+    write_renamed(tmp_path / "odd", rows)
     with pytest.raises(UserError, match=r"no /joint_states .*which is the arm's with --topic \(/measured\)"):
         read_recording(tmp_path / "odd")
     recording = read_recording(tmp_path / "odd", namespace="/measured")

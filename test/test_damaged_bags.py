@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_bags import WHOLE, bag_bytes, issues, numbers, states
+from made_bags import WHOLE, bag_bytes, issues, numbers, read_bytes, states
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
@@ -32,7 +32,7 @@ COUNTS = np.cumsum([24] + [25] * 15 + [1])
 
 @pytest.fixture(scope="module")
 def scratch(tmp_path_factory):
-    return tmp_path_factory.mktemp("damaged") / "bag.mcap"
+    return tmp_path_factory.mktemp("damaged")
 
 
 def test_the_bag_to_be_damaged_is_as_assumed():
@@ -42,11 +42,10 @@ def test_the_bag_to_be_damaged_is_as_assumed():
 @settings(max_examples=120, deadline=None)
 @given(cut=st.integers(0, len(WHOLE) - 1))
 def test_a_cut_never_crashes_and_loses_no_chunk_before_it(scratch, cut):
-    scratch.write_bytes(WHOLE[:cut])
     whole_chunks = sum(stop <= cut for _, stop in CHUNKS)
     sound = int(COUNTS[whole_chunks - 1]) if whole_chunks else 0
     try:
-        recording = read_recording(scratch)
+        recording = read_bytes(scratch, WHOLE[:cut])
     except UserError:
         assert sound < 2
         return
@@ -60,18 +59,14 @@ def test_every_complete_message_before_a_cut_is_read(tmp_path, options):
     whole = bag_bytes(states(100), **options)
     payloads = [payload for _, payload in states(100)]
     for cut in (whole.index(payloads[60]), whole.index(payloads[60]) + len(payloads[60])):
-        path = tmp_path / "bag.mcap"
-        path.write_bytes(whole[:cut])
         complete = 60 if cut == whole.index(payloads[60]) else 61
-        recording = read_recording(path)
+        recording = read_bytes(tmp_path, whole[:cut])
         assert numbers(recording) == list(range(complete))
         assert issues(recording)["cut_off"] == 1
 
 
 def test_power_loss_that_leaves_zeros_at_the_end(tmp_path):
-    path = tmp_path / "bag.mcap"
-    path.write_bytes(WHOLE[: CHUNKS[9][1]] + bytes(20_000))
-    recording = read_recording(path)
+    recording = read_bytes(tmp_path, WHOLE[: CHUNKS[9][1]] + bytes(20_000))
     assert numbers(recording) == list(range(COUNTS[9])) and "cut_off" in issues(recording)
 
 
@@ -81,12 +76,11 @@ def test_bit_flips_never_crash_and_never_let_a_false_sample_through(scratch, fli
     damaged = bytearray(WHOLE)
     for flip in flips:
         damaged[flip // 8] ^= 1 << flip % 8
-    scratch.write_bytes(damaged)
     hit = {
         number for number, (start, stop) in enumerate(CHUNKS) if any(start - 9 <= flip // 8 < stop for flip in flips)
     }
     try:
-        recording = read_recording(scratch)
+        recording = read_bytes(scratch, damaged)
     except UserError as error:
         magic = any(flip // 8 < 8 for flip in flips)
         declarations = 0 in hit and any(flip // 8 >= CHUNKS[-1][1] for flip in flips)
@@ -103,9 +97,7 @@ def test_a_chunk_that_fails_its_crc_is_left_out_and_the_rest_read(tmp_path, numb
     start, stop = CHUNKS[number]
     damaged = bytearray(WHOLE)
     damaged[(start + stop) // 2] ^= 0xFF
-    path = tmp_path / "bag.mcap"
-    path.write_bytes(damaged)
-    recording = read_recording(path)
+    recording = read_bytes(tmp_path, damaged)
     edges = [0, *COUNTS.tolist()]
     lost = range(edges[number], edges[number + 1])
     assert numbers(recording) == [row for row in range(400) if row not in lost]
@@ -122,9 +114,7 @@ def test_a_chunk_that_fails_its_crc_is_left_out_and_the_rest_read(tmp_path, numb
 def test_absurd_record_length_of_a_chunk_costs_nothing_as_long_as_its_data_length_stands(tmp_path):
     damaged = bytearray(WHOLE)
     struct.pack_into("<Q", damaged, CHUNKS[5][0] + 1, 2**62)
-    path = tmp_path / "bag.mcap"
-    path.write_bytes(damaged)
-    recording = read_recording(path)
+    recording = read_bytes(tmp_path, damaged)
     assert numbers(recording) == list(range(400)) and recording.issues == ()
 
 
@@ -134,9 +124,7 @@ def test_reading_resumes_behind_absurd_lengths(tmp_path):
     struct.pack_into("<Q", damaged, start + 1, 2**62)
     name = damaged.index(b"zstd", start)
     struct.pack_into("<Q", damaged, name + 4, 2**61)
-    path = tmp_path / "bag.mcap"
-    path.write_bytes(damaged)
-    recording = read_recording(path)
+    recording = read_bytes(tmp_path, damaged)
     assert numbers(recording) == [row for row in range(400) if not COUNTS[4] <= row < COUNTS[5]]
     [issue] = [issue for issue in recording.issues if issue.kind == "corrupt_record"]
     assert f"byte {start}" in issue.message and issue.where_s == pytest.approx((COUNTS[4] - 1) * 1e-3)
@@ -147,9 +135,7 @@ def test_an_unchunked_file_resumes_behind_a_broken_record(tmp_path):
     record = whole.index(states(100)[50][1]) - 31
     assert whole[record] == 5
     struct.pack_into("<Q", whole, record + 1, 1000)
-    path = tmp_path / "bag.mcap"
-    path.write_bytes(whole)
-    recording = read_recording(path)
+    recording = read_bytes(tmp_path, whole)
     assert numbers(recording) == [row for row in range(100) if row != 50]
     assert issues(recording) == {"corrupt_record": 1, "lost_messages": 1}
 
@@ -169,9 +155,7 @@ def test_a_decompression_bomb_is_refused(tmp_path, compression):
     for announced in (len(zeros), 1000, 2**63):
         body = struct.pack("<QQQI", 0, 0, announced, 1) + struct.pack("<I", len(name)) + name
         body += struct.pack("<Q", len(packed)) + packed
-        path = tmp_path / "bag.mcap"
-        path.write_bytes(sound + b"\x06" + struct.pack("<Q", len(body)) + body)
-        recording = read_recording(path)
+        recording = read_bytes(tmp_path, sound + b"\x06" + struct.pack("<Q", len(body)) + body)
         assert numbers(recording) == list(range(50)) and issues(recording)["corrupt_chunk"] == 1
 
 
@@ -242,9 +226,8 @@ def test_what_is_no_recording_is_one_line_that_says_so(tmp_path, content, says):
 def test_folder_without_mcap_and_unknown_joint(tmp_path):
     with pytest.raises(UserError, match=r"no \.mcap file"):
         read_recording(tmp_path)
-    (tmp_path / "bag.mcap").write_bytes(bag_bytes(states(10)))
     with pytest.raises(UserError, match="no joint hip; the recording has elbow, shoulder, wrist"):
-        read_recording(tmp_path / "bag.mcap", joints=["hip"])
+        read_bytes(tmp_path, bag_bytes(states(10)), joints=["hip"])
     (tmp_path / "metadata.yaml").write_text(
         json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": ["a.mcap"], "compression_format": "lz4"}})
     )
@@ -261,6 +244,5 @@ def test_topic_of_another_type_is_not_taken_for_joint_states(tmp_path):
     for log, payload in states(10):
         writer.add_message(channel, log, payload, log)
     writer.finish()
-    (tmp_path / "bag.mcap").write_bytes(stream.getvalue())
     with pytest.raises(UserError, match="other/msg/Thing"):
-        read_recording(tmp_path / "bag.mcap")
+        read_bytes(tmp_path, stream.getvalue())

@@ -9,7 +9,7 @@ import pytest
 from fuzzing import EXAMPLES, ends_well, in_child
 from hypothesis import given
 from hypothesis import strategies as st
-from made_bags import JOINTS, START, bag_bytes, signals, states
+from made_bags import JOINTS, START, bag_bytes, read_bytes, signals, states
 from mcap.writer import CompressionType
 
 from spacearm_ident.recording import cdr, messages, read_recording
@@ -60,9 +60,7 @@ def damaged(data: bytes, damage: list[tuple[str, float, int]]) -> bytes:
 @EXAMPLES
 @given(which=st.integers(0, len(BAGS) - 1), damage=DAMAGE)
 def test_a_damaged_recording_is_read_or_refused(tmp_path, which, damage):
-    path = tmp_path / "bag.mcap"
-    path.write_bytes(damaged(BAGS[which], damage))
-    recording = ends_well(lambda: read_recording(path))
+    recording = ends_well(lambda: read_bytes(tmp_path, damaged(BAGS[which], damage)))
     if recording is not None:
         assert (np.diff(recording.time) > 0).all() and len(recording.time) >= 2
         for values in (recording.position, recording.effort):
@@ -75,9 +73,7 @@ def test_a_damaged_recording_is_read_or_refused(tmp_path, which, damage):
 def test_sound_files_with_damaged_messages(tmp_path, payloads):
     """What no checksum tells: the writer itself was mad, in the payloads and in the log times."""
     rows = [(log, damaged(states(60)[row][1], damage)) for log, row, damage in payloads]
-    path = tmp_path / "bag.mcap"
-    path.write_bytes(bag_bytes([*states(10), *rows]))
-    recording = ends_well(lambda: read_recording(path))
+    recording = ends_well(lambda: read_bytes(tmp_path, bag_bytes([*states(10), *rows])))
     if recording is not None:
         assert (np.diff(recording.time) > 0).all() and np.isfinite(recording.position).all()
 
@@ -85,8 +81,7 @@ def test_sound_files_with_damaged_messages(tmp_path, payloads):
 def test_log_times_at_both_ends_of_their_range_keep_time_increasing(tmp_path):
     logs = [1, 2, 2**62 - 1, 2**63 - 1, 2**63, 2**64 - 1]
     payloads = cdr.encode_joint_states([0] * len(logs), JOINTS, *signals(len(logs)))
-    (tmp_path / "bag.mcap").write_bytes(bag_bytes(list(zip(logs, payloads, strict=True))))
-    recording = read_recording(tmp_path / "bag.mcap")
+    recording = read_bytes(tmp_path, bag_bytes(list(zip(logs, payloads, strict=True))))
     assert (np.diff(recording.time) > 0).all() and len(recording.time) == 3
 
 
@@ -110,8 +105,7 @@ def test_temperatures_of_as_many_names_as_messages(tmp_path):
         (START + k, messages.TEMPERATURES_TOPIC, cdr.encode_temperature(START + k, f"joint {k}", 20.0))
         for k in range(20_000)
     ]
-    (tmp_path / "bag.mcap").write_bytes(bag_bytes(states(10), others=others))
-    assert len(read_recording(tmp_path / "bag.mcap").temperatures) == 20_000
+    assert len(read_bytes(tmp_path, bag_bytes(states(10), others=others)).temperatures) == 20_000
 
 
 def chunk(records: bytes) -> bytes:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_bags import JOINTS, START, WHOLE, bag_bytes, issues, numbers, signals, state, states
+from made_bags import JOINTS, START, WHOLE, bag_bytes, issues, numbers, read_bytes, signals, state, states
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 from mcap_ros2.decoder import DecoderFactory
@@ -31,11 +31,16 @@ def bag(tmp_path):
     """Writes rows as a bag and reads it."""
 
     def write_and_read(rows, joints=None, **options) -> Recording:
-        path = tmp_path / "bag.mcap"
-        path.write_bytes(bag_bytes(rows, **options))
-        return read_recording(path, joints=joints)
+        return read_bytes(tmp_path, bag_bytes(rows, **options), joints=joints)
 
     return write_and_read
+
+
+def sample(row: int, stamp: int | None = None, **changed: object) -> bytes:
+    """The message of one sample of `states`, with another stamp or other values."""
+    position, velocity, effort = (array[row] for array in signals(row + 1))
+    values = {"position": position, "velocity": velocity, "effort": effort} | changed
+    return state(START + row * 10**6 if stamp is None else stamp, JOINTS, **values)
 
 
 # --- what is read -------------------------------------------------------------------------------------------
@@ -119,10 +124,9 @@ def test_repeated_and_backward_stamps_are_dropped_not_sorted(bag):
     rows = states(100)
     log_times = [stamp for stamp, _ in rows]
     payloads = [payload for _, payload in rows]
-    position, velocity, effort = signals(100)
-    payloads[20] = state(log_times[19], JOINTS, position[20], velocity[20], effort[20])
+    payloads[20] = sample(20, log_times[19])
     for late in (60, 61):
-        payloads[late] = state(log_times[late] - 10**8, JOINTS, position[late], velocity[late], effort[late])
+        payloads[late] = sample(late, log_times[late] - 10**8)
     recording = bag(list(zip(log_times, payloads, strict=True)))
     assert numbers(recording) == [row for row in range(100) if row not in (20, 60, 61)]
     assert issues(recording) == {"repeated_stamp": 1, "backward_stamp": 2}
@@ -144,8 +148,7 @@ def test_a_clock_set_back_is_a_border_between_segments(bag):
 
 def test_one_stamp_far_ahead_costs_one_sample(bag):
     rows = states(100)
-    position, velocity, effort = signals(100)
-    rows[40] = (rows[40][0], state(START + 10**12, JOINTS, position[40], velocity[40], effort[40]))
+    rows[40] = (rows[40][0], sample(40, START + 10**12))
     recording = bag(rows)
     assert numbers(recording) == [row for row in range(100) if row != 40]
     assert issues(recording) == {"backward_stamp": 1}
@@ -164,11 +167,7 @@ def test_increasing_keeps_a_longest_strictly_increasing_subsequence(values):
 
 @pytest.mark.parametrize("stamp", [0, START])
 def test_log_time_when_the_stamps_carry_no_time(bag, stamp):
-    position, velocity, effort = signals(50)
-    rows = [
-        (START + row * 2_000_000, state(stamp, JOINTS, position[row], velocity[row], effort[row])) for row in range(50)
-    ]
-    recording = bag(rows)
+    recording = bag([(START + row * 2_000_000, sample(row, stamp)) for row in range(50)])
     assert issues(recording) == {"log_time_used": 50}
     assert numbers(recording) == list(range(50)) and recording.start_ns == START
     assert np.allclose(recording.time, 0.002 * np.arange(50), atol=1e-12)
@@ -177,16 +176,7 @@ def test_log_time_when_the_stamps_carry_no_time(bag, stamp):
 @pytest.mark.parametrize("stamped", [True, False])
 def test_times_of_recording_that_repeat_count_only_where_the_stamps_carry_no_time(bag, stamped):
     """A recorder under simulated time stamps by the last tick of /clock: two states share each time here."""
-    position, velocity, effort = signals(100)
-    stamps = [START + row * 10**6 for row in range(100)]
-    rows = [
-        (
-            stamps[row - row % 2],
-            state(stamps[row] if stamped else 0, JOINTS, position[row], velocity[row], effort[row]),
-        )
-        for row in range(100)
-    ]
-    recording = bag(rows)
+    recording = bag([(START + (k - k % 2) * 10**6, sample(k, None if stamped else 0)) for k in range(100)])
     if stamped:
         assert issues(recording) == {} and numbers(recording) == list(range(100))
         return
@@ -201,20 +191,17 @@ def test_times_of_recording_that_repeat_count_only_where_the_stamps_carry_no_tim
 
 def test_a_few_unset_stamps_are_not_1970(bag):
     rows = states(100)
-    position, velocity, effort = signals(100)
-    rows[0] = (rows[0][0], state(0, JOINTS, position[0], velocity[0], effort[0]))
+    rows[0] = (rows[0][0], sample(0, 0))
     recording = bag(rows)
     assert issues(recording) == {"zero_stamp": 1} and numbers(recording) == list(range(1, 100))
     assert recording.start_ns == START + 10**6
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("column", [0, 2])
-def test_samples_with_nan_in_position_or_effort_are_dropped(bag, value, column):
+@pytest.mark.parametrize("signal", ["position", "effort"])
+def test_samples_with_nan_in_position_or_effort_are_dropped(bag, value, signal):
     rows = states(100)
-    arrays = [array.copy() for array in signals(100)]
-    arrays[column][70, 1] = value
-    rows[70] = (rows[70][0], state(rows[70][0], JOINTS, *(array[70] for array in arrays)))
+    rows[70] = (rows[70][0], sample(70, **{signal: [1.0, value, 1.0]}))
     recording = bag(rows)
     assert numbers(recording) == [row for row in range(100) if row != 70]
     [issue] = recording.issues
@@ -225,11 +212,8 @@ def test_samples_with_nan_in_position_or_effort_are_dropped(bag, value, column):
 @pytest.mark.parametrize(("lacking", "kept"), [(2, True), (30, False)])
 def test_velocity_is_given_for_all_samples_or_not_at_all(bag, lacking, kept):
     rows = states(400)
-    position, _, effort = signals(400)
-    for row in range(lacking):
-        stamp = rows[100 + row][0]
-        empty = None if row % 2 else [np.nan, 1, 1]
-        rows[100 + row] = (stamp, state(stamp, JOINTS, position[100 + row], empty, effort[100 + row]))
+    for row in range(100, 100 + lacking):
+        rows[row] = (rows[row][0], sample(row, velocity=None if row % 2 else [np.nan, 1, 1]))
     recording = bag(rows)
     if kept:
         assert issues(recording) == {"nan": lacking} and len(recording.time) == 400 - lacking
@@ -240,11 +224,7 @@ def test_velocity_is_given_for_all_samples_or_not_at_all(bag, lacking, kept):
 
 
 def test_no_velocity_anywhere_is_no_defect(bag):
-    position, _, effort = signals(20)
-    rows = [
-        (START + row * 10**6, state(START + row * 10**6, JOINTS, position[row], None, effort[row])) for row in range(20)
-    ]
-    recording = bag(rows)
+    recording = bag([(START + row * 10**6, sample(row, velocity=None)) for row in range(20)])
     assert recording.velocity is None and recording.issues == ()
 
 
@@ -290,19 +270,14 @@ def test_uneven_sampling_is_no_gap(bag):
 
 
 def test_empty_effort_is_a_user_error(bag):
-    position, velocity, _ = signals(20)
-    rows = [(START + row, state(START + row, JOINTS, position[row], velocity[row], None)) for row in range(20)]
     with pytest.raises(UserError, match="no effort for shoulder, elbow, wrist"):
-        bag(rows)
+        bag([(START + row, sample(row, START + row, effort=None)) for row in range(20)])
 
 
 def test_a_joint_that_never_has_an_effort_is_left_out_unless_chosen(bag):
-    position, velocity, effort = signals(20)
+    position, _, effort = signals(20)
     effort[:, 1] = np.nan
-    rows = [
-        (START + row * 10**6, state(START + row * 10**6, JOINTS, position[row], velocity[row], effort[row]))
-        for row in range(20)
-    ]
+    rows = [(START + row * 10**6, sample(row, effort=effort[row])) for row in range(20)]
     recording = bag(rows)
     assert recording.joints == ("shoulder", "wrist") and len(recording.time) == 20
     assert issues(recording) == {"joint_without_effort": 1}
