@@ -17,7 +17,7 @@ from spacearm_ident.conventions.change import Change, Kind
 from spacearm_ident.conventions.check import check_conventions
 from spacearm_ident.conventions.clock import clock_error_s
 from spacearm_ident.conventions.description import compare_description
-from spacearm_ident.conventions.finding import ConventionReport, Level
+from spacearm_ident.conventions.finding import ConventionReport, Finding, Level
 from spacearm_ident.conventions.fixed_joints import moving_though_fixed
 from spacearm_ident.conventions.plain import read_off, without_motion
 from spacearm_ident.conventions.rows import rows_of
@@ -114,15 +114,27 @@ def exchanged(recording: Recording, *names: str) -> Recording:
     return replace(recording, **{name: getattr(recording, name)[:, order] for name in names})
 
 
+def kept(recording: Recording, rows: np.ndarray, **other: object) -> Recording:
+    """Those rows of a recording, in one piece, and something else in place of some of it."""
+    names = ("time", "position", "velocity", "effort")
+    own = {name: getattr(recording, name)[rows] for name in names} | {"segments": (slice(0, len(rows)),)}
+    return replace(recording, **(own | other))
+
+
 def late(recording: Recording, samples: int) -> Recording:
-    return replace(
-        recording,
-        time=recording.time[:-samples],
-        position=recording.position[samples:],
-        velocity=recording.velocity[samples:],
-        effort=recording.effort[:-samples],
-        segments=(slice(0, len(recording.time) - samples),),
-    )
+    rows = np.arange(len(recording.time) - samples)
+    return kept(recording, rows + samples, time=recording.time[rows], effort=recording.effort[rows])
+
+
+def of_kind(report: ConventionReport, kind: str) -> list[Finding]:
+    return [finding for finding in report.findings if finding.kind == kind]
+
+
+def swaying(recording: Recording, joint: int) -> Recording:
+    """By a milliradian, at random."""
+    position = recording.position.copy()
+    position[:, joint] += np.random.default_rng(joint).normal(0.0, 1e-3, len(position))
+    return replace(recording, position=position)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -143,7 +155,7 @@ def test_friction_that_builds_up_after_a_reversal_is_no_late_torque(seed, arm):
 def test_behind_friction_that_builds_up_a_zero_is_found(seed, arm):
     report = check_conventions([gentle(seed, zero=0.25)], arm)
     assert unfit(report) == [("encoder_zero", ("elbow",))]
-    (zero,) = (finding for finding in report.findings if finding.kind == "encoder_zero")
+    (zero,) = of_kind(report, "encoder_zero")
     assert zero.values["value"][0] == pytest.approx(0.25, abs=0.05)
 
 
@@ -252,7 +264,7 @@ def on_a_wall() -> Recording:
 
 def test_an_offset_of_a_sliding_joint_tilts_no_base(on_a_wall):
     report = check_conventions([on_a_wall], arm_from_urdf(on_a_wall.urdf))
-    (finding,) = [one for one in report.findings if one.kind == "gravity"]
+    (finding,) = of_kind(report, "gravity")
     np.testing.assert_array_equal(finding.values["value"], ON_A_WALL)
     assert "give or take" in finding.statement and "-0" not in finding.remedy
     assert "direction of gravity (a constant torque at quill looks the same)" in report.undecided
@@ -264,7 +276,7 @@ def test_direction_of_gravity_is_decided_where_joints_feel_all_of_it(run, arm):
 
 def test_gravity_that_is_estimated_is_no_mistake(on_a_wall):
     arm = arm_from_urdf(on_a_wall.urdf)
-    assert "gravity" not in {one.kind for one in check_conventions([on_a_wall], arm, gravity_known=False).findings}
+    assert not of_kind(check_conventions([on_a_wall], arm, gravity_known=False), "gravity")
 
 
 @pytest.mark.parametrize("rated", [0.4, 1.6])
@@ -312,32 +324,30 @@ def test_seconds_in_which_the_arm_is_carried_are_named(run, noise):
     rows = (run.time - run.time[0] >= start) & (run.time - run.time[0] < stop)
     effort = run.effort.copy()
     effort[rows] = noise * np.array(LIMITS) * np.random.default_rng(0).standard_normal((rows.sum(), len(NAMES)))
-    (finding,) = [one for one in read_off(replace(run, effort=effort)).findings if one.kind == "drives_off"]
+    (finding,) = of_kind(read_off(replace(run, effort=effort)), "drives_off")
     ((first, last),) = finding.values["from_to_s"]
     assert finding.level is Level.UNFIT and abs(first - start) < 0.3 and abs(last - stop) < 0.3
     assert f"from {first:.1f} to {last:.1f} s" in finding.statement
     # At rest and weightless they are a pause.
     held = run.position.copy()
     held[rows] = held[rows][0]
-    resting = read_off(replace(run, effort=effort, position=held, velocity=None))
-    assert "drives_off" not in {one.kind for one in resting.findings}
+    assert not of_kind(read_off(replace(run, effort=effort, position=held, velocity=None)), "drives_off")
 
 
 def test_torque_of_one_joint_that_stays_is_no_drive_that_is_off(run):
     effort = run.effort.copy()
     effort[500:900, 1:] = 0.0
-    assert "drives_off" not in {one.kind for one in read_off(replace(run, effort=effort)).findings}
+    assert not of_kind(read_off(replace(run, effort=effort)), "drives_off")
 
 
 def test_a_joint_at_rest_is_a_note(run, arm):
-    still = scaled(scaled(run, "position", 0, 0.0), "velocity", 0, 0.0)
-    report = check_conventions([still], arm)
+    report = check_conventions([turned(run, 0, 0.0)], arm)
     assert ("at_rest", ("waist",), Level.NOTE) in [(f.kind, f.joints, f.level) for f in report.findings]
 
 
 @pytest.mark.parametrize("effort", [0.0, 40.0])
 def test_a_joint_at_rest_whose_effort_is_constant_is_a_note_and_may_be_locked(effort, run, arm):
-    still = scaled(scaled(run, "position", 0, 0.0), "velocity", 0, 0.0)
+    still = turned(run, 0, 0.0)
     constant = still.effort.copy()
     constant[:, 0] = effort
     report = check_conventions([replace(still, effort=constant)], arm)
@@ -348,18 +358,14 @@ def test_a_joint_at_rest_whose_effort_is_constant_is_a_note_and_may_be_locked(ef
 @pytest.mark.parametrize("joint", [0, 3])
 def test_a_joint_that_only_sways_is_a_note_and_hides_no_other_behind_it(arm, joint):
     run = sound(share=[float(k != joint) for k in range(4)])
-    sway = np.zeros_like(run.position)
-    sway[:, joint] = np.random.default_rng(joint).normal(0.0, 1e-3, len(sway))
-    report = check_conventions([replace(run, position=run.position + sway)], arm)
+    report = check_conventions([swaying(run, joint)], arm)
     assert ("at_rest", (NAMES[joint],), Level.NOTE) in [(f.kind, f.joints, f.level) for f in report.findings]
     assert not unfit(report)
 
 
 def test_a_joint_that_only_sways_is_found_exchanged_with_one_that_moves(arm):
     run = exchanged(sound(share=(1.0, 0.0, 1.0, 1.0)), "position", "velocity", "effort")
-    sway = np.zeros_like(run.position)
-    sway[:, 2] = np.random.default_rng(2).normal(0.0, 1e-3, len(sway))
-    report = check_conventions([replace(run, position=run.position + sway)], arm)
+    report = check_conventions([swaying(run, 2)], arm)
     assert unfit(report) == [("joints_exchanged", ("shoulder", "elbow"))], report.lines()
 
 
@@ -395,16 +401,15 @@ def test_stamps_that_jitter_where_the_samples_are_even_are_found(run, arm):
     assert [f.kind for f in report.findings if f.kind.startswith("clock")] == ["clock_jitter"]
 
 
-def taken_unevenly(run: Recording, error_s: float = 0.0, seed: int = 0) -> Recording:
+def taken_unevenly(run: Recording, error_s: float = 0.0) -> Recording:
     """Half the samples, so that no even clock is right, stamped with an error of so many seconds RMS."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     keep = np.sort(rng.choice(len(run.time), len(run.time) // 2, replace=False))
     time = np.sort(run.time[keep] + error_s * rng.standard_normal(len(keep)))
-    few = replace(run, time=time, position=run.position[keep], velocity=None, effort=run.effort[keep])
-    return replace(few, segments=(slice(0, len(keep)),))
+    return kept(run, keep, time=time, velocity=None)
 
 
-def on_arrival(run: Recording, seed: int = 0) -> Recording:
+def on_arrival(run: Recording) -> Recording:
     """Samples at uneven times, each stamped when it arrives: in bursts, behind pauses of 40 ms; no header stamps."""
     few = taken_unevenly(run)
     burst = np.floor(few.time / 0.04)
@@ -439,8 +444,8 @@ def test_positions_that_are_published_oftener_than_they_are_sampled_are_no_error
 def test_times_of_arrival_that_spoil_the_speeds_are_the_reason_and_not_rest(run, arm):
     report = check_conventions([on_arrival(run)], arm)
     assert unfit(report) == [("clock_jitter", ())] and report.certain
-    assert not [one for one in report.findings if one.kind == "at_rest"]
-    (found,) = (one for one in report.findings if one.kind == "clock_jitter")
+    assert not of_kind(report, "at_rest")
+    (found,) = of_kind(report, "clock_jitter")
     assert "times of arrival" in found.statement and "header stamps" in found.remedy
 
 
@@ -449,17 +454,9 @@ def test_joints_that_move_for_a_hundredth_of_a_recording_are_not_said_to_hardly_
     begin, end = np.searchsorted(run.time, (10.0, 20.0))
     lead = 120_000
     rest = np.concatenate((np.full(lead, begin), np.arange(begin, end), np.full(lead, end - 1)))
-    time = np.arange(len(rest)) / 200.0
-    whole = replace(
-        run,
-        time=time,
-        position=run.position[rest],
-        velocity=None,
-        effort=run.effort[rest],
-        segments=(slice(0, len(rest)),),
-    )
+    whole = kept(run, rest, time=np.arange(len(rest)) / 200.0, velocity=None)
     report = check_conventions([whole], arm)
-    assert report.fit and not [one for one in report.findings if one.kind in ("at_rest", "position_noise")]
+    assert report.fit and not of_kind(report, "at_rest") and not of_kind(report, "position_noise")
 
 
 @pytest.mark.parametrize(
@@ -504,26 +501,14 @@ def test_stamps_in_batches_are_found_though_the_positions_are_noisy(run, arm):
 
 def test_effort_beyond_the_limits_is_noted_where_the_inertials_tell_no_unit(run, arm):
     rough = replace(arm, joints=tuple(replace(joint, inertial=np.zeros(10)) for joint in arm.joints))
-    assert not any(one.kind == "effort_unit" for one in check_conventions([run], rough).findings)
-    (finding,) = [
-        one
-        for one in check_conventions([scaled(run, "effort", slice(None), 30.0)], rough).findings
-        if one.kind == "effort_unit"
-    ]
+    assert not of_kind(check_conventions([run], rough), "effort_unit")
+    (finding,) = of_kind(check_conventions([scaled(run, "effort", slice(None), 30.0)], rough), "effort_unit")
     assert finding.level is Level.NOTE and "shoulder" in finding.joints
 
 
 def test_samples_that_are_uneven_by_their_stamps_are_sound(arm):
     base = sound(seed=3)
-    pick = np.sort(np.random.default_rng(0).choice(len(base.time), 3500, replace=False))
-    uneven = replace(
-        base,
-        time=base.time[pick],
-        position=base.position[pick],
-        velocity=base.velocity[pick],
-        effort=base.effort[pick],
-        segments=(slice(0, len(pick)),),
-    )
+    uneven = kept(base, np.sort(np.random.default_rng(0).choice(len(base.time), 3500, replace=False)))
     assert not [f for f in check_conventions([uneven], arm).findings if f.kind.startswith("clock")]
 
 
@@ -536,7 +521,7 @@ def test_another_arm_than_the_bag_describes_is_said(run):
     longer = tuple(replace(link, xyz=(0, 0, 0.7)) if link.name == "elbow" else link for link in LINKS)
     other = arm_from_urdf(plant(longer, FRICTION, (run.position[:9],) * 3, 200.0).urdf)
     report = check_conventions([run], other)
-    said = next(finding for finding in report.findings if finding.kind == "robot_description")
+    said = of_kind(report, "robot_description")[0]
     assert said.joints == ("elbow",) and "200 mm" in said.statement and said.level is Level.UNFIT
 
 
