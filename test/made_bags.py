@@ -64,6 +64,14 @@ def read_bytes(folder: Path, data: bytes, **options) -> Recording:
     return read_recording(path, **options)
 
 
+def assert_same(got: Recording, run: Recording) -> None:
+    """The same joints and numbers; times to the nanosecond of a stamp."""
+    assert got.joints == run.joints and len(got.time) == len(run.time)
+    for signal in ("position", "velocity", "effort"):
+        np.testing.assert_array_equal(getattr(got, signal), getattr(run, signal))
+    assert np.abs(got.time - run.time).max() < 2e-9
+
+
 def issues(recording: Recording) -> dict[str, int]:
     return {issue.kind: issue.count for issue in recording.issues}
 

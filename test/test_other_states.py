@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_arm
-from made_bags import issues
+from made_bags import assert_same, issues
 from rosbags.rosbag2 import Writer
 from rosbags.rosbag2.enums import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -96,26 +96,19 @@ def bag(
     return folder
 
 
-def assert_same(got, run=RUN) -> None:
-    assert got.joints == run.joints and len(got.time) == len(run.time)
-    for signal in SIGNALS:
-        np.testing.assert_array_equal(getattr(got, signal), getattr(run, signal))
-    assert np.abs(got.time - run.time).max() < 2e-9
-
-
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 @pytest.mark.parametrize("order", [SIGNALS, SIGNALS[::-1]])
 def test_dynamic_joint_states_are_read_where_there_are_no_joint_states(tmp_path, storage, order):
     path = bag(tmp_path / "bag", {"/dynamic_joint_states": (DYNAMIC, dynamic(order=order))}, storage=storage)
     got = read_recording(path)
-    assert_same(got)
+    assert_same(got, RUN)
     assert issues(got) == {"other_states": len(RUN.time)}
     assert "no /joint_states: /dynamic_joint_states (control_msgs/msg/DynamicJointState)" in got.issues[0].message
 
 
 def test_what_has_no_position_in_dynamic_joint_states_is_left_out_and_said(tmp_path):
     got = read_recording(bag(tmp_path / "bag", {"/dynamic_joint_states": (DYNAMIC, dynamic(extra=True))}))
-    assert_same(got)
+    assert_same(got, RUN)
     assert issues(got) == {"other_states": len(RUN.time), "joint_without_position": 1}
 
 
@@ -123,7 +116,7 @@ def test_what_has_no_position_in_dynamic_joint_states_is_left_out_and_said(tmp_p
 def test_what_a_controller_measures_is_read_with_its_set_points(tmp_path, release):
     path = bag(tmp_path / "bag", {"/arm_controller/state": (CONTROLLER, controller(release=release))}, release)
     got = read_recording(path)
-    assert_same(got)
+    assert_same(got, RUN)
     np.testing.assert_array_equal(got.command.values, RUN.position + 0.5)
     assert issues(got) == {"other_states": len(RUN.time)}
 
@@ -135,7 +128,7 @@ def test_joint_states_with_effort_are_kept(tmp_path):
         "/dynamic_joint_states": (DYNAMIC, dynamic(other)),
     }
     got = read_recording(bag(tmp_path / "bag", topics))
-    assert_same(got)
+    assert_same(got, RUN)
     assert not got.issues
 
 
@@ -151,7 +144,7 @@ def test_joint_states_without_effort_are_replaced_and_said(tmp_path, nothing):
         "/robot_description": (messages.STRING.name, [cdr.encode_string("<robot/>")]),
     }
     got = read_recording(bag(tmp_path / "bag", topics))
-    assert_same(got)
+    assert_same(got, RUN)
     assert got.urdf == "<robot/>"
     assert "no effort in /joint_states: /arm_controller/controller_state" in got.issues[0].message
 
@@ -170,7 +163,7 @@ def test_of_two_controllers_that_of_more_joints_is_read(tmp_path):
         "/arm_controller/state": (CONTROLLER, controller()),
     }
     path = bag(tmp_path / "bag", topics)
-    assert_same(read_recording(path))
+    assert_same(read_recording(path), RUN)
     got = read_recording(path, namespace="/gripper_controller/state")
     assert got.joints == RUN.joints[:1] and not got.issues
 

@@ -11,7 +11,7 @@ import small_arm
 import zstandard
 from fuzzing import EXAMPLES, ends_well
 from hypothesis import given
-from made_bags import issues
+from made_bags import assert_same, issues
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode, StoragePlugin
@@ -61,13 +61,6 @@ def write_ros1(run: Recording, path: Path) -> None:
             writer.write(connection, stamp, store.serialize_ros1(message, "sensor_msgs/msg/JointState"))
 
 
-def same(got: Recording, run: Recording) -> None:
-    assert got.joints == run.joints and len(got.time) == len(run.time)
-    for one, other in ((got.position, run.position), (got.velocity, run.velocity), (got.effort, run.effort)):
-        assert np.array_equal(one, other)
-    assert np.abs(got.time - run.time).max() < 2e-9
-
-
 STORAGES = [StoragePlugin.SQLITE3, StoragePlugin.MCAP]
 COMPRESSED = [CompressionMode.FILE, CompressionMode.MESSAGE]
 
@@ -78,7 +71,7 @@ def test_bags_hold_the_same_samples_compressed_or_not(tmp_path, mode, storage):
     write_bag(RUN, tmp_path / "bag", mode, storage)
     assert recordings_in(tmp_path) == [tmp_path / "bag"]
     got = read_recording(tmp_path / "bag")
-    same(got, RUN)
+    assert_same(got, RUN)
     assert got.urdf == RUN.urdf and not got.issues
 
 
@@ -87,7 +80,7 @@ def test_a_single_db3_file_without_its_metadata_is_read(tmp_path):
     (file,) = (tmp_path / "bag").glob("*.db3")
     odd = tmp_path / "50% of?it#.db3"  # what a URI would take for its own
     file.rename(odd)
-    same(read_recording(odd), RUN)
+    assert_same(read_recording(odd), RUN)
 
 
 @pytest.mark.parametrize("mode", COMPRESSED)
@@ -98,7 +91,7 @@ def test_a_single_compressed_mcap_file_without_its_metadata_is_read_by_every_com
     assert file.name.endswith(".mcap.zstd" if mode is CompressionMode.FILE else ".mcap")
     fractions: list[float] = []
     got = read_recording(file, progress=fractions.append)
-    same(got, RUN)
+    assert_same(got, RUN)
     assert got.sources[0].bytes == file.stat().st_size and fractions == sorted(fractions) and fractions[-1] == 1.0
     assert issues(read_recording(tmp_path / "bag")) == {"no_metadata": 1}
     assert is_bag(file) and is_bag(tmp_path / "bag") and is_bag(tmp_path)
@@ -111,7 +104,7 @@ def test_a_compressed_mcap_file_beside_what_it_holds_is_read_once(tmp_path):
     (file,) = (tmp_path / "bag").glob("*.zstd")
     file.with_suffix("").write_bytes(zstandard.ZstdDecompressor().stream_reader(file.read_bytes()).read())
     got = read_recording(tmp_path / "bag")
-    same(got, RUN)
+    assert_same(got, RUN)
     assert not got.issues and [Path(source.path) for source in got.sources] == [file.with_suffix("")]
 
 
@@ -145,7 +138,7 @@ def test_a_damaged_compressed_message_is_left_out_and_counted(tmp_path, monkeypa
 
 def test_ros_1_bags_hold_the_same_samples(tmp_path):
     write_ros1(RUN, tmp_path / "run.bag")
-    same(read_recording(tmp_path / "run.bag"), RUN)
+    assert_same(read_recording(tmp_path / "run.bag"), RUN)
 
 
 @pytest.mark.parametrize("kind", ["db3", "bag"])
