@@ -575,14 +575,28 @@ def test_the_size_that_would_have_been_seen_is_found_when_planted_and_a_tenth_of
         assert (("friction_drift", "shoulder") in seen) != found, "what was found has no smallest size"
 
 
+def noisier(factor):
+    """What is said of the healthy arm with white noise so many times as large in its torque, and the field's torque."""
+
+    def made(seed):
+        recording = run(seed)
+        noise = factor * np.array(NOISE) * np.random.default_rng(seed + 4).standard_normal(recording.effort.shape)
+        return replace(recording, effort=recording.effort + noise)
+
+    field = made(2)
+    return to_document(explain(ARM, RunSet([field], [made(1)], [made(3)]), SLOW_ONES)), field.effort
+
+
 def test_more_noise_in_the_arm_needs_a_larger_effect_to_be_seen():
-    def size(factor):
-        def made(recording, seed):
-            noise = factor * np.array(NOISE) * np.random.default_rng(seed).standard_normal(recording.effort.shape)
-            return replace(recording, effort=recording.effort + noise)
-
-        answer = explain(ARM, RunSet([made(run(2), 6)], [made(HEALTHY, 5)], [made(run(3), 7)]), SLOW_ONES)
-        return sized(to_document(answer), "torque_constant", "shoulder")["size"]
-
     # Less than four times: what friction ordinarily differs by on another day stands beside the noise.
-    assert size(4.0) > 1.5 * size(0.0)
+    small, large = (sized(noisier(factor)[0], "torque_constant", "shoulder")["size"] for factor in (0.0, 4.0))
+    assert large > 1.5 * small
+
+
+def test_no_size_is_more_torque_than_the_joint_ever_needed():
+    """Beside so much noise Stribeck friction of the elbow would be seen from 92 N·m on; it needs 11."""
+    document, torque = noisier(15.0)
+    largest = dict(zip(HEALTHY.joints, np.abs(torque).max(axis=0)))
+    sizes = [one for one in document["would_have_seen"] if one["unit"] == "N m"]
+    assert sizes and all(one["size"] < largest[joint] for one in sizes for joint in one["joints"])
+    assert not any(one["name"] == "stribeck" and one["joints"] == ["elbow"] for one in sizes)

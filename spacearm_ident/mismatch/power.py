@@ -85,7 +85,14 @@ class _Power:
         share = self._share(best, values)
         if not share > 0.0:
             return None
-        return _shown(best, number, float(1.0 / np.sqrt(share)))
+        shown = _shown(best, number, float(1.0 / np.sqrt(share)))
+        return None if shown is None or self._is_beyond_the_arm(shown) else shown
+
+    def _is_beyond_the_arm(self, size: Detectable) -> bool:
+        """Whether it is more torque than its joint needed for anything: an effect that no such arm has."""
+        names = self._evidence.base.model.arm.joint_names
+        own = np.isin(self._scene.joint, [names.index(joint) for joint in size.joints])
+        return size.unit in ("N m", "N") and size.size > np.max(np.abs(self._scene.torque()[own]), initial=0.0)
 
     def of_constant(self, grid: Sequence[Candidate]) -> Detectable | None:
         """Of an effect whose size is in its constants: the point of their grids that adds least and would be seen."""
