@@ -10,6 +10,7 @@ from changed_arm import ARM, HEALTHY, NOISE, loaded_run, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.effects.body import ExternalContact
 from spacearm_ident.excitation.nominal import nominal_model
 from spacearm_ident.mismatch.explain import explain
@@ -134,6 +135,57 @@ def test_two_pushes_of_one_link_are_both_found():
     starts = [quantity for name, quantity in contact.parameters.items() if name.startswith("start")]
     assert contact.effect == "external_contact"
     assert sorted(one.value for one in starts) == pytest.approx([2.5, 10.5], abs=0.7)
+
+
+def dragging(joint, torque_Nm, *windows):
+    """Dry friction (N·m) that one joint has more for a while, from one time to another, s."""
+
+    def extra(planted):
+        time = np.arange(len(planted.qd)) / planted.rate_hz
+        on = np.any([(time >= begin) & (time < end) for begin, end in windows], axis=0)
+        return np.outer(torque_Nm * np.sign(planted.qd[:, joint]) * on, np.eye(2)[joint])
+
+    return extra
+
+
+@pytest.mark.parametrize(("joint", "torque_Nm"), [(0, 3.0), (1, 1.5), (0, -2.0)])
+def test_a_joint_that_drags_for_a_while_is_friction_of_that_joint_and_time(joint, torque_Nm):
+    answer = explain(ARM, RunSet([run(2, dragging(joint, torque_Nm, (5.0, 10.0)))], [HEALTHY], [run(3)]))
+    (drag,) = answer.findings
+    assert drag.effect == "friction_drift" and drag.joints == (ARM.joint_names[joint],)
+    assert drag.parameters["df_c"].low < torque_Nm < drag.parameters["df_c"].high
+    assert drag.parameters["start"].value == pytest.approx(5.0, abs=0.3)
+    assert drag.parameters["length"].value == pytest.approx(5.0, abs=0.5)
+    assert np.all(answer.after_Nm < 1.15 * np.array(NOISE))
+
+
+def test_a_joint_that_drags_twice_is_one_finding_and_nothing_is_judged_while_it_does_in_the_other_recording():
+    field, judged = run(2, dragging(0, 3.0, (2.0, 5.0), (10.0, 14.0))), run(3, dragging(0, 3.0, (6.0, 9.0)))
+    answer = explain(ARM, RunSet([field], [HEALTHY], [judged]))
+    (drag,) = answer.findings
+    assert drag.effect == "friction_drift" and drag.joints == ("shoulder",)
+    assert {"start[shoulder]", "start_2[shoulder]"} <= set(drag.parameters)
+    assert [(one.kind, one.recording) for one in answer.happened] == [("friction_drift", 1)]
+
+
+def test_joints_that_drag_at_the_same_time_are_one_finding_that_no_temperature_explains(monkeypatch):
+    monkeypatch.setattr("spacearm_ident.mismatch.explain.CLOSE", 0.0)
+
+    def both(planted):
+        return sum(dragging(joint, torque_Nm, (5.0, 10.0))(planted) for joint, torque_Nm in ((0, 3.0), (1, 1.5)))
+
+    answer = explain(ARM, RunSet([run(2, both)], [HEALTHY], [run(3)]))
+    (drag,) = answer.findings
+    assert drag.effect == "friction_drift" and drag.joints == ARM.joint_names
+    assert not any("temperature" in reason for reason in answer.reasons)
+    # Another motion would say nothing of what happened for a while.
+    assert "the same motion again" in answer.next_experiment and not answer.next_effect
+
+
+def test_no_joint_has_less_friction_than_none_for_a_while():
+    passing = EFFECTS["friction_drift"].at(ARM, {"joint": "shoulder", "of": ["f_c"], "for_a_while": True})
+    assert passing.is_within(np.array([-2.9]), {"shoulder": 3.0})
+    assert not passing.is_within(np.array([-3.1]), {"shoulder": 3.0})
 
 
 def late(recording, seconds=0.006):

@@ -215,6 +215,8 @@ def test_a_finding_is_drawn_over_what_it_depends_on() -> None:
     assert (ripple.signal, ripple.driver, ripple.cycles) == ("position", 0, CYCLES)
     friction = view_of(finding("unknown", JOINTS[1], parameters={}), 1, drawn)
     assert (friction.signal, friction.driver, friction.along) == ("position", 1, True)
+    passing = view_of(finding("unknown", JOINTS[1], parameters={}, event=True), 1, drawn)
+    assert passing.signal == TIME
     noise = replace(trace(), before=trace().after)
     plain = signals((noise,))
     assert plain is not None

@@ -77,6 +77,7 @@ class Cards:
             against=effect.against(values) or _weightless(effect, quantities),
             felt_Nm=felt,
             event=event,
+            experiment=effect.experiment,
         )
 
     def _rivals(self, number: int) -> list[Scored]:

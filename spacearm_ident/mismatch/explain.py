@@ -309,8 +309,8 @@ def _moments(joints: Sequence[str], after: FloatArray, healthy: Healthy) -> tupl
 
 
 def _in_common(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[str, ...]:
-    """What changes of friction at most joints have in common, where all are of one sign."""
-    drifts = [finding for finding in findings if finding.effect == FrictionDrift.kind]
+    """What lasting changes of friction at most joints have in common, where all are of one sign."""
+    drifts = [finding for finding in findings if finding.effect == FrictionDrift.kind and not finding.event]
     rises = {value.value > 0.0 for finding in drifts for value in finding.parameters.values()}
     where = {joint for finding in drifts for joint in finding.joints}
     if len(where) < 2 or 2 * len(where) <= len(joints) or len(rises) != 1:
@@ -376,7 +376,7 @@ def _next(findings: Sequence[Finding]) -> tuple[str | None, str, tuple[str, ...]
     """The experiment that would separate what these data cannot, for the largest finding that leaves a doubt.
 
     Returns:
-        In words, for which effect (or purpose of an experiment), and at which joints.
+        In words, for which effect (or purpose of an experiment; empty: the same motion), and at which joints.
     """
     for finding in findings:
         if finding.effect == UNKNOWN:
@@ -388,6 +388,7 @@ def _next(findings: Sequence[Finding]) -> tuple[str | None, str, tuple[str, ...]
             )
         close = [a for a in finding.alternatives if a.score > CLOSE and a.effect not in (UNKNOWN, finding.effect)]
         if close:
-            words = f"{EFFECTS[finding.effect].experiment}: separates {finding.effect} from {close[0].effect}"
-            return words, finding.effect, finding.joints
+            words = f"{finding.experiment}: separates {finding.effect} from {close[0].effect}"
+            # Of an event that is the motion that was recorded, and no other.
+            return words, "" if finding.event else finding.effect, finding.joints
     return None, "", ()

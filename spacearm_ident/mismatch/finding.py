@@ -64,6 +64,7 @@ class Finding:
         not_excited: Whether the held-out data do not excite it, by its own law.
         felt_Nm: By joint, RMS of what it adds to the torque in the field where it acts.
         event: Whether it has a name, and begins and ends in time; the RMS are those of the field then, while it lasts.
+        experiment: What would separate it from what it is confused with.
     """
 
     effect: str
@@ -85,6 +86,7 @@ class Finding:
     not_excited: bool = False
     felt_Nm: dict[str, float] = field(default_factory=dict)
     event: bool = False
+    experiment: str = ""
 
 
 def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:

@@ -125,7 +125,8 @@ def plausible(candidate: Candidate, values: FloatArray, coulomb: Mapping[str, fl
     for parameter, value in zip(effect.parameters, values):
         if not parameter.lower <= value <= parameter.upper or not np.isfinite(value):
             return False
-    return effect.plausible(values, constants) and not effect.within_healthy_range(values, constants, coulomb)
+    possible = effect.plausible(values, constants) and effect.is_within(values, coulomb)
+    return possible and not effect.within_healthy_range(values, constants, coulomb)
 
 
 def feels(energy: FloatArray) -> np.ndarray:

@@ -222,13 +222,13 @@ def view_of(finding: Finding, row: int, of: Signals) -> View:
         of: Signals of all traces.
 
     Returns:
-        The view that explains most of the residual's variance; over time where none is clear.
+        The view that explains most of the residual's variance; over time where none is clear, and of an event.
     """
     cycles = finding.parameters.get("cycles")
     if finding.effect == "torque_ripple" and cycles is not None and np.isfinite(cycles.value) and cycles.value > 0:
         return View(POSITION, row, cycles=cycles.value)
     best, most = View(TIME, row), CLEAR
-    choices = SHOWN_OVER.get(finding.effect, EVERYTHING)
+    choices = () if finding.event else SHOWN_OVER.get(finding.effect, EVERYTHING)
     for driver in (row, *(k for k in range(of.before.shape[1]) if k != row)):
         margin = 0.0 if driver == row or best.signal == TIME else PREFERRED
         for signal, along in choices:

@@ -17,6 +17,7 @@ from ..regressor import cross, rigid_body_blocks
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, nothing, share_of
 from .linearised import COARSE_HZ, interpolate, rigid_torque
+from .window import LENGTHS_S, LONG_STARTS_S, STARTS_S, shares_within
 
 MASS = ("m", "mcx", "mcy", "mcz")
 HEAVIEST_KG, LONGEST_M = 50.0, 2.0
@@ -117,34 +118,6 @@ class Payload(Effect):
         return f"{values[0]:.3g} kg on the link of {self.place['joint']}{held}"
 
 
-STARTS_S = tuple(float(t) for t in np.arange(0.0, 600.0, 0.5))
-"""When an event may begin; those of them within the recording are looked at."""
-HELD_STARTS_S, HELD_S = STARTS_S[::2], (1.5, 3.0, 6.0, 12.0, 24.0)
-"""When an object may be picked up, and how long it may be held: coarser, for that is longer than a touch, and every
-column of every window is kept (ten minutes of six joints at 25 rows a second: 0.12 GB)."""
-
-
-def shares_within(motion: Motion, start: float, length: float, rise: float) -> tuple[slice, FloatArray]:
-    """Which samples an event lasts, and how much of it there is at each: it comes and goes as half a cosine does.
-
-    Args:
-        motion: N samples.
-        start: Of the event, s.
-        length: Of the event, s.
-        rise: How long it takes to come, and to go, s; at most half of how long it lasts. Zero: at once.
-
-    Returns:
-        The slice of r samples, and (r,) shares of 0..1.
-    """
-    time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
-    first, last = np.searchsorted(time, [start, start + length])
-    at = slice(int(first), int(last))
-    if not rise:
-        return at, np.ones(at.stop - at.start)
-    come = np.minimum(time[at] - start, start + length - time[at]) / min(rise, 0.5 * length)
-    return at, 0.5 - 0.5 * np.cos(np.pi * np.clip(come, 0.0, 1.0))
-
-
 @dataclass(frozen=True)
 class HeldObject(Payload):
     """An object that the last link picks up, carries and puts down again."""
@@ -158,7 +131,7 @@ class HeldObject(Payload):
     @classmethod
     def window_of(cls, joint: str) -> tuple[Constant, ...]:
         """When it is picked up, and how long it is held."""
-        return Constant("start", joint, "s", HELD_STARTS_S, begins=True), Constant("length", joint, "s", HELD_S)
+        return Constant("start", joint, "s", LONG_STARTS_S, begins=True), Constant("length", joint, "s", LENGTHS_S)
 
     def again(self, arm: Arm) -> Effect:
         """The next one."""

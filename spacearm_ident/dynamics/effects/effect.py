@@ -135,6 +135,15 @@ class Effect(Term):
         """
         return False
 
+    def is_within(self, parameters: FloatArray, coulomb: Mapping[str, float]) -> bool:
+        """Whether it takes no more friction away than there is.
+
+        Args:
+            parameters: Fitted values, in the order of `self.parameters`.
+            coulomb: Joint -> Coulomb friction, N·m.
+        """
+        return True
+
     @property
     def per_recording(self) -> tuple[int, ...]:
         """Numbers of the parameters that belong to a recording, not to the arm: another recording has its own."""

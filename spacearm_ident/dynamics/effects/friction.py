@@ -15,6 +15,7 @@ from ..background import Background
 from ..friction import bristle_state, excess_temperature
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own, share_of
+from .window import LENGTHS_S, LONG_STARTS_S, shares_within
 
 BETWEEN = 1.05
 """A constant nearer to the end of its grid than this ratio is at its end."""
@@ -54,21 +55,29 @@ class FrictionDrift(_Friction):
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Coulomb level, viscosity, or both; a level that creeps."""
+        """Coulomb level, viscosity, or both; a level that creeps; another Coulomb level for a while."""
         for joint in arm.joint_names:
             for of in (["f_c"], ["k_v1"], ["f_c", "k_v1"], ["creep"]):
                 yield {"joint": joint, "of": of}
+            yield {"joint": joint, "of": ["f_c"], "for_a_while": True}
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """At one joint: `of` names the levels that changed, or that the Coulomb level creeps."""
+        """At one joint: `of` names the levels that changed, or that the Coulomb level creeps; `for_a_while`, when."""
+        if place.get("for_a_while"):
+            cls = PassingFriction
         joint = known_joint(arm, place)
         known = {
             "f_c": Parameter("df_c", joint, "N m"),
             "k_v1": Parameter("dk_v1", joint, "N m s/rad", dimension=(0, 1, 0)),
             "creep": Parameter("creep", joint, "N m/s", scale=1.0),
         }
-        return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), place=place)
+        return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), cls.window_of(joint), place=place)
+
+    @classmethod
+    def window_of(cls, joint: str) -> tuple[Constant, ...]:
+        """Constants of when it is so: none, for it always is."""
+        return ()
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Direction, velocity, and direction times time."""
@@ -88,6 +97,53 @@ class FrictionDrift(_Friction):
     def where(self, values: FloatArray) -> str:
         """Whether it creeps."""
         return "friction creeps in time" if "creep" in self.place.get("of", ()) else self.words
+
+
+@dataclass(frozen=True)
+class PassingFriction(FrictionDrift):
+    """A joint drags for a while, as one whose brake does not open or whose gear jams; or it runs more easily."""
+
+    follows: ClassVar[str] = ""
+    words: ClassVar[str] = "friction was another for a while"
+    equation: ClassVar[str] = "df_c sgn(qd) between t_0 and t_1"
+    source: ClassVar[str] = "De Luca and Mattone 2003: what is wrong with one joint, and when"
+    confused_with: ClassVar[tuple[str, ...]] = ("external_contact",)
+    experiment: ClassVar[str] = (
+        "the same motion again with the state of the joint's brake recorded (a gear that jams at a place does it again)"
+    )
+    one_cause: ClassVar[bool] = True
+
+    @classmethod
+    def window_of(cls, joint: str) -> tuple[Constant, ...]:
+        """When it begins to drag, and for how long."""
+        return Constant("start", joint, "s", LONG_STARTS_S, begins=True), Constant("length", joint, "s", LENGTHS_S)
+
+    def again(self, arm: Arm) -> Effect:
+        """The next time."""
+        return replace(self)
+
+    def is_within(self, parameters: FloatArray, coulomb: Mapping[str, float]) -> bool:
+        """Whether there is no less than none: nothing pushes a joint along."""
+        return bool(parameters[0] >= -coulomb.get(self.place["joint"], 0.0))
+
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
+        """Those of a level that changed, while it is so."""
+        always = super().columns(motion, constants, background)
+        if self.elsewhere(motion):
+            return nothing(motion, list(always), len(self.parameters))
+        start, length = constants
+        at, shares = shares_within(motion, start, length, rise=0.0)
+        passing: Columns = {}
+        for row, (indices, columns) in always.items():
+            passing[row] = indices, np.zeros_like(columns)
+            passing[row][1][at] = shares[:, None] * columns[at]
+        return passing
+
+    def where(self, values: FloatArray) -> str:
+        """Its window, and how much more or less there was."""
+        start, length = values[len(self.parameters) :]
+        more = "more" if values[0] > 0.0 else "less"
+        return f"from {start:.1f} s for {length:.1f} s, {abs(values[0]):.3g} N m {more} dry friction"
 
 
 @dataclass(frozen=True)

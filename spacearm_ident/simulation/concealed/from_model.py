@@ -255,6 +255,8 @@ def _lag(found: _Found) -> Values:
 
 
 def _friction_drift(found: _Found) -> Values:
+    if found.place.get("for_a_while"):
+        raise found.refused("it is so for a while, and the simulated arm has it all the time")
     if not found["creep"]:
         return {"coulomb": found["df_c"], "viscous": found["dk_v1"]}
     if len(found.values) > 1:

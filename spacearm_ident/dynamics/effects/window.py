@@ -1,0 +1,36 @@
+"""When an event may begin, how long it may last, and how much of it there is at each sample."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...signals.motion import Motion
+
+STARTS_S = tuple(float(t) for t in np.arange(0.0, 600.0, 0.5))
+"""When an event may begin; those of them within the recording are looked at."""
+LONG_STARTS_S, LENGTHS_S = STARTS_S[::2], (1.5, 3.0, 6.0, 12.0, 24.0)
+"""When an object may be picked up or a joint begin to drag, and how long that may last: coarser, for that is longer
+than a touch, and every column of every window is kept (objects in ten minutes of six joints at 25 rows a second: 0.12
+GB)."""
+
+
+def shares_within(motion: Motion, start: float, length: float, rise: float) -> tuple[slice, FloatArray]:
+    """Which samples an event lasts, and how much of it there is at each: it comes and goes as half a cosine does.
+
+    Args:
+        motion: N samples.
+        start: Of the event, s.
+        length: Of the event, s.
+        rise: How long it takes to come, and to go, s; at most half of how long it lasts. Zero: at once.
+
+    Returns:
+        The slice of r samples, and (r,) shares of 0..1.
+    """
+    time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
+    first, last = np.searchsorted(time, [start, start + length])
+    at = slice(int(first), int(last))
+    if not rise:
+        return at, np.ones(at.stop - at.start)
+    come = np.minimum(time[at] - start, start + length - time[at]) / min(rise, 0.5 * length)
+    return at, 0.5 - 0.5 * np.cos(np.pi * np.clip(come, 0.0, 1.0))
