@@ -73,6 +73,15 @@ def test_pushes_for_most_of_a_held_out_recording_are_no_events_of_it():
     assert "external_contact" in {finding.effect for finding in answer.findings}
 
 
+def test_what_lasts_to_the_end_of_the_recording_is_said_to_end_there():
+    """Of what comes after it no torque tells anything."""
+    answer = explain(ARM, RunSet([run(2, pushed(13.0, 6.0))], [HEALTHY], [run(3)]))
+    (contact,) = answer.findings
+    start, length = (contact.parameters[name] for name in ("start", "length"))
+    assert contact.effect == "external_contact" and 13.0 < start.value < 15.0
+    assert start.value + length.value <= 16.0 and length.high <= 16.0 - start.value
+
+
 @given(start=st.floats(-3.0, 15.0), length=st.floats(0.1, 6.0))
 @settings(max_examples=20, deadline=None)
 def test_an_event_has_no_torque_outside_the_samples_in_which_it_lasts(start, length):

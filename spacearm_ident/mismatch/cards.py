@@ -101,7 +101,13 @@ class Cards:
     def _values(self, number: int) -> FloatArray:
         """Parameters, then constants of one effect."""
         own = slice(self._starts[number], self._starts[number + 1])
-        return np.concatenate([self.outcome.refit.values[own], self.accepted[number].constants])
+        candidate = self.accepted[number]
+        constants = candidate.effect.clipped(candidate.constants, self._span(candidate.effect))
+        return np.concatenate([self.outcome.refit.values[own], constants])
+
+    def _span(self, effect: Effect) -> tuple[float, float]:
+        """Start and end, s, of what was fitted of the recordings that an effect may act in."""
+        return recorded_span(effect, self.evidence.field.motions)
 
     def _visibility(self, number: int) -> float:
         gram, columns = self.accepted[number].gram, self.accepted[number].stacked.columns
@@ -195,7 +201,7 @@ class Cards:
         effect = self.accepted[number].effect
         if effect.kind == UNKNOWN:
             return {}
-        shown, possible = effect.shown(values), self._possible(effect)
+        shown, possible = effect.shown(values), self._possible(effect, values)
         quantities = {}
         for name, (value, unit) in shown.items():
             slope = np.zeros(len(values))
@@ -209,16 +215,17 @@ class Cards:
             quantities[name] = Quantity(value, unit, max(value - half, low), min(value + half, high))
         return quantities
 
-    def _possible(self, effect: Effect) -> dict[str, tuple[float, float]]:
-        """Between which values some of what is shown lies in any case.
+    def _possible(self, effect: Effect, values: FloatArray) -> dict[str, tuple[float, float]]:
+        """Between which values some of what is shown lies in any case, at its values (k + c,).
 
-        Lengths of vectors, and constants of an event: its edges in a standstill no torque tells.
+        Lengths of vectors, and constants of an event: its edges in a standstill no torque tells, nor any after the end.
         """
         lengths = dict.fromkeys(effect.sizes, (0.0, np.inf))
         if not effect.event:
             return lengths
-        begin, end = recorded_span(effect, self.evidence.field.motions)
-        known = {constant.symbol: constant.reach or (0.0, end - begin) for constant in effect.constants}
+        begin, end = self._span(effect)
+        start, _ = effect.window(values[len(effect.parameters) :].tolist())
+        known = {constant.symbol: constant.reach or (0.0, end - start) for constant in effect.constants}
         return lengths | known | {constant.symbol: (begin, end) for constant in effect.constants if constant.begins}
 
 

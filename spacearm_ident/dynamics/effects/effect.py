@@ -181,6 +181,19 @@ class Effect(Term):
         start, length = constants[begins : begins + 2]
         return float(start), float(start + length)
 
+    def clipped(self, constants: Values, span: tuple[float, float]) -> Values:
+        """Constants of an event that begins and ends within what was recorded; of any other effect, as given.
+
+        Args:
+            constants: (c,) values in the order of `self.constants`; of what is not recorded a search knows nothing.
+            span: Start and end of the recording, s.
+        """
+        if not self.event:
+            return constants
+        begins = next(k for k, constant in enumerate(self.constants) if constant.begins)
+        begin, end = np.clip(self.window(constants), *span)
+        return (*constants[:begins], float(begin), float(end - begin), *constants[begins + 2 :])
+
     def prepare(self, motion: Motion, points: Sequence[Values], background: Background | None) -> None:
         """Compute what columns at many values of the constants have in common; it is kept in the background.
 
