@@ -49,7 +49,7 @@ def effect(parameters: PlantParameters, name: str, joints=(), law=None, **values
 
 def plant_with(parameters, *effects, position=None):
     position = np.zeros(len(parameters.joints)) if position is None else np.asarray(position, float)
-    return Concealment(effects).plant(parameters, position, ThermalParameters(0.0), None)
+    return Concealment(effects).plant(parameters, position, ThermalParameters(0.0))
 
 
 def stepped(plant, torque, seconds, h=2.5e-4):

@@ -6,7 +6,7 @@ import pytest
 from simulated_arm import paper_arm, paper_drives, paper_limits
 
 from spacearm_ident.excitation.trajectory import Rest, Trajectory, random_feasible
-from spacearm_ident.simulation.closed_loop import SensorNoise, measure, simulate_run, simulate_truth
+from spacearm_ident.simulation.closed_loop import SensorNoise, measure, simulate_truth
 from spacearm_ident.simulation.plant import rigid_body_model
 from spacearm_ident.simulation.servo import DriveData, ServoTuning
 
@@ -136,7 +136,8 @@ def test_perfect_sensors_show_the_truth(truth):
 
 
 def test_the_same_seed_gives_the_same_recording_and_another_only_other_noise(still):
-    one, same, other = (simulate_run(paper_arm(), still, seed=seed) for seed in (1, 1, 2))
+    truth = simulate_truth(paper_arm(), still)
+    one, same, other = (measure(truth, SensorNoise(), seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one.effort, same.effort)
     assert np.abs(one.effort - other.effort).max() > 0.1
     np.testing.assert_array_equal(one.position, other.position)
@@ -151,15 +152,6 @@ def test_at_rest_the_drives_carry_gravity_within_the_grip_of_friction(still):
     assert np.abs(gravity).max() > 20.0
 
 
-def test_feedforward_takes_over_from_the_position_error(still):
-    def gravity(q, qd, qdd):
-        return rigid_torque(q[:1], qd[:1], qdd[:1]) * np.ones((len(q), 1))
-
-    helped = simulate_truth(paper_arm(), still, feedforward=gravity)
-    alone = simulate_truth(paper_arm(), still)
-    assert np.abs(helped.q - helped.command).max() < 0.1 * np.abs(alone.q - alone.command).max()
-
-
 def test_a_weak_drive_saturates_at_its_limit(run):
     short = Trajectory(run.joints, run.segments[:2])
     weak = DriveData.plain(6, torque_limit=[20.5, 180.0, 100.0, 45.0, 40.0, 30.0])
@@ -170,12 +162,12 @@ def test_a_weak_drive_saturates_at_its_limit(run):
 
 def test_progress_rises_to_one(still):
     seen = []
-    simulate_run(paper_arm(), still, progress=seen.append)
+    simulate_truth(paper_arm(), still, progress=seen.append)
     assert seen == sorted(seen) and seen[-1] == 1.0 and len(seen) > 2
 
 
 def test_arguments_that_do_not_fit_are_refused(still):
     with pytest.raises(ValueError, match="even multiple"):
-        simulate_run(paper_arm(), still, rate_hz=1000.0, tuning=ServoTuning(rate_hz=3000.0))
+        simulate_truth(paper_arm(), still, rate_hz=1000.0, tuning=ServoTuning(rate_hz=3000.0))
     with pytest.raises(ValueError, match="trajectory moves"):
-        simulate_run(paper_arm(), Trajectory(("a",), (Rest(np.zeros(1), 1.0),)))
+        simulate_truth(paper_arm(), Trajectory(("a",), (Rest(np.zeros(1), 1.0),)))

@@ -141,7 +141,7 @@ def test_friction_falls_with_temperature_as_the_term_says():
         extended("temperature_friction", {**SECOND, "of": BOTH}, values), PAPER.model.arm.urdf
     )
     thermal = ThermalParameters(paper_drives().copper_loss)
-    concealed = Concealment([effect]).plant(plant, np.zeros(6), thermal, None)
+    concealed = Concealment([effect]).plant(plant, np.zeros(6), thermal)
     assert concealed.housing_temperature[1] == 20.0
     state = State(6)
     state.qd, state.temperature = np.full(6, 0.5), np.full(6, 32.0)

@@ -23,7 +23,7 @@ from spacearm_ident.regression.prior import make_prior
 from spacearm_ident.regression.regression import Regression
 from spacearm_ident.signals.motion import Motion
 from spacearm_ident.signals.prepare import prepare
-from spacearm_ident.simulation.closed_loop import SensorNoise, simulate_run
+from spacearm_ident.simulation.closed_loop import SensorNoise, measure, simulate_truth
 from spacearm_ident.simulation.parameters import PlantParameters
 from spacearm_ident.simulation.plant import Plant
 from spacearm_ident.solvers.separable import solve
@@ -165,7 +165,7 @@ class _Followed:
 @cache
 def driven() -> Recording:
     """The arm under its drives: position loop 8 Hz over velocity loop 40 Hz, friction unknown to them."""
-    return simulate_run(plant_parameters(), _Followed(), rate_hz=500.0, noise=SensorNoise(position_counts=2**19))
+    return measure(simulate_truth(plant_parameters(), _Followed(), rate_hz=500.0), SensorNoise(position_counts=2**19))
 
 
 @cache

@@ -145,5 +145,5 @@ def test_explicit_start_wins_over_the_surroundings(workshop, tmp_path):
     document["effects"][0]["parameters"]["coulomb_slope"] = -0.01
     (tmp_path / "hidden.yaml").write_text(yaml.safe_dump(document))
     hidden = hidden_physics(tmp_path / "hidden.yaml", paper_arm().joints)
-    plant = hidden.plant(paper_arm(), np.zeros(6), ThermalParameters(ambient=40.0), None)
+    plant = hidden.plant(paper_arm(), np.zeros(6), ThermalParameters(ambient=40.0))
     assert np.array_equal(plant.housing_temperature, np.full(6, 5.0))

@@ -19,7 +19,7 @@ from ..errors import UserError
 from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import load_trajectory
 from ..recording import Recording, write_recording
-from ..simulation.closed_loop import SensorNoise, simulate_run
+from ..simulation.closed_loop import SensorNoise, measure, simulate_truth
 from ..simulation.concealed import Concealment, Effect, load_concealed
 from ..simulation.concealed.from_model import simulated_arm
 from ..simulation.own_arm import STATED, default_model, drives_of, torque_scale
@@ -166,29 +166,14 @@ def record(
         raise UserError(
             f"the trajectory moves {', '.join(trajectory.joints)}; the arm has {', '.join(parameters.joints)}"
         )
-    usual = SensorNoise()
-    sensors = (
-        SensorNoise.none(imu_rate_hz)
-        if noise == 0
-        else SensorNoise(
-            effort_white=noise * usual.effort_white,
-            effort_coloured=noise * usual.effort_coloured,
-            velocity_noise=noise * usual.velocity_noise,
-            temperature_noise=noise * usual.temperature_noise,
-            imu_rate_hz=imu_rate_hz,
-            gyro_noise=noise * usual.gyro_noise,
-            accelerometer_noise=noise * usual.accelerometer_noise,
-            effort_scale=effort_scale,
-        )
-    )
     drives = drives_of(arm)
-    return simulate_run(
+    truth = simulate_truth(
         parameters,
         trajectory,
-        seed=seed,
-        noise=sensors,
         drives=drives,
         thermal=ThermalParameters(drives.copper_loss, ambient=surroundings(temperature)),
         hidden=Concealment(effects) if effects else None,
         progress=lambda share: report(share, "simulating"),
     )
+    sensors = SensorNoise.times(noise) if noise else SensorNoise.none()
+    return measure(truth, replace(sensors, imu_rate_hz=imu_rate_hz, effort_scale=effort_scale), seed)

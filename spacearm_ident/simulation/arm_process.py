@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import can
@@ -103,18 +102,12 @@ def live_arm(
     n = len(parameters.joints)
     if position is not None and len(position) not in (1, n):
         raise UserError(f"the start position has {len(position)} angles: give {n}, or one for all joints")
-    usual = SensorNoise()
-    sensors = SensorNoise(
-        effort_white=noise * usual.effort_white,
-        effort_coloured=noise * usual.effort_coloured,
-        effort_correlation_s=usual.effort_correlation_s,
-    )
     start = None if position is None else position * (n // len(position))
     return LiveArm(
         parameters,
         config.arm,
         position=start,
-        noise=sensors,
+        noise=SensorNoise.times(noise),
         seed=seed,
         ambient=surroundings(ambient),
         hidden=None if conceal is None else hidden_physics(conceal, parameters.joints),
@@ -132,18 +125,3 @@ def hidden_physics(path: Path, joints: Sequence[str]) -> Concealment:
         if type(effect).reported is not Effect.reported:
             raise UserError(f"{path}: {effect.name} is done to a finished recording: use spacearm simulate for it")
     return Concealment(effects)
-
-
-def serve(config: ArmCan, arm: LiveArm, stop: Callable[[], bool]) -> None:
-    """Run a simulated arm in this process without ROS, until `stop()` is true or the arm has failed.
-
-    Args:
-        config: The arm's drives and buses.
-        arm: The physics behind the drives.
-        stop: Asked every 50 ms whether to end.
-    """
-    process = ArmProcess(config, arm)
-    process.start()
-    while not stop() and process.failure is None:
-        time.sleep(0.05)
-    process.close()

@@ -10,24 +10,27 @@ with a biased viscosity.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from spacearm_ident.arrays import FloatArray
 from spacearm_ident.dynamics.base_link import base_link
 from spacearm_ident.errors import UserError
+from spacearm_ident.excitation.trajectory import Motion, Trajectory
 from spacearm_ident.recording.messages import BASE_IMU_TOPIC
 from spacearm_ident.recording.recording import BaseSensor, Recording, Series
-from spacearm_ident.simulation.joint_law import JointLaw
 from spacearm_ident.simulation.plant import Plant, PlantParameters
 from spacearm_ident.simulation.servo import DriveData, Servo, ServoTuning
 from spacearm_ident.simulation.thermal import ThermalParameters
+
+if TYPE_CHECKING:
+    from spacearm_ident.simulation.concealed.concealment import Concealment
 
 Progress = Callable[[float], None]
 
@@ -40,62 +43,6 @@ _RUNAWAY = 1e3
 
 class RunawayError(UserError):
     """The simulated arm cannot carry what its parameters make of it."""
-
-
-class MotionStates(Protocol):
-    """Arrays (T, n) of position, velocity, acceleration, rad and s."""
-
-    @property
-    def q(self) -> FloatArray:
-        """Position."""
-
-    @property
-    def qd(self) -> FloatArray:
-        """Velocity."""
-
-    @property
-    def qdd(self) -> FloatArray:
-        """Acceleration."""
-
-
-class Commanded(Protocol):
-    """What can be followed: an `excitation.Trajectory`, or anything that evaluates like one."""
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the n joints."""
-
-    @property
-    def duration_s(self) -> float:
-        """Length, s."""
-
-    def evaluate(self, t: ArrayLike) -> MotionStates:
-        """Motion at the times `t` (T,), s; held still outside [0, `duration_s`]."""
-
-
-class HiddenPhysics(Protocol):
-    """What the arm obeys beyond its parameters, and what its drives and sensors get wrong (see `concealed`)."""
-
-    def plant(
-        self, parameters: PlantParameters, position: FloatArray, thermal: ThermalParameters, law: JointLaw | None
-    ) -> Plant:
-        """The plant at rest, its clock at −`SETTLE_S`.
-
-        Args:
-            parameters: Parameters of the n joints and of the rigid bodies.
-            position: (n,) rad or m, where the drives are.
-            thermal: Thermal parameters of the joints.
-            law: Friction and drive train in place of the parameters' own; None: their own.
-        """
-
-    def encoder(self, position: FloatArray) -> FloatArray:
-        """What the drives take for the position `position` (..., n), rad."""
-
-    def motor(self, torque: FloatArray, plant: Plant) -> FloatArray:
-        """What the motors give (n,) where their drives mean to give, and report, `torque` (n,) N·m."""
-
-    def reported(self, truth: Truth) -> Truth:
-        """Motion and torque as the sensors claim them."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +75,15 @@ class SensorNoise:
     effort_scale: FloatArray | None = None
 
     @classmethod
-    def none(cls, imu_rate_hz: float = 0.0) -> SensorNoise:
+    def none(cls) -> SensorNoise:
         """Perfect sensors."""
-        return cls(0.0, 0.0, 1.0, 0, 0.0, 0.0, imu_rate_hz, 0.0, 0.0)
+        return cls(0.0, 0.0, 1.0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @classmethod
+    def times(cls, factor: float) -> SensorNoise:
+        """The usual sensors with so many times their usual noise; resolution and correlation stay."""
+        noisy = (item for item in fields(cls) if item.name.endswith(("_white", "_coloured", "_noise")))
+        return cls(**{item.name: factor * item.default for item in noisy})
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,34 +120,26 @@ class Truth:
     base_force: FloatArray | None = None
 
 
-def simulate_run(
+def simulate_truth(
     parameters: PlantParameters,
-    trajectory: Commanded,
+    trajectory: Trajectory,
     *,
     rate_hz: float = 1000.0,
-    seed: int = 0,
-    noise: SensorNoise | None = None,
     drives: DriveData | None = None,
     tuning: ServoTuning | None = None,
-    law: JointLaw | None = None,
     thermal: ThermalParameters | None = None,
-    feedforward: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None,
-    hidden: HiddenPhysics | None = None,
+    hidden: Concealment | None = None,
     progress: Progress | None = None,
-) -> Recording:
-    """Follow a trajectory and record it; `measure(simulate_truth(...), ...)`.
+) -> Truth:
+    """Follow a trajectory and return the noise-free truth.
 
     Args:
         parameters: What the arm obeys.
         trajectory: What it is told to do; its joints are those of the parameters, in the same order.
-        rate_hz: Sample rate of the recording; the servo rate is an even multiple of it.
-        seed: Of the noise.
-        noise: Sensors; the defaults of `SensorNoise` unless given.
+        rate_hz: Sample rate of the truth; the servo rate is an even multiple of it.
         drives: Electrical data; `DriveData.plain` unless given.
         tuning: Of the servo loops.
-        law: Friction and drive train in place of the parameters' own.
         thermal: Thermal data; copper losses follow from `drives` unless given.
-        feedforward: Torque (T, n) from commanded q, qd, qdd (T, n), added by the drives.
         hidden: Physics that the parameters do not tell of.
         progress: Called now and then with the share done, 0 to 1.
 
@@ -203,35 +148,6 @@ def simulate_run(
         UserError: Parameters and robot description do not fit.
         RunawayError: They make an arm that runs away.
     """
-    truth = simulate_truth(
-        parameters,
-        trajectory,
-        rate_hz=rate_hz,
-        drives=drives,
-        tuning=tuning,
-        law=law,
-        thermal=thermal,
-        feedforward=feedforward,
-        hidden=hidden,
-        progress=progress,
-    )
-    return measure(truth, SensorNoise() if noise is None else noise, seed)
-
-
-def simulate_truth(
-    parameters: PlantParameters,
-    trajectory: Commanded,
-    *,
-    rate_hz: float = 1000.0,
-    drives: DriveData | None = None,
-    tuning: ServoTuning | None = None,
-    law: JointLaw | None = None,
-    thermal: ThermalParameters | None = None,
-    feedforward: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None,
-    hidden: HiddenPhysics | None = None,
-    progress: Progress | None = None,
-) -> Truth:
-    """Follow a trajectory and return the noise-free truth; arguments as for `simulate_run`."""
     if tuple(trajectory.joints) != parameters.joints:
         raise ValueError(f"trajectory moves {trajectory.joints}, the plant has {parameters.joints}")
     tuning = ServoTuning() if tuning is None else tuning
@@ -244,16 +160,12 @@ def simulate_truth(
     samples = int(np.floor(trajectory.duration_s * rate_hz + 1e-9)) + 1
     at = before + ratio * np.arange(samples)
     command = trajectory.evaluate((np.arange(at[-1] + half + 1) - before) / tuning.rate_hz)
-    extra = np.zeros_like(command.q)
-    if feedforward is not None:
-        extra = feedforward(command.q, command.qd, command.qdd)
-
     start = command.q[0]
     warmth = thermal or ThermalParameters(drives.copper_loss)
-    plant = plant_of(parameters, start, warmth, law, hidden)
+    plant = plant_of(parameters, start, warmth, hidden)
     servo = Servo(np.diag(plant.inertia()), drives, tuning, start)
     warm_every = max(1, round(rate_hz / _TEMPERATURE_HZ))
-    q, qd, torque, warm, base = _run(plant, servo, command, extra, at[::warm_every], hidden, progress)
+    q, qd, torque, warm, base = _run(plant, servo, command, at[::warm_every], hidden, progress)
     truth = Truth(
         joints=parameters.joints,
         time=np.arange(samples) / rate_hz,
@@ -275,8 +187,7 @@ def plant_of(
     parameters: PlantParameters,
     position: FloatArray,
     thermal: ThermalParameters,
-    law: JointLaw | None,
-    hidden: HiddenPhysics | None,
+    hidden: Concealment | None,
 ) -> Plant:
     """The plant at rest at a position, with its hidden physics.
 
@@ -284,12 +195,11 @@ def plant_of(
         parameters: Parameters of the n joints and of the rigid bodies.
         position: (n,) rad or m.
         thermal: Thermal parameters of the joints.
-        law: Friction and drive train in place of the parameters' own; None: their own.
         hidden: Physics beyond the parameters; None: there is none.
     """
     if hidden is None:
-        return Plant(parameters, position=position, law=law, thermal=thermal)
-    return hidden.plant(parameters, position, thermal, law)
+        return Plant(parameters, position=position, thermal=thermal)
+    return hidden.plant(parameters, position, thermal)
 
 
 def measure(truth: Truth, noise: SensorNoise, seed: int = 0, start_ns: int = 0) -> Recording:
@@ -375,10 +285,9 @@ def _base_truth(
 def _run(
     plant: Plant,
     servo: Servo,
-    command: MotionStates,
-    feedforward: FloatArray,
+    command: Motion,
     warm_at: NDArray[np.intp],
-    hidden: HiddenPhysics | None,
+    hidden: Concealment | None,
     progress: Progress | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray | None]:
     """Position and velocity at the start of every servo cycle, torque during it; housings at `warm_at`; the base."""
@@ -399,7 +308,7 @@ def _run(
                 states[cycle] = plant.base()
             if hidden is not None:
                 seen = hidden.encoder(seen)
-            applied = servo.torque(seen, command.q[cycle], command.qd[cycle], feedforward[cycle])
+            applied = servo.torque(seen, command.q[cycle], command.qd[cycle])
             torque[cycle] = applied
             plant.step(applied if hidden is None else hidden.motor(applied, plant), servo.dt)
     _stop_a_runaway(plant)

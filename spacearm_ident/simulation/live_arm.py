@@ -16,7 +16,8 @@ from scipy.signal import lfilter
 
 from spacearm_ident.arrays import BoolArray, FloatArray
 from spacearm_ident.dynamics.arm import Arm
-from spacearm_ident.simulation.closed_loop import HiddenPhysics, SensorNoise, plant_of
+from spacearm_ident.simulation.closed_loop import SensorNoise, plant_of
+from spacearm_ident.simulation.concealed.concealment import Concealment
 from spacearm_ident.simulation.joint_law import JointLaw
 from spacearm_ident.simulation.plant import PlantParameters
 from spacearm_ident.simulation.servo import DriveData, Servo, ServoTuning
@@ -58,13 +59,14 @@ class BrakedLaw:
 
 
 class LiveArm:
-    """The physics behind the drives (`drives.mechanics.Mechanics`).
+    """The physics behind the drives: motors, inner loops and arm of n joints; output side, SI.
 
     Attributes:
         plant: The arm as it moves.
         position: (n,) rad; true but for what is hidden in the encoders.
         velocity: (n,) rad/s, true.
-        torque: (n,) N·m on the output side as the current sensors see it; zero without power.
+        torque: (n,) N·m that the drives believe to produce: measured current × nominal torque constant × gear ratio,
+            noise included; zero without power. Where the true constant differs, only the physics knows.
         temperature: (n,) °C of the windings.
     """
 
@@ -76,10 +78,8 @@ class LiveArm:
         position: ArrayLike | None = None,
         noise: SensorNoise | None = None,
         seed: int = 0,
-        tuning: ServoTuning | None = None,
-        law: JointLaw | None = None,
         ambient: float = 20.0,
-        hidden: HiddenPhysics | None = None,
+        hidden: Concealment | None = None,
     ) -> None:
         """Start at rest with the brakes closed.
 
@@ -89,8 +89,6 @@ class LiveArm:
             position: (n,) rad where it starts; zero unless given.
             noise: Sensors; of the current only, for the encoder's resolution is the drive's.
             seed: Of the noise.
-            tuning: Of the inner loops.
-            law: Friction and drive train in place of the parameters' own.
             ambient: Temperature of the surroundings, and of the arm at the start, °C.
             hidden: Physics that the parameters do not tell of, but for what only a finished recording can show
                 (`reported`).
@@ -100,12 +98,12 @@ class LiveArm:
         """
         n = len(parameters.joints)
         self._noise = SensorNoise() if noise is None else noise
-        tuning = ServoTuning(rate_hz=LOOP_HZ) if tuning is None else tuning
+        tuning = ServoTuning(rate_hz=LOOP_HZ)
         limit = np.array([joint.effort_limit for joint in arm.joints])
         drives = _drives(arm, PEAK * limit)
         thermal = ThermalParameters(drives.copper_loss, ambient=ambient)
         start = np.zeros(n) if position is None else np.array(position, dtype=float)
-        self.plant = plant_of(parameters, start, thermal, law, hidden)
+        self.plant = plant_of(parameters, start, thermal, hidden)
         self.plant.longest_step_s = 1.0 / tuning.rate_hz
         # A brake is outside of all that may be hidden in the joint.
         self.plant.law = self._law = BrakedLaw(self.plant.law, n)
@@ -119,7 +117,6 @@ class LiveArm:
         self._coloured = np.zeros((1, n))
         self._errors: Iterator[FloatArray] = iter(())
         self._motor = np.zeros(n)
-        self._none = np.zeros(n)
         self._target = self.plant.position
         self._was_enabled = np.zeros(n, dtype=bool)
         self._steps = 0
@@ -129,7 +126,14 @@ class LiveArm:
         self.temperature = self.plant.winding_temperature
 
     def step(self, target: FloatArray, enabled: BoolArray, brake: BoolArray, dt: float) -> None:
-        """Let `dt` seconds pass; see `drives.mechanics.Mechanics`."""
+        """Let `dt` seconds pass.
+
+        Args:
+            target: (n,) rad, what the position loops shall follow.
+            enabled: (n,) whether the loop is closed; without it the motor has no current.
+            brake: (n,) whether the holding brake is closed.
+            dt: Seconds.
+        """
         plant, servo, hidden = self.plant, self._servo, self._hidden
         self._law.extra = brake * self._holding
         start = np.where(self._was_enabled, self._target, target)
@@ -147,9 +151,7 @@ class LiveArm:
             share = part / parts
             # The feedforward ramps, too: a staircase of it would show as a sawtooth of the torque, of which one
             # sample a step always sees the same tooth; a twentieth of the inertia would be missing.
-            wanted = servo.torque(
-                self._seen(), start + share * move, rate_before + share * (rate - rate_before), self._none
-            )
+            wanted = servo.torque(self._seen(), start + share * move, rate_before + share * (rate - rate_before))
             self._motor = powered * wanted
         self._target, self._was_enabled = target.copy(), enabled.copy()
         self.position, self.velocity = self._seen(), plant.velocity

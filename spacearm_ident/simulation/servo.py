@@ -104,20 +104,17 @@ class Servo:
         self._last = np.rint(position / self._count) * self._count
         self._velocity = np.zeros_like(inertia)
 
-    def torque(
-        self, position: FloatArray, command: FloatArray, command_velocity: FloatArray, feedforward: FloatArray
-    ) -> FloatArray:
+    def torque(self, position: FloatArray, command: FloatArray, command_velocity: FloatArray) -> FloatArray:
         """One cycle: (n,) N·m to hold until the next, inside the torque limits.
 
         Args:
             position: (n,) rad, true; the encoder of the drive quantises it.
             command: (n,) rad, interpolated set-point.
             command_velocity: (n,) rad/s, its rate.
-            feedforward: (n,) N·m added to the output of the loops.
         """
         measured = np.rint(position / self._count) * self._count
         self._velocity = self._velocity + self._filter_share * ((measured - self._last) / self.dt - self._velocity)
         self._last = measured
         wanted = command_velocity + self._position_gain * (command - measured)
-        torque = self._velocity_gain * (wanted - self._velocity) + feedforward
+        torque = self._velocity_gain * (wanted - self._velocity)
         return np.minimum(np.maximum(torque, self._limit_below), self._limit)

@@ -2,7 +2,7 @@
 
 Written as physics happens (two inertias and a spring, bristles that slip, a base that floats), never as terms of a
 torque model: whoever fits must not recognise his own formulas. `load_concealed` reads a file, `Concealment` puts
-effects into a run (`simulate_run(..., hidden=...)`), `EFFECTS` lists what there is.
+effects into a run (`simulate_truth(..., hidden=...)`), `EFFECTS` lists what there is.
 """
 
 from spacearm_ident.simulation.concealed.concealment import Concealment

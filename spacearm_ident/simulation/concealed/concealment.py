@@ -67,7 +67,7 @@ class ConcealedLaw:
 
 
 class Concealment:
-    """`closed_loop.HiddenPhysics` of some effects. One run each: effects carry state.
+    """What an arm obeys beyond its parameters, and what its drives and sensors get wrong; for one run: effects have state.
 
     Args:
         effects: What to conceal.
@@ -82,16 +82,13 @@ class Concealment:
         self._motors = _using(effects, "motor")
         self._reports = _using(effects, "reported")
 
-    def plant(
-        self, parameters: PlantParameters, position: FloatArray, thermal: ThermalParameters, law: JointLaw | None
-    ) -> Plant:
-        """The plant with all effects, at rest.
+    def plant(self, parameters: PlantParameters, position: FloatArray, thermal: ThermalParameters) -> Plant:
+        """The plant with all effects, at rest, its clock at −`SETTLE_S`.
 
         Args:
             parameters: Of the healthy arm.
             position: (n,) where it rests, rad or m.
             thermal: How its joints warm up.
-            law: Friction of its joints; None: Stribeck friction of the parameters.
         """
         healthy = parameters
         for effect in self.effects:
@@ -99,8 +96,7 @@ class Concealment:
         structure = Structure(parameters.joints)
         for effect in self.effects:
             effect.build(structure)
-        base_law = StribeckLaw(parameters) if law is None else law
-        concealed = ConcealedLaw(base_law, self.effects, len(parameters.joints))
+        concealed = ConcealedLaw(StribeckLaw(parameters), self.effects, len(parameters.joints))
         plant = Plant(
             parameters,
             position=position,
@@ -115,19 +111,19 @@ class Concealment:
         return plant
 
     def encoder(self, position: FloatArray) -> FloatArray:
-        """See `HiddenPhysics`."""
+        """What the drives take for the position `position` (..., n), rad."""
         for effect in self._encoders:
             position = effect.encoder(position)
         return position
 
     def motor(self, torque: FloatArray, plant: Plant) -> FloatArray:
-        """See `HiddenPhysics`."""
+        """What the motors give (n,) where their drives mean to give, and report, `torque` (n,) N·m."""
         for effect in self._motors:
             torque = effect.motor(torque, plant)
         return torque
 
     def reported(self, truth: Truth) -> Truth:
-        """See `HiddenPhysics`."""
+        """Motion and torque as the sensors claim them."""
         if self._encoders:
             ahead, behind = (self.encoder(truth.q + side * _DIFFERENCE) for side in (0.5, -0.5))
             gain = (ahead - behind) / _DIFFERENCE
