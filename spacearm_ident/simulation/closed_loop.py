@@ -10,7 +10,7 @@ with a biased viscosity.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -82,8 +82,14 @@ class SensorNoise:
     @classmethod
     def times(cls, factor: float) -> SensorNoise:
         """The usual sensors with so many times their usual noise; resolution and correlation stay."""
-        noisy = (item for item in fields(cls) if item.name.endswith(("_white", "_coloured", "_noise")))
-        return cls(**{item.name: factor * item.default for item in noisy})
+        return cls(
+            effort_white=factor * cls.effort_white,
+            effort_coloured=factor * cls.effort_coloured,
+            velocity_noise=factor * cls.velocity_noise,
+            temperature_noise=factor * cls.temperature_noise,
+            gyro_noise=factor * cls.gyro_noise,
+            accelerometer_noise=factor * cls.accelerometer_noise,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,6 @@ move freely under the mechanism's own passive forces.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -44,64 +42,16 @@ def rigid_body_model(parameters: PlantParameters) -> pin.Model:
     return model
 
 
-class Mechanism(Protocol):
-    """Equations of motion A·dv/dt + b = torque in m ≥ n velocity coordinates; SI."""
-
-    size: int
-    """m."""
-    drives: NDArray[np.intp] | None
-    """Where the n drives are among the coordinates; None: the coordinates are the drives."""
-    time: float
-    """s on the recording's clock; set by the plant before each step."""
-
-    def start(self, position: FloatArray) -> FloatArray:
-        """Configuration at rest with the drives at `position` (n,)."""
-
-    def position(self, configuration: FloatArray) -> FloatArray:
-        """Drive positions (n,) of a configuration."""
-
-    def moved(self, configuration: FloatArray, velocity: FloatArray, h: float) -> FloatArray:
-        """The configuration after a step at constant velocity.
-
-        Args:
-            configuration: Generalised positions, as from `start`.
-            velocity: (m,) generalised velocity, rad/s or m/s.
-            h: Length of the step, s.
-        """
-
-    def acceleration(self, configuration: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
-        """(m,) generalised acceleration under a torque and the mechanism's own forces, rad/s² or m/s².
-
-        Args:
-            configuration: Generalised positions, as from `start`.
-            velocity: (m,) generalised velocity, rad/s or m/s.
-            torque: (m,) generalised force, N·m or N.
-        """
-
-    def bias(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray:
-        """b, (m,): Coriolis, gravity and passive forces."""
-
-    def inertia(self, configuration: FloatArray) -> FloatArray:
-        """A, (m, m), rotors included."""
-
-    def joint_inertia(self, configuration: FloatArray) -> FloatArray:
-        """Inertia (n, n) the drives would feel if everything but the joints were stiff."""
-
-    def load(self, configuration: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """(n,) torque that the gears pass on to the links, without rotors and joint friction, N·m.
-
-        Args:
-            configuration: Generalised positions, as from `start`.
-            velocity: (m,) generalised velocity, rad/s or m/s.
-            acceleration: (m,) generalised acceleration, rad/s² or m/s².
-        """
-
-    def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
-        """Where the base is, then its twist in its own axes: (13,) m, quaternion x y z w, m/s, rad/s; None: fixed."""
-
-
 class RigidMechanism:
-    """Rigid links on a fixed base: the coordinates are the joints."""
+    """Rigid links on a fixed base: the coordinates are the joints.
+
+    And the interface of every mechanism: equations of motion A·dv/dt + b = torque in m ≥ n velocity coordinates; SI.
+
+    Attributes:
+        size: m.
+        drives: Where the n drives are among the coordinates; None: the coordinates are the drives.
+        time: s on the recording's clock; set by the plant before each step.
+    """
 
     def __init__(self, parameters: PlantParameters) -> None:
         self._model = rigid_body_model(parameters)
@@ -112,38 +62,57 @@ class RigidMechanism:
         self.time = 0.0
 
     def start(self, position: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """Configuration at rest with the drives at `position` (n,)."""
         return position
 
     def position(self, configuration: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """Drive positions (n,) of a configuration."""
         return configuration
 
     def moved(self, configuration: FloatArray, velocity: FloatArray, h: float) -> FloatArray:
-        """See `Mechanism`."""
+        """The configuration after a step at constant velocity.
+
+        Args:
+            configuration: Generalised positions, as from `start`.
+            velocity: (m,) generalised velocity, rad/s or m/s.
+            h: Length of the step, s.
+        """
         return configuration + h * velocity
 
     def acceleration(self, configuration: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """(m,) generalised acceleration under a torque and the mechanism's own forces, rad/s² or m/s².
+
+        Args:
+            configuration: Generalised positions, as from `start`.
+            velocity: (m,) generalised velocity, rad/s or m/s.
+            torque: (m,) generalised force, N·m or N.
+        """
         found: FloatArray = pin.aba(self._model, self._data, configuration, velocity, torque)
         return found
 
     def bias(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """b, (m,): Coriolis, gravity and passive forces."""
         found: FloatArray = pin.nonLinearEffects(self._model, self._data, configuration, velocity)
         return found
 
     def inertia(self, configuration: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """A, (m, m), rotors included."""
         return np.array(pin.crba(self._model, self._data, configuration))
 
     joint_inertia = inertia
+    """Inertia (n, n) the drives would feel if everything but the joints were stiff."""
 
     def load(self, configuration: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """(n,) torque that the gears pass on to the links, without rotors and joint friction, N·m.
+
+        Args:
+            configuration: Generalised positions, as from `start`.
+            velocity: (m,) generalised velocity, rad/s or m/s.
+            acceleration: (m,) generalised acceleration, rad/s² or m/s².
+        """
         total: FloatArray = pin.rnea(self._model, self._data, configuration, velocity, acceleration)
         return total - self._rotor_inertia * acceleration
 
     def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
-        """See `Mechanism`."""
+        """Where the base is, then its twist in its own axes: (13,) m, quaternion x y z w, m/s, rad/s; None: fixed."""
         return None

@@ -10,26 +10,23 @@ the numbers explode.
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from spacearm_ident.arrays import FloatArray
 from spacearm_ident.simulation.joint_law import JointLaw, StribeckLaw
-from spacearm_ident.simulation.mechanism import Mechanism, RigidMechanism, rigid_body_model
+from spacearm_ident.simulation.mechanism import RigidMechanism, rigid_body_model
 from spacearm_ident.simulation.parameters import PlantParameters
 from spacearm_ident.simulation.stick_slip import solve_stick_slip
 from spacearm_ident.simulation.thermal import Thermal, ThermalParameters
 
+if TYPE_CHECKING:
+    from spacearm_ident.simulation.concealed.compliant import CompliantMechanism
+    from spacearm_ident.simulation.concealed.concealment import ConcealedLaw
+
 __all__ = ["Plant", "PlantParameters", "rigid_body_model"]
-
-
-class StepObserver(Protocol):
-    """Whatever has a state of its own (bristles, an oil temperature) and must move along with the plant."""
-
-    def begin(self, plant: Plant, h: float) -> None:
-        """Called before every internal step of `h` seconds, with the plant as the step finds it."""
 
 
 class Plant:
@@ -55,8 +52,8 @@ class Plant:
         law: JointLaw | None = None,
         thermal: ThermalParameters | None = None,
         longest_step_s: float = 2.5e-4,
-        mechanism: Mechanism | None = None,
-        observer: StepObserver | None = None,
+        mechanism: CompliantMechanism | None = None,
+        observer: ConcealedLaw | None = None,
         start_s: float = 0.0,
     ) -> None:
         """Start at `position` (zero unless given) and `velocity` (at rest unless given).
@@ -69,7 +66,7 @@ class Plant:
             thermal: Thermal data in place of the defaults.
             longest_step_s: Longer steps are divided.
             mechanism: What carries the joints, in place of rigid links on a fixed base.
-            observer: Told before every internal step.
+            observer: Told before every internal step, for what has a state of its own (bristles, an oil temperature).
             start_s: Where `time` begins.
 
         Raises:
@@ -126,7 +123,7 @@ class Plant:
         return self.mechanism.load(self.configuration, self.speed, self._acceleration)
 
     def base(self) -> FloatArray | None:
-        """(13,) pose and twist of a base that moves, see `Mechanism.base`; None where it is fixed."""
+        """(13,) pose and twist of a base that moves, see `RigidMechanism.base`; None where it is fixed."""
         return self.mechanism.base(self.configuration, self.speed)
 
     def step(self, torque: FloatArray, dt: float) -> None:

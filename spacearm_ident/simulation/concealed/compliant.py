@@ -87,7 +87,7 @@ class Structure:
 
 
 class CompliantMechanism:
-    """`mechanism.Mechanism` of an arm with a `Structure`.
+    """A mechanism, as `mechanism.RigidMechanism`, of an arm with a `Structure`.
 
     Velocity coordinates: base (6, if it moves), then joints and hinges from base to tip, then sprung motors.
     """
@@ -184,17 +184,17 @@ class CompliantMechanism:
         self._turns = np.array([column not in spun for column in range(tree.nv)])
 
     def start(self, position: FloatArray) -> FloatArray:
-        """See `Mechanism`; springs unloaded."""
+        """See `RigidMechanism`; springs unloaded."""
         tree = self._rest.copy()
         tree[self._in_q] = position
         return np.concatenate([tree, position[self._sprung]])
 
     def position(self, configuration: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """See `RigidMechanism`."""
         return configuration[self._drive_q]
 
     def moved(self, configuration: FloatArray, velocity: FloatArray, h: float) -> FloatArray:
-        """See `Mechanism`."""
+        """See `RigidMechanism`."""
         nq, m = self._tree.nq, self._m
         step = h * velocity
         if self._structure.base is None and not self._has_rotors:
@@ -203,7 +203,7 @@ class CompliantMechanism:
         return np.concatenate([tree, configuration[nq:] + step[m:]])
 
     def acceleration(self, configuration: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """See `RigidMechanism`."""
         m, q, v = self._m, configuration[: self._tree.nq], velocity[: self._m]
         driving = torque + self._passive(configuration, velocity)
         if self._has_rotors:
@@ -213,31 +213,31 @@ class CompliantMechanism:
         return np.concatenate([moving, driving[m:] / self._motor_inertia])
 
     def bias(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """See `RigidMechanism`."""
         out = -self._passive(configuration, velocity)
         out[: self._m] += self._tree_bias(configuration[: self._tree.nq], velocity[: self._m])
         return out
 
     def inertia(self, configuration: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """See `RigidMechanism`."""
         out = np.zeros((self.size, self.size))
         out[: self._m, : self._m] = self._tree_inertia(configuration[: self._tree.nq])
         out.flat[self._m * (self.size + 1) :: self.size + 1] = self._motor_inertia
         return out
 
     def joint_inertia(self, configuration: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """See `RigidMechanism`."""
         return np.array(pin.crba(self._rigid, self._rigid_data, self.position(configuration)))
 
     def load(self, configuration: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """See `Mechanism`."""
+        """See `RigidMechanism`."""
         q, m = configuration[: self._tree.nq], self._m
         a, v = self._T @ acceleration[:m], self._T @ velocity[:m]
         whole = self._T.T @ (pin.rnea(self._tree, self._data, q, v, a) - self._tree.armature * a)
         return np.asarray((whole - self._passive(configuration, velocity, springs=False)[:m])[self._links])
 
     def base(self, configuration: FloatArray, velocity: FloatArray) -> FloatArray | None:
-        """See `Mechanism`."""
+        """See `RigidMechanism`."""
         if self._structure.base is None:
             return None
         return np.concatenate([configuration[:7], velocity[:6]])

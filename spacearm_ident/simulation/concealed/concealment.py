@@ -67,7 +67,7 @@ class ConcealedLaw:
 
 
 class Concealment:
-    """What an arm obeys beyond its parameters, and what its drives and sensors get wrong; for one run: effects have state.
+    """What an arm obeys beyond its parameters, and what its drives and sensors get wrong; for one run, as it has state.
 
     Args:
         effects: What to conceal.

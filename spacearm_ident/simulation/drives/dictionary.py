@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import canopen
 from canopen.objectdictionary import INTEGER_TYPES, ODVariable
 from canopen.sdo import SdoAbortedError, SdoServer
 
 from spacearm_ident.canbus.eds import eds_path
+
+if TYPE_CHECKING:
+    from spacearm_ident.simulation.drives.communication import Communication
 
 # The library logs every transfer a master gets wrong, with traceback; the abort code tells the master.
 logging.getLogger("canopen.sdo.server").setLevel(logging.CRITICAL)
@@ -35,13 +38,6 @@ WRONG_STATE: Final = 0x08000022
 WriteHook = Callable[[int], None]
 
 
-class Sender(Protocol):
-    """What the dictionary needs of the bus."""
-
-    def send_message(self, can_id: int, data: bytes) -> None:
-        """Send a frame."""
-
-
 def key(index: int, sub: int = 0) -> int:
     """Place of an object in the flat table."""
     return index << 8 | sub
@@ -56,7 +52,7 @@ class DriveDictionary:
         after_write: What to do once a master's write is stored.
     """
 
-    def __init__(self, node_id: int, sender: Sender) -> None:
+    def __init__(self, node_id: int, sender: Communication) -> None:
         """Load the EDS for node `node_id` and put every object at its default; `sender` takes the answers."""
         self.object_dictionary = canopen.import_od(str(eds_path()), node_id=node_id)
         self._variables: dict[int, ODVariable] = {}

@@ -26,7 +26,7 @@ from spacearm_ident.canbus.pdo import SYNC
 from spacearm_ident.simulation.drives.communication import Route
 from spacearm_ident.simulation.drives.dictionary import key
 from spacearm_ident.simulation.drives.drive import VELOCITY, DriveConfig, SimulatedDrive
-from spacearm_ident.simulation.drives.mechanics import Mechanics
+from spacearm_ident.simulation.live_arm import LiveArm
 
 CATCH_UP: Final = 300
 #: Largest shift of the physics' phase a SYNC may cause, as a share of the step.
@@ -78,7 +78,7 @@ class DriveNetwork:
         self,
         buses: Sequence[can.BusABC],
         configs: Sequence[tuple[int, DriveConfig]],
-        mechanics: Mechanics,
+        mechanics: LiveArm,
         dt: float = 1e-3,
     ) -> None:
         """Put the drives on their buses; nothing is sent before `boot`.
