@@ -33,16 +33,16 @@ import numpy as np, rclpy
 from sensor_msgs.msg import JointState
 import time
 from spacearm_ident.canbus.realtime import Pacer, prepare_thread
+from spacearm_ident.nodes.joint_stream import JointStateWriter
 from spacearm_ident.nodes.runtime import STREAM
-from spacearm_ident.nodes.set_point_stream import SetPointMessage
 rclpy.init()
 publisher = rclpy.create_node("feedback").create_publisher(JointState, "/joint_states", STREAM)
-message, zeros = SetPointMessage([f"joint_{i}" for i in range(1, 7)]), np.zeros(6)
+writer, zeros = JointStateWriter([f"joint_{i}" for i in range(1, 7)], "position", "velocity"), np.zeros(6)
 prepare_thread()
 pacer = Pacer(1e-3)
 while True:
     pacer.wait()
-    publisher.publish(message.encode(time.time_ns(), zeros, zeros))
+    publisher.publish(writer.payload(time.time_ns(), zeros, zeros))
 """
 
 

@@ -21,8 +21,8 @@ from simulated_arm import CONFIG, paper_limits
 from spacearm_ident.driver.set_points import PAUSE
 from spacearm_ident.excitation.trajectory import Rest, Trajectory, random_feasible
 from spacearm_ident.excitation.trajectory_file import save_trajectory
+from spacearm_ident.nodes.joint_stream import JointStateWriter
 from spacearm_ident.nodes.runtime import STREAM
-from spacearm_ident.nodes.set_point_stream import SetPointMessage
 from spacearm_ident.nodes.twin import SILENCE_S
 from spacearm_ident.recording import cdr
 
@@ -481,11 +481,11 @@ def test_a_bad_arm_file_is_one_line(processes, tmp_path):
 
 
 def test_the_patched_message_is_what_the_encoder_writes():
-    message = SetPointMessage(["a", "long_name", "c"])
+    writer = JointStateWriter(["a", "long_name", "c"], "position", "velocity")
     q, qd = np.array([0.1, -2.0, math.pi]), np.array([1e-9, 3.0, -0.5])
     for stamp in (0, 1_795_262_547_999_999_999):
         expected = cdr.encode_joint_states([stamp], ["a", "long_name", "c"], q[None], qd[None])[0]
-        assert message.encode(stamp, q, qd) == expected
+        assert writer.payload(stamp, q, qd) == expected
 
 
 def test_a_second_node_of_the_same_name_is_said_and_neither_moves_the_arm_until_one_is_gone(

@@ -7,11 +7,9 @@ counted: each carries the stamp of its slot, and the driver plays it a while aft
 
 from __future__ import annotations
 
-import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -22,7 +20,7 @@ from ..canbus.realtime import Pacer, prepare_thread
 from ..driver.set_points import PAUSE
 from ..excitation.run import Brake, Phase, Run
 from ..excitation.trajectory import Motion, MotionLimits
-from ..recording import cdr
+from .joint_stream import JointStateWriter
 
 HOLD_S = 1.0
 """How long the last set-point is repeated at the end: whoever follows sees the arm come to rest."""
@@ -30,36 +28,12 @@ SILENCE_S = 2.0 * PAUSE
 """Nothing is sent for so long after the last set-point. The driver takes set-points that follow sooner than `PAUSE` for
 the same motion, and where the arm is measured for another jump of it; twice that, for a thread that is late."""
 
-_STAMP = struct.Struct("<iI")
-_STAMP_AT = 4
 _POLL_S = 1e-3
 """How often a graph's clock that is not this machine's is looked at."""
 
 
-class Encoder(Protocol):
-    """A set-point as the message of some topic."""
-
-    def encode(self, stamp_ns: int, q: FloatArray, qd: FloatArray) -> bytes:
-        """The set-point as a serialised message (CDR).
-
-        Args:
-            stamp_ns: Stamp of the message's header, ns since the epoch.
-            q: (n,) positions, rad or m.
-            qd: (n,) velocities, rad/s or m/s.
-        """
-
-
-class Slots(Protocol):
-    """Slots on absolute deadlines, as `canbus.realtime.Pacer`."""
-
-    slots: int
-    missed: int
-
-    def wait(self) -> float:
-        """Sleep until the next slot; returns how late it begins, s."""
-
-    def lateness(self, quantile: float) -> float:
-        """Lateness that this share of the slots stayed below, s."""
+Encoder = Callable[[int, FloatArray, FloatArray], bytes]
+"""A set-point as a serialised message (CDR), from its stamp (ns since 1970), positions and velocities, (n,), SI."""
 
 
 class ClockPacer:
@@ -113,25 +87,6 @@ class PositionsMessage:
         return bytes(self._buffer)
 
 
-class SetPointMessage:
-    """A `sensor_msgs/msg/JointState` with positions and velocities, as CDR bytes patched in place."""
-
-    def __init__(self, joints: Sequence[str]) -> None:
-        n = len(joints)
-        marks = np.arange(1.0, 2 * n + 1)
-        encoded = cdr.encode_joint_states([0], joints, marks[None, :n], marks[None, n:])[0]
-        self._buffer = bytearray(encoded)
-        places = [encoded.index(marks[k : k + n].tobytes()) for k in (0, n)]
-        self._q, self._qd = (np.frombuffer(self._buffer, "<f8", n, place) for place in places)
-
-    def encode(self, stamp_ns: int, q: FloatArray, qd: FloatArray) -> bytes:
-        """The message with this header stamp, positions and velocities, (n,) each."""
-        _STAMP.pack_into(self._buffer, _STAMP_AT, *divmod(stamp_ns, 1_000_000_000))
-        self._q[:] = q
-        self._qd[:] = qd
-        return bytes(self._buffer)
-
-
 class SetPointStream:
     """One run being streamed.
 
@@ -153,7 +108,7 @@ class SetPointStream:
         publish: Callable[[bytes], None],
         priority: int = 0,
         *,
-        message: Encoder | None = None,
+        encode: Encoder | None = None,
         now_ns: Callable[[], int] | None = None,
     ) -> None:
         """Begin to stream.
@@ -165,17 +120,17 @@ class SetPointStream:
             rate_hz: Set-points a second.
             publish: Given each message (CDR), in the stream's thread.
             priority: Of `SCHED_FIFO`; 0 for none.
-            message: How a set-point is written; a `SetPointMessage` unless given.
+            encode: How a set-point is written; as a `sensor_msgs/msg/JointState` unless given.
             now_ns: Clock of the graph, where it is not this machine's.
         """
         self.reason = ""
         self.warning: str | None = None
         self._run, self._motion, self._limits = run, motion, limits
-        self._message: Encoder = message or SetPointMessage(run.trajectory.joints)
+        self._encode: Encoder = encode or JointStateWriter(run.trajectory.joints, "position", "velocity").payload
         self._publish, self._priority = publish, priority
         self._period_s = 1.0 / rate_hz
         self._now_ns = now_ns or time.time_ns
-        self._pacer: Slots = Pacer(self._period_s) if now_ns is None else ClockPacer(self._period_s, now_ns)
+        self._pacer = Pacer(self._period_s) if now_ns is None else ClockPacer(self._period_s, now_ns)
         self._stop = threading.Event()
         self._slot = 0
         self._stopped_s: float | None = None
@@ -293,4 +248,4 @@ class SetPointStream:
 
     def _send(self, slot: int, q: FloatArray, qd: FloatArray) -> None:
         stamp_ns = self.start_ns + round(slot * self._period_s * 1e9)
-        self._publish(self._message.encode(stamp_ns, q, qd))
+        self._publish(self._encode(stamp_ns, q, qd))

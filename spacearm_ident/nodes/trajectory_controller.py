@@ -14,9 +14,10 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Final, Protocol
+from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 STATUS_AGE_S: Final = 3.0
@@ -26,22 +27,6 @@ ACTIVITY: Final = "Controllers Activity"
 """Name of controller_manager's status of its controllers, behind the node's name."""
 UNKNOWN: Final = "_NODE_NAME_UNKNOWN_"
 """What rmw says of a publisher before it has heard whose it is."""
-
-
-class Listener(Protocol):
-    """What is asked of the trajectory node: who it is, and who is on the graph."""
-
-    def get_fully_qualified_name(self) -> str:
-        """Its name with its namespace."""
-
-    def get_namespace(self) -> str:
-        """Its namespace; `/` where it is in none."""
-
-    def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
-        """The topic's name after remapping."""
-
-    def get_publishers_info_by_topic(self, topic_name: str, no_mangle: bool = False) -> list[TopicEndpointInfo]:
-        """Who publishes on it."""
 
 
 class Heard:
@@ -72,7 +57,7 @@ class ControllerSource:
         manager: Name of controller_manager's node; with its namespace (`/right/controller_manager`) that node alone.
     """
 
-    def __init__(self, node: Listener, controller: str, manager: str) -> None:
+    def __init__(self, node: Node, controller: str, manager: str) -> None:
         self._node, self._controller = node, controller
         self._topic = node.resolve_topic_name(DIAGNOSTICS)
         self._name = manager.rpartition("/")[2]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Final, Protocol
+from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Bool
@@ -24,22 +24,6 @@ from .runtime import LiveNode, local_name
 from .trajectory_controller import DIAGNOSTICS, STATUS_AGE_S, ControllerSource
 
 DRIVER: Final = "canopen_driver"
-
-
-class Source(Protocol):
-    """One that knows whether the arm may be moved."""
-
-    @property
-    def enabled(self) -> bool | None:
-        """What it says; None where it has said nothing lately."""
-
-    @property
-    def refusal(self) -> str:
-        """Why a run cannot begin, and what to do; asked where `enabled` is not true."""
-
-    @property
-    def loss(self) -> str:
-        """Why a run was stopped; asked where `enabled` is false."""
 
 
 class DriverSource:
@@ -125,6 +109,11 @@ class TopicSource:
     def loss(self) -> str:
         """It says no."""
         return f"{self._topic} says false"
+
+
+Source = DriverSource | ControllerSource | TopicSource
+"""One that knows whether the arm may be moved (`enabled`; None where it has said nothing lately). `refusal`: why a run
+cannot begin, and what to do, asked where `enabled` is not true; `loss`: why a run was stopped, where it is false."""
 
 
 class Interlock:

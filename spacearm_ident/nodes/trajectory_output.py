@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import Final
 
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -19,7 +19,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from ..errors import UserError
 from ..excitation.joint_trajectory import PATH_RATE_HZ
-from ..excitation.run import Phase, Run
+from ..excitation.run import Run
 from ..excitation.trajectory import Motion, MotionLimits
 from .runtime import STREAM, LiveNode
 from .set_point_stream import PositionsMessage, SetPointStream
@@ -36,47 +36,8 @@ TOPICS: Final = {
 """Output -> topic where none is given: the names that the controllers' own examples have."""
 
 
-class Stream(Protocol):
-    """A run under way; see `SetPointStream`."""
-
-    reason: str
-    warning: str | None
-    start_ns: int
-    lag_s: float
-
-    @property
-    def moving(self) -> bool:
-        """Whether the run goes on."""
-
-    @property
-    def set_points(self) -> int:
-        """Set-points sent."""
-
-    @property
-    def late(self) -> int:
-        """Of these, late."""
-
-    @property
-    def late_s(self) -> float:
-        """Lateness that 99 % stayed below, s."""
-
-    @property
-    def stopped_s(self) -> float | None:
-        """When braking began, s from the start."""
-
-    @property
-    def time_s(self) -> float:
-        """Time along the run, s from its start."""
-
-    @property
-    def phase(self) -> Phase:
-        """Where it is."""
-
-    def stop(self, reason: str) -> None:
-        """Brake to rest; returns at once."""
-
-    def wait(self, timeout_s: float) -> None:
-        """Wait for the last set-point."""
+Stream = SetPointStream | SentPath
+"""A run under way."""
 
 
 class Output:
@@ -150,7 +111,7 @@ class Output:
         if self.kind == JOINT_TRAJECTORY:
             publish, now = self._publisher.publish, self.now_ns
             return SentPath(run, limits, publish, now, order=self._order, rate_hz=self._path_rate_hz)
-        message = PositionsMessage(run.trajectory.joints, self._order) if self.kind == FORWARD_POSITIONS else None
+        encode = PositionsMessage(run.trajectory.joints, self._order).encode if self.kind == FORWARD_POSITIONS else None
         return SetPointStream(
             run,
             motion,
@@ -158,6 +119,6 @@ class Output:
             self.rate_hz,
             self._publisher.publish,
             self._priority,
-            message=message,
+            encode=encode,
             now_ns=self._clock,
         )
