@@ -28,7 +28,7 @@ SOURCES = sorted((ROOT / "spacearm_ident" / "nodes").glob("*.py"))
 NAMING = {
     "create_publisher": 1,
     "create_subscription": 1,
-    "subscribe_unspun": 1,
+    "resolve_topic_name": 0,
     "offer": 0,
     "offer_switch": 0,
 }

@@ -17,7 +17,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from types import TracebackType
 from typing import Final
 
 import can
@@ -91,9 +90,7 @@ class DriveMaster:
     def __enter__(self) -> DriveMaster:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def boot(self, timeout: float = 5.0, listen: float | None = None) -> None:

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
+from itertools import islice
 from typing import Any, Final
 
 from rclpy.node import Node
@@ -25,7 +26,7 @@ from ..recording.background_writer import Topic
 from ..recording.definitions import definition_text
 from ..recording.messages import MessageType
 from ..recording.qos import Qos
-from .offers import common_offer, meets
+from .offers import common_offer, meets, raw_subscription, taken
 from .runtime import STREAM
 
 _TAKE_S: Final = 0.02
@@ -146,7 +147,7 @@ class GraphReader:
             return
         # A topic is declared once, with the offers that were known then, as rosbag2 does.
         topic = tap.topic if tap is not None else self._topic(name, publishers)
-        subscription = self._node.create_subscription(python_type, name, _never, wanted, raw=True)
+        subscription = raw_subscription(self._node, python_type, name, wanted)
         count = self.counts.setdefault(name, Count())
         self._taps[name] = _Tap(topic, subscription, wanted, len(publishers) == 1, count)
 
@@ -169,20 +170,14 @@ class GraphReader:
             self.problems.append(sentence)
 
     def _take(self, tap: _Tap) -> None:
-        handle = tap.subscription.handle
-        with handle:
-            # At most what fits the history: a topic that never pauses must not starve the others.
-            for _ in range(_DEPTH):
-                taken = handle.take_message(tap.subscription.msg_type, True)
-                if taken is None:
-                    return
-                payload, info = taken
-                self._number(tap, info["publication_sequence_number"])
-                tap.count.received += 1
-                log_time_ns = info["received_timestamp"] or time.time_ns()
-                publish_time_ns = info["source_timestamp"] or log_time_ns
-                if not self._sink(tap.topic, log_time_ns, payload, publish_time_ns):
-                    tap.count.dropped += 1
+        # At most what fits the history: a topic that never pauses must not starve the others.
+        for payload, info in islice(taken(tap.subscription), _DEPTH):
+            self._number(tap, info["publication_sequence_number"])
+            tap.count.received += 1
+            log_time_ns = info["received_timestamp"] or time.time_ns()
+            publish_time_ns = info["source_timestamp"] or log_time_ns
+            if not self._sink(tap.topic, log_time_ns, payload, publish_time_ns):
+                tap.count.dropped += 1
 
     @staticmethod
     def _number(tap: _Tap, number: int | None) -> None:
@@ -215,7 +210,3 @@ def _python_type(name: str) -> Any | None:
         return getattr(import_module(".".join((package, *folders))), short)
     except (ImportError, AttributeError):
         return None
-
-
-def _never(_: object) -> None:
-    """The callback of subscriptions no executor serves."""

@@ -6,7 +6,7 @@ Drivers publish `/joint_states` either way.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rclpy.node import Node
@@ -42,6 +42,26 @@ def meets(offered: QoSProfile, requested: QoSProfile) -> bool:
     )
 
 
+def raw_subscription(node: Node, kind: type, topic: str, qos: QoSProfile) -> Any:
+    """A subscription to serialised messages, which `taken` reads.
+
+    Args:
+        node: A node in no executor (`LiveNode.unspun_node`).
+        kind: Message type.
+        topic: Name of the topic.
+        qos: Quality of service asked for.
+    """
+    return node.create_subscription(kind, topic, lambda _: None, qos, raw=True)
+
+
+def taken(subscription: Any) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
+    """What has arrived since at a `raw_subscription`: each message and what the middleware tells of it."""
+    handle = subscription.handle
+    with handle:
+        while (message := handle.take_message(subscription.msg_type, True)) is not None:
+            yield message
+
+
 class RawStream:
     """Serialised messages of a stream in the order of arrival: RELIABLE, unless a publisher offers less.
 
@@ -55,7 +75,7 @@ class RawStream:
 
     def __init__(self, node: Node, kind: type, topic: str) -> None:
         self._node, self._kind, self._topic = node, kind, topic
-        self._subscription = self._subscribe(STREAM)
+        self._subscription = raw_subscription(node, kind, topic, STREAM)
         self._before: list[tuple[bytes, int]] = []
         self._reliable = True
 
@@ -68,7 +88,7 @@ class RawStream:
         self._before = list(self.take())
         self._node.destroy_subscription(self._subscription)
         qos = QoSProfile(depth=STREAM.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._subscription, self._reliable = self._subscribe(qos), False
+        self._subscription, self._reliable = raw_subscription(self._node, self._kind, self._topic, qos), False
         names = sorted({f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in less})
         return (
             f"{self._topic} is published BEST_EFFORT by {', '.join(names)}, and taken so: what is lost on its way is "
@@ -79,10 +99,5 @@ class RawStream:
         """What has arrived since: message and time of arrival, ns since 1970."""
         before, self._before = self._before, []
         yield from before
-        handle = self._subscription.handle
-        with handle:
-            while (taken := handle.take_message(self._subscription.msg_type, True)) is not None:
-                yield taken[0], taken[1]["received_timestamp"]
-
-    def _subscribe(self, qos: QoSProfile) -> Any:
-        return self._node.create_subscription(self._kind, self._topic, lambda _: None, qos, raw=True)
+        for payload, info in taken(self._subscription):
+            yield payload, info["received_timestamp"]

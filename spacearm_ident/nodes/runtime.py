@@ -185,7 +185,7 @@ class LiveNode(Node):
         self.create_timer(period_s, action, clock=self._steady)
 
     def unspun_node(self) -> Node:
-        """A hidden node without services, in no executor, whose subscriptions are read by `take_message`.
+        """A hidden node without services, in no executor, whose subscriptions are read by `offers.taken`.
 
         Callbacks that ask for the message info fail in these wheels' EventsExecutor; `take_message` tells it.
         It is destroyed after `close`.
@@ -199,17 +199,6 @@ class LiveNode(Node):
         )
         self._unspun.append(node)
         return node
-
-    def subscribe_unspun(self, kind: type, topic: str, qos: QoSProfile) -> Any:
-        """Subscribe on an `unspun_node`, with this node's remapping of the topic's name.
-
-        Args:
-            kind: Message type; messages are taken raw.
-            topic: Name of the topic, as this node would give it.
-            qos: Quality of service of the subscription.
-        """
-        name = self.resolve_topic_name(topic)
-        return self.unspun_node().create_subscription(kind, name, lambda _: None, qos, raw=True)
 
     def destroy_node(self) -> None:
         """Destroy it and its `unspun_node`s."""

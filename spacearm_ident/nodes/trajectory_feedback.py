@@ -18,6 +18,7 @@ from sensor_msgs.msg import JointState
 from ..arrays import FloatArray
 from ..errors import UserError
 from ..recording import cdr
+from .offers import raw_subscription, taken
 from .runtime import LiveNode
 
 DEPTH: Final = 10
@@ -33,7 +34,8 @@ class Feedback:
 
     def __init__(self, node: LiveNode) -> None:
         qos = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._node, self._subscription = node, node.subscribe_unspun(JointState, "joint_states", qos)
+        topic = node.resolve_topic_name("joint_states")
+        self._node, self._subscription = node, raw_subscription(node.unspun_node(), JointState, topic, qos)
         self._joints: tuple[str, ...] = ()
         self._names: tuple[str, ...] = ()
         self._block: cdr.JointStateBlock | None = None
@@ -95,11 +97,7 @@ class Feedback:
         return [block.names.index(name) for name in self._joints]
 
     def _take(self) -> None:
-        handle, taken = self._subscription.handle, []
-        with handle:
-            while (message := handle.take_message(self._subscription.msg_type, True)) is not None:
-                taken.append(message)
-        for payload, info in reversed(taken):
+        for payload, info in reversed(list(taken(self._subscription))):
             blocks, _ = cdr.decode_joint_states([payload])
             if blocks and set(self._joints) <= set(blocks[0].names):
                 self._block, self._received_ns = blocks[0], info["received_timestamp"]

@@ -6,10 +6,7 @@ stream says how many there were.
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
-from types import TracebackType
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -25,7 +22,9 @@ from std_msgs.msg import String
 from ..errors import UnfitDataError
 from ..recording import cdr
 from ..recording.messages import STATES_TOPIC, TEMPERATURES_TOPIC
+from .ending import heed_signals
 from .main import NODES
+from .offers import raw_subscription, taken
 from .runtime import LATCHED, local_name, relative
 from .watch_screen import screen
 from .watch_state import View, WatchState
@@ -57,8 +56,7 @@ class Listener:
         # In no executor: taken when a screen is due, for a wake-up a message would cost more than all the rest.
         self._unspun = self._hidden_node("_spacearm_watch_joints", namespace)
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        states = relative(STATES_TOPIC)
-        self._joints = self._unspun.create_subscription(JointState, states, lambda _: None, newest, raw=True)
+        self._joints = raw_subscription(self._unspun, JointState, relative(STATES_TOPIC), newest)
 
     def _hidden_node(self, name: str, namespace: str) -> Node:
         return rclpy.create_node(
@@ -69,9 +67,7 @@ class Listener:
         """The listener."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the graph."""
         self._executor.shutdown()
         self._node.destroy_node()
@@ -90,17 +86,12 @@ class Listener:
         return self.state.view(time.monotonic(), most_parameters)
 
     def _take_joints(self) -> None:
-        handle = self._joints.handle
-        with handle:
-            # The queue holds one message: the newest.
-            taken = handle.take_message(self._joints.msg_type, True)
-        if taken is None:
-            return
-        payload, info = taken
-        for block in cdr.decode_joint_states([payload])[0]:
-            position, effort = (() if part is None else part[0].tolist() for part in (block.position, block.effort))
-            number = info["publication_sequence_number"]
-            self.state.hear_joints(block.names, position, effort, number, time.monotonic())
+        # The queue holds one message: the newest.
+        for payload, info in taken(self._joints):
+            for block in cdr.decode_joint_states([payload])[0]:
+                position, effort = (() if part is None else part[0].tolist() for part in (block.position, block.effort))
+                number = info["publication_sequence_number"]
+                self.state.hear_joints(block.names, position, effort, number, time.monotonic())
 
     def _statuses(self, message: DiagnosticArray) -> None:
         for item in message.status:
@@ -165,9 +156,7 @@ def watch(console: Console, rate_hz: float, most_parameters: int, namespace: str
         namespace: ROS namespace without leading slash; empty: the root.
     """
     # An exception out of a signal handler, in the middle of a C++ call, becomes another one there.
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = heed_signals()
     with Listener(namespace) as listener, Live(console=console, screen=True, auto_refresh=False) as live:
         while not stop.is_set():
             listener.spin(1.0 / rate_hz)
