@@ -1,7 +1,6 @@
 """The life of a node: parameters, services, diagnostics, signals, exit codes; with real processes."""
 
 import signal
-import sys
 import time
 
 import pytest
@@ -9,8 +8,6 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from live_nodes import LIVE, output, wait_for
-
-from spacearm_ident.nodes import main as entry
 
 pytestmark = LIVE
 
@@ -142,9 +139,3 @@ def test_a_node_without_ros_says_what_to_do(processes):
     assert process.wait(20) == 2
     assert len(output(process).splitlines()) == 1
     assert "recorder: the Python package 'rclpy' is missing; source a ROS 2 Jazzy setup file" in output(process)
-
-
-def test_a_node_that_is_not_there_yet_says_so(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["x"])
-    assert entry.start("not_written", []) == 2
-    assert "not_written: this node is not in this version yet" in capsys.readouterr().err

@@ -7,9 +7,8 @@ is started, and only then is ROS 2 needed.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from .ending import heed_signals
 
@@ -23,13 +22,9 @@ while it runs, `ros2 param list /{name}` and `ros2 param describe /{name} PARAME
 
 def start(name: str, arguments: Sequence[str]) -> int:
     """Start a node by name; returns its exit code (2 where it cannot start, with the reason on stderr)."""
-    module = f"{__package__}.{name}"
-    if importlib.util.find_spec(module) is None:
-        print(f"{name}: this node is not in this version yet; use 'spacearm identify BAG' offline", file=sys.stderr)
-        return 2
     try:
         heed_signals()  # before the imports, which take most of a second
-        node = importlib.import_module(module)
+        node = importlib.import_module(f"{__package__}.{name}")
         if {"-h", "--help"} & set(arguments):
             print(f"{node.__doc__}\n{_HELP.format(name=name)}")
             return 0
@@ -44,26 +39,9 @@ def start(name: str, arguments: Sequence[str]) -> int:
         return 2
 
 
-def canopen_driver() -> int:
-    """Start the driver."""
-    return start("canopen_driver", sys.argv[1:])
+def _script(name: str) -> Callable[[], int]:
+    """What the console script of a node calls (setup.py)."""
+    return lambda: start(name, sys.argv[1:])
 
 
-def trajectory() -> int:
-    """Start the trajectory node."""
-    return start("trajectory", sys.argv[1:])
-
-
-def identifier() -> int:
-    """Start the identifier."""
-    return start("identifier", sys.argv[1:])
-
-
-def recorder() -> int:
-    """Start the recorder."""
-    return start("recorder", sys.argv[1:])
-
-
-def simulated_arm() -> int:
-    """Start the simulated arm."""
-    return start("simulated_arm", sys.argv[1:])
+canopen_driver, trajectory, identifier, recorder, simulated_arm = map(_script, NODES)
