@@ -31,8 +31,7 @@ from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
 from ..estimate.identified import Identified
-from ..layers.document import verdict
-from ..mismatch.finding import NO_MISMATCH
+from ..mismatch.finding import NO_MISMATCH, Explanation
 from ..recording.intake import listing
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
 from .identifier_messages import (
@@ -46,7 +45,7 @@ from .identifier_messages import (
     validation_figures,
 )
 from .identifier_settings import declare
-from .jobs import Compared, CompareJob, Done, Explained, ExplainJob, IdentifyJob, Job
+from .jobs import Compared, Done, IdentifyJob, Job, MismatchJob
 from .joint_samples import without_effort
 from .live_tracking import LiveTracking, sentence
 from .message_buffer import Capture, MessageBuffer
@@ -106,7 +105,7 @@ class Identifier(LiveNode):
         self._known: Identified | None = None
         self._fitted: tuple[Path, ...] = ()
         self._last = Status(Level.OK, "nothing identified yet", part="identification")
-        self._to_explain: ExplainJob | CompareJob | None = None
+        self._to_explain: MismatchJob | None = None
         self._verdict = Status(Level.OK, "nothing compared yet", part="mismatch")
         self._model_file = self._settings.model
         self._model: IdentifiedModel | None = None
@@ -279,7 +278,7 @@ class Identifier(LiveNode):
         how, folder = self._settings.how, self._settings.directory / CHANGE_FOLDER
         # The model in use knows its arm and gravity.
         place = (None, None) if healthy is None else (how.arm, how.gravity)
-        self._start(ExplainJob((bag,), (), (healthy or model,), folder, *place, captures, bag))
+        self._start(MismatchJob((bag,), (), (healthy or model,), folder, *place, captures, bag))
 
     def _leave_unexplained(self, reason: str) -> None:
         """Say why a change will not be explained."""
@@ -289,9 +288,9 @@ class Identifier(LiveNode):
         self._verdict = Status(Level.WARN, sentence, part="mismatch")
         self.get_logger().warning(sentence)
 
-    def _start(self, job: IdentifyJob | ExplainJob | CompareJob) -> None:
+    def _start(self, job: Job) -> None:
         self._step = Step(0.0, "starting")
-        self._job = job if isinstance(job, CompareJob) else replace(job, captures=())
+        self._job = replace(job, captures=())
         self._worker = Worker(job)
         self.get_logger().info(f"{job.name}, as {job.command}")
         self.publish_diagnostics()
@@ -306,10 +305,8 @@ class Identifier(LiveNode):
             assert job is not None
             if isinstance(event, Failed):
                 self._fail(job, event)
-            elif isinstance(event, Explained) and isinstance(job, ExplainJob):
+            elif isinstance(event, Compared) and isinstance(job, MismatchJob):
                 self._report(job, event)
-            elif isinstance(event, Compared) and isinstance(job, CompareJob):
-                self._report_layers(job, event)
             elif isinstance(event, Done) and isinstance(job, IdentifyJob):
                 self._finish(job, event)
             self.publish_diagnostics()
@@ -345,33 +342,26 @@ class Identifier(LiveNode):
         said = "; ".join([message, *doubts[:1]])
         self._last = Status(Level.WARN if doubts else Level.OK, said, figures, "identification")
         self.get_logger().info(f"{message}; report: {session.page}")
-        if self._settings.reference is not None:
-            judged = () if job.holds_nothing_out else job.validated
-            folder = self._settings.directory / MISMATCH_FOLDER
-            how = self._settings.how
-            self._to_explain = ExplainJob(job.fitted, judged, (self._settings.reference,), folder, how.arm, how.gravity)
-        elif self._settings.simulation is not None:
-            judged = () if job.holds_nothing_out else job.validated
-            folder, how = self._settings.directory / MISMATCH_FOLDER, self._settings.how
-            self._to_explain = CompareJob(job.fitted, judged, self._settings.simulation, folder, how.arm, how.gravity)
+        if (against := self._settings.reference or self._settings.simulation) is not None:
+            self._to_explain = MismatchJob(
+                job.fitted,
+                () if job.holds_nothing_out else job.validated,
+                (against,),
+                self._settings.directory / MISMATCH_FOLDER,
+                self._settings.how.arm,
+                self._settings.how.gravity,
+                simulated=self._settings.reference is None,
+            )
 
-    def _report(self, job: ExplainJob, explained: Explained) -> None:
+    def _report(self, job: MismatchJob, compared: Compared) -> None:
         """Publish a verdict."""
-        explanation = explained.explanation
-        figures = {"report": explained.page, "bags": _files(job.bags), "reference": _files(job.reference)}
-        level = Level.OK if explanation.verdict == NO_MISMATCH else Level.WARN
-        message = explanation.headline
-        self._verdict = Status(level, message, {**figures, **mismatch_figures(explanation)}, job.name)
-        self.get_logger().info(f"{message}; report: {explained.page}")
-
-    def _report_layers(self, job: CompareJob, compared: Compared) -> None:
-        """Publish what a comparison with the simulation says."""
-        comparison = compared.comparison
-        figures = {"report": compared.page, "bags": _files(job.bags), "simulation": str(job.simulation)}
-        level = Level.OK if verdict(comparison) == NO_MISMATCH else Level.WARN
-        message = comparison.headline
-        self._verdict = Status(level, message, {**figures, **layer_figures(comparison)}, job.name)
-        self.get_logger().info(f"{message}; report: {compared.page}")
+        outcome = compared.outcome
+        said = mismatch_figures(outcome) if isinstance(outcome, Explanation) else layer_figures(outcome)
+        against = "simulation" if job.simulated else "reference"
+        figures = {"report": compared.page, "bags": _files(job.bags), against: _files(job.against)}
+        level = Level.OK if said["verdict"] == NO_MISMATCH else Level.WARN
+        self._verdict = Status(level, outcome.headline, {**figures, **said}, job.name)
+        self.get_logger().info(f"{outcome.headline}; report: {compared.page}")
 
     def _adopt(self, job: IdentifyJob, identified: Identified) -> None:
         """Go on with the model that a job identified, unless a run did and a change was found since the present one.

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -12,29 +11,17 @@ from sensor_msgs.msg import JointState
 from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Constant, Parameter
-from ..estimate.identified import Identified, Validation
+from ..estimate.identified import Estimate, Identified, Validation
 from ..identification.verdict import judge_result
 from ..layers.comparison import Comparison
 from ..layers.document import verdict
 from ..mismatch.finding import Explanation
 from ..sessions.identification import Session
+from ..tracking.layout import TrackedValue
 from ..tracking.tracker import TrackingState
 
 FROM_FILE = "from a model file"
 TRACKED = "tracked"
-
-
-@dataclass(frozen=True)
-class _Entry:
-    """A parameter as it is published; the standard error is NaN where there is none."""
-
-    symbol: str
-    joint: str
-    unit: str
-    value: float
-    standard_error: float
-    determination: str
-    note: str = ""
 
 
 def parameters_message(stamp: Time, statuses: Iterable[DiagnosticStatus]) -> DiagnosticArray:
@@ -54,7 +41,14 @@ def parameter_statuses(arm: str, model: IdentifiedModel, known: Identified | Non
         model: Whose values to publish.
         known: The identification it comes from; None: a model file, which knows no standard errors.
     """
-    return [_status(arm, entry) for entry in _entries(model, known)]
+    if known is not None:
+        return [
+            _status(arm, one, one.value, one.standard_error, one.determination.value, one.note)
+            for one in known.estimates
+        ]
+    items: tuple[Parameter | Constant, ...] = (*model.model.parameters, *model.model.constants)
+    values = (*model.parameters.tolist(), *model.constants.tolist())
+    return [_status(arm, one, value, float("nan"), FROM_FILE) for one, value in zip(items, values)]
 
 
 def tracked_statuses(arm: str, state: TrackingState) -> list[DiagnosticStatus]:
@@ -67,8 +61,7 @@ def tracked_statuses(arm: str, state: TrackingState) -> list[DiagnosticStatus]:
     statuses = []
     for item in state.parameters:
         note = "" if item.informed else "not excited by any motion yet"
-        entry = _Entry(item.symbol, item.joint, item.unit, item.value, item.standard_error, TRACKED, note)
-        status = _status(arm, entry)
+        status = _status(arm, item, item.value, item.standard_error, TRACKED, note)
         status.name = f"{TRACKED} {status.name}"
         further = {"identified": repr(item.identified), "time_s": f"{state.time_s:.3f}"}
         status.values = [*status.values, *(KeyValue(key=key, value=value) for key, value in further.items())]
@@ -76,31 +69,28 @@ def tracked_statuses(arm: str, state: TrackingState) -> list[DiagnosticStatus]:
     return statuses
 
 
-def _entries(model: IdentifiedModel, known: Identified | None) -> Iterator[_Entry]:
-    if known is not None:
-        for item in known.estimates:
-            error = item.standard_error
-            yield _Entry(item.symbol, item.joint, item.unit, item.value, error, item.determination.value, item.note)
-        return
-    items: tuple[Parameter | Constant, ...] = (*model.model.parameters, *model.model.constants)
-    for one, value in zip(items, (*model.parameters.tolist(), *model.constants.tolist())):
-        yield _Entry(one.symbol, one.joint, one.unit, value, float("nan"), FROM_FILE)
-
-
-def _status(arm: str, entry: _Entry) -> DiagnosticStatus:
+def _status(
+    arm: str,
+    item: Estimate | Parameter | Constant | TrackedValue,
+    value: float,
+    standard_error: float,
+    determination: str,
+    note: str = "",
+) -> DiagnosticStatus:
+    """A parameter as it is published; the standard error is NaN where there is none."""
     values = {
-        "symbol": entry.symbol,
-        "joint": entry.joint,
-        "value": repr(float(entry.value)),
-        "unit": entry.unit,
-        "standard_error": repr(float(entry.standard_error)),
-        "determination": entry.determination,
-        "note": entry.note,
+        "symbol": item.symbol,
+        "joint": item.joint,
+        "value": repr(float(value)),
+        "unit": item.unit,
+        "standard_error": repr(float(standard_error)),
+        "determination": determination,
+        "note": note,
     }
     return DiagnosticStatus(
         level=DiagnosticStatus.OK,
-        name=f"{entry.symbol}[{entry.joint}]",
-        message=entry.determination,
+        name=f"{item.symbol}[{item.joint}]",
+        message=determination,
         hardware_id=arm,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )

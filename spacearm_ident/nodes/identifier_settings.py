@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..dynamics.model import FRICTION_LAWS
+from ..dynamics.model import FRICTION_LAWS, OVER_TEMPERATURE
+from ..environment.gravity import GRAVITY_CHOICES
 from ..errors import UserError
 from ..sessions.bags import Options
 from ..sessions.identification import AUTO
 from ..solvers.choice import SEPARABLE, require_solver
-from .identifier_environment import surroundings_of
 from .runtime import LiveNode, require_folder
 from .tracking_stream import TrackingChoice
 
@@ -112,7 +112,14 @@ def _how(node: LiveNode) -> Options:
     solver = require_solver(node.parameter("solver", SEPARABLE, "Solver, as spacearm identify --solver"))
     seed = node.parameter("seed", 0, "Of the solver's particle swarm", low=0, high=2**32 - 1)
     bandwidth = node.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
-    surroundings = surroundings_of(node.parameter)
+    text = "Friction over temperature: f_c, k_v1, v_b, with commas between; empty: none"
+    temperature = tuple(filter(None, map(str.strip, node.parameter("temperature", "", text).split(","))))
+    for name in temperature:
+        if name not in OVER_TEMPERATURE:
+            raise UserError(f"parameter temperature: no {name!r}: some of {', '.join(OVER_TEMPERATURE)}")
+    estimated = node.parameter("estimate_gravity", "", "Estimate gravity: vector, direction; empty: it is the arm's")
+    if estimated and estimated not in GRAVITY_CHOICES:
+        raise UserError(f"parameter estimate_gravity: no {estimated!r}: one of {', '.join(GRAVITY_CHOICES)}, or empty")
     return Options(
         arm=arm,
         gravity=gravity,
@@ -121,7 +128,9 @@ def _how(node: LiveNode) -> Options:
         structure=structure,
         solver=solver,
         seed=seed,
-        **surroundings,
+        temperature=temperature,
+        estimate_gravity=estimated,
+        prior=_file(node, "prior", "Result folder whose model is updated by the run; empty: none"),
     )
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from ..estimate.identified import Identified
 from ..identification.identify import Progress
@@ -31,42 +30,11 @@ class Done:
 
 
 @dataclass(frozen=True)
-class Explained:
-    """A mismatch explained (or none), and the page to open."""
-
-    explanation: Explanation
-    page: Path
-
-
-@dataclass(frozen=True)
 class Compared:
-    """An arm compared with a simulation of it, and the page to open."""
+    """Recordings compared with a healthy arm or with a simulation: what came out, and the page to open."""
 
-    comparison: Comparison
+    outcome: Explanation | Comparison
     page: Path
-
-
-class Job(Protocol):
-    """Something to do."""
-
-    @property
-    def command(self) -> str:
-        """The offline command that does the same."""
-
-    @property
-    def bags(self) -> tuple[Path, ...]:
-        """The bags it is about, each once."""
-
-    @property
-    def name(self) -> str:
-        """What it is, a noun."""
-
-    def perform(self, progress: Progress) -> Done | Explained | Compared:
-        """Do it.
-
-        Raises:
-            UserError: The data or the folder do not allow it.
-        """
 
 
 @dataclass(frozen=True)
@@ -133,34 +101,37 @@ class IdentifyJob:
 
 
 @dataclass(frozen=True)
-class ExplainJob:
-    """The explanation of a mismatch; what `spacearm mismatch` does, from the same bags.
+class MismatchJob:
+    """A comparison; what `spacearm mismatch` does, from the same bags.
 
     Attributes:
         field: Bags to explain.
         judged: Bags to judge on; empty: the last third of `field`.
-        reference: Bags of the healthy arm, or one model file.
+        against: Bags of the healthy arm, or one model file; of a simulation its file, or bags that it wrote.
         directory: Result folder.
         arm, gravity: As `Comparing`.
         captures: Written to `bag` before anything else.
         bag: Where to.
+        simulated: Whether it is a simulation that the bags are compared with, layer by layer.
     """
 
     field: tuple[Path, ...]
     judged: tuple[Path, ...]
-    reference: tuple[Path, ...]
+    against: tuple[Path, ...]
     directory: Path
     arm: Path | None = None
     gravity: tuple[float, float, float] | None = None
     captures: tuple[Capture, ...] = ()
     bag: Path | None = None
+    simulated: bool = False
 
     name = "mismatch"
 
     @property
     def command(self) -> str:
         """The offline command that does the same."""
-        words = ["spacearm", "mismatch", *map(str, self.field), "--reference", *map(str, self.reference)]
+        option = "--simulation" if self.simulated else "--reference"
+        words = ["spacearm", "mismatch", *map(str, self.field), option, *map(str, self.against)]
         if self.judged:
             words += ["--validate", *map(str, self.judged)]
         words += arm_words(self.arm, self.gravity)
@@ -171,75 +142,23 @@ class ExplainJob:
         """Explained, then judged on."""
         return (*self.field, *self.judged)
 
-    def perform(self, progress: Progress) -> Explained:
-        """Write the captures, explain, write the result.
+    def perform(self, progress: Progress) -> Compared:
+        """Write the captures, compare, write the result.
 
         Raises:
-            UserError: As `explain_session`.
+            UserError: As `explain_session` or `compare_session`.
         """
         if self.bag is not None:
             progress(0.0, "writing the recording")
             write_captures(self.bag, self.captures)
-        session = explain_session(
-            self.field,
-            self.reference,
-            self.judged,
-            self.directory,
-            Comparing(Reading(self.arm), self.gravity),
-            command=self.command,
-            progress=progress,
-        )
-        return Explained(session.explanation, session.page)
+        how = Comparing(Reading(self.arm), self.gravity)
+        places = (self.judged, self.directory, how)
+        if self.simulated:
+            layers = compare_session(self.against, self.field, *places, command=self.command, progress=progress)
+            return Compared(layers.comparison, layers.page)
+        session = explain_session(self.field, self.against, *places, command=self.command, progress=progress)
+        return Compared(session.explanation, session.page)
 
 
-@dataclass(frozen=True)
-class CompareJob:
-    """The comparison with a simulation; what `spacearm mismatch --simulation` does, from the same bags.
-
-    Attributes:
-        field: Bags of the arm.
-        judged: Bags to judge on; empty: the last third of `field`.
-        simulation: The simulation's file, or a bag that a simulator wrote.
-        directory: Result folder.
-        arm, gravity: As `Comparing`.
-    """
-
-    field: tuple[Path, ...]
-    judged: tuple[Path, ...]
-    simulation: Path
-    directory: Path
-    arm: Path | None = None
-    gravity: tuple[float, float, float] | None = None
-
-    name = "mismatch"
-
-    @property
-    def command(self) -> str:
-        """The offline command that does the same."""
-        words = ["spacearm", "mismatch", *map(str, self.field), "--simulation", str(self.simulation)]
-        if self.judged:
-            words += ["--validate", *map(str, self.judged)]
-        words += arm_words(self.arm, self.gravity)
-        return shlex.join([*words, "--out", str(self.directory)])
-
-    @property
-    def bags(self) -> tuple[Path, ...]:
-        """Compared, then judged on."""
-        return (*self.field, *self.judged)
-
-    def perform(self, progress: Progress) -> Compared:
-        """Compare, write the result.
-
-        Raises:
-            UserError: As `compare_session`.
-        """
-        session = compare_session(
-            (self.simulation,),
-            self.field,
-            self.judged,
-            self.directory,
-            Comparing(Reading(self.arm), self.gravity),
-            command=self.command,
-            progress=progress,
-        )
-        return Compared(session.comparison, session.page)
+Job = IdentifyJob | MismatchJob
+"""What a worker does (`perform`): its `name` is a noun, its `command` the offline one that does the same."""

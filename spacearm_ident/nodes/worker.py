@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 
 from ..blas_threads import one_thread
 from ..errors import UnfitDataError, UserError
-from .jobs import Compared, Done, Explained, Job
+from .jobs import Compared, Done, Job
 
 UNFIT, USAGE, CRASHED = 1, 2, 3
 _ENDING_S = 2.0
@@ -41,11 +41,11 @@ class Failed:
     code: int
 
 
-Event = Step | Done | Explained | Compared | Failed
+Event = Step | Done | Compared | Failed
 
 
 class Worker:
-    """One job in its own process, from the constructor to `Done`, `Explained`, `Compared` or `Failed` from `poll`."""
+    """One job in its own process, from the constructor to `Done`, `Compared` or `Failed` from `poll`."""
 
     def __init__(self, job: Job) -> None:
         one_thread()
