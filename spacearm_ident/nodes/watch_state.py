@@ -11,7 +11,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from ..canbus.cia402 import State
@@ -260,18 +260,14 @@ class WatchState:
         moving = self._joints if now_s - self._joints_at_s <= SILENT_S else {}
         rows = []
         for name in dict.fromkeys([*moving, *drives, *self._joints]):
-            row = moving.get(name, JointRow(name))
             rms = residual.get(f"rms_Nm[{name}]")
-            rows.append(
-                JointRow(
-                    name,
-                    drive=drives.get(name, ""),
-                    position=row.position,
-                    torque=row.torque,
-                    residual_rms=None if rms is None else _number(rms),
-                    temperature=self._temperatures.get(name),
-                )
+            row = replace(
+                moving.get(name, JointRow(name)),
+                drive=drives.get(name, ""),
+                residual_rms=None if rms is None else _number(rms),
+                temperature=self._temperatures.get(name),
             )
+            rows.append(row)
         return tuple(rows)
 
 
