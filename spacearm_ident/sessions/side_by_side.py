@@ -15,7 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from ..blas_threads import VARIABLES
 from ..errors import UserError
@@ -119,18 +119,13 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
-@dataclass(frozen=True)
-class _OneAtATime(Generic[Task, Result]):
-    """A function that a worker with several threads runs in one of them only: figures are drawn in global state."""
-
-    perform: Callable[[Task], Result]
-
-    def __call__(self, task: Task) -> Result:
-        with _ALONE:
-            return self.perform(task)
-
-
 _ALONE = threading.Lock()
+
+
+def _alone(perform: Callable[[Task], Result], task: Task) -> Result:
+    """Perform in one thread only of a worker that has several: figures are drawn in global state."""
+    with _ALONE:
+        return perform(task)
 
 
 def on_cluster(perform: Callable[[Task], Result], tasks: Sequence[Task], address: str) -> Outcomes[Task, Result]:
@@ -154,8 +149,7 @@ def on_cluster(perform: Callable[[Task], Result], tasks: Sequence[Task], address
         reason = str(error) or type(error).__name__
         raise UserError(f"no Dask scheduler at {address} ({reason}): start one with 'dask scheduler'") from error
     with client:
-        alone = _OneAtATime(perform)
-        futures = {client.submit(alone, task, pure=False): task for task in tasks}
+        futures = {client.submit(_alone, perform, task, pure=False): task for task in tasks}
         for future in distributed.as_completed(list(futures), loop=client.loop):
             try:
                 result: Result | Lost = future.result()
