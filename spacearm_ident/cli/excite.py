@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -369,18 +369,7 @@ def document(
         "trajectory": str(options.out),
         "joints": list(trajectory.joints),
         "duration_s": float(trajectory.duration_s),
-        "margins": [
-            {
-                "kind": m.kind,
-                "where": m.where,
-                "value": float(m.value),
-                "limit": float(m.limit),
-                "unit": m.unit,
-                "at_s": float(m.at_s),
-                "used": float(m.used),
-            }
-            for m in margins
-        ],
+        "margins": [asdict(margin) for margin in margins],
     }
     if excitation is None:
         return out | {"purpose": options.purpose, "spectrum": PURPOSES[options.purpose]}

@@ -83,15 +83,9 @@ def lines(held: Held, joints: tuple[str, ...]) -> list[str]:
     if held.inertia is None or held.inertia_error is None:
         shown.append("inertia: not determined by this motion; the calls below leave it out or set it to 0")
     else:
-        for name, row, column in (
-            ("Ixx", 0, 0),
-            ("Iyy", 1, 1),
-            ("Izz", 2, 2),
-            ("Ixy", 0, 1),
-            ("Ixz", 0, 2),
-            ("Iyz", 1, 2),
-        ):
+        for row, column in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
             value, error = held.inertia[row, column], held.inertia_error[row, column]
+            name = f"I{'xyz'[row]}{'xyz'[column]}"
             shown.append(f"{name} {value:.5f} ± {error:.5f} kg m^2 about the centre")
     drop = ", ".join(
         f"{j} {b:.2f} to {a:.2f}" for j, b, a in zip(joints, held.before_Nm, held.after_Nm) if np.isfinite(a)
