@@ -25,12 +25,13 @@ from spacearm_ident.dynamics.arm import Arm, load_arm
 from spacearm_ident.dynamics.model_file import load_model, model_to_dict
 from spacearm_ident.estimate.identified import Identified
 from spacearm_ident.excitation import trajectory
+from spacearm_ident.excitation.run import limits_of
 from spacearm_ident.identification.identify import identify
 from spacearm_ident.recording import read_recording, write_recording
 from spacearm_ident.simulation import closed_loop
 from spacearm_ident.simulation.closed_loop import SensorNoise, Truth, measure, simulate_truth
+from spacearm_ident.simulation.own_arm import drives_of
 from spacearm_ident.simulation.parameters import PlantParameters
-from spacearm_ident.simulation.servo import DriveData
 
 SAMPLES = 60_000
 RATE_HZ = 1000.0
@@ -61,8 +62,7 @@ def simulate(arm: Arm, seed: int, fundamental_hz: float, cache: Path) -> Truth:
     path = cache / f"truth_{seed}_{fundamental_hz:g}Hz_{fingerprint()}.pkl"
     if path.exists():
         return pickle.loads(path.read_bytes())
-    columns = [(j.lower, j.upper, j.velocity_limit, j.acceleration_limit) for j in arm.joints]
-    limits = trajectory.MotionLimits(*np.array(columns).T)
+    limits = limits_of(arm, arm.joint_names)
     periods = max(1, int(SAMPLES / RATE_HZ * fundamental_hz))
     fourier = trajectory.random_feasible(
         arm.joint_names,
@@ -72,15 +72,9 @@ def simulate(arm: Arm, seed: int, fundamental_hz: float, cache: Path) -> Truth:
         harmonics=max(5, round(HIGHEST_HZ / fundamental_hz)),
         periods=periods,
     )
-    drives = DriveData.plain(
-        len(arm.joints),
-        gear_ratio=[joint.gear_ratio for joint in arm.joints],
-        torque_constant=[joint.torque_constant for joint in arm.joints],
-        torque_limit=[joint.effort_limit for joint in arm.joints],
-    )
     start = time.perf_counter()
     plant = PlantParameters.from_model(model_to_dict(load_model(model)), arm.urdf)
-    truth = simulate_truth(plant, fourier.run(limits), rate_hz=RATE_HZ, drives=drives)
+    truth = simulate_truth(plant, fourier.run(limits), rate_hz=RATE_HZ, drives=drives_of(arm))
     print(f"simulated trajectory {seed}: {len(truth.time)} samples in {time.perf_counter() - start:.0f} s", flush=True)
     cache.mkdir(parents=True, exist_ok=True)
     path.write_bytes(pickle.dumps(truth))

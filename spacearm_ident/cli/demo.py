@@ -13,14 +13,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import yaml
 
 from ..config import config_path
 from ..documents import read_yaml
 from ..dynamics.arm import load_arm
 from ..errors import UserError
-from ..excitation.trajectory import MotionLimits, Trajectory, random_feasible
+from ..excitation.run import limits_of
+from ..excitation.trajectory import Trajectory, random_feasible
 from ..excitation.trajectory_file import save_trajectory
 from ..report.folder import REPORT
 from ..results.store import MODEL, load_result
@@ -124,10 +124,7 @@ def write_trajectory(plan: Plan, directory: Path) -> Path:
         directory: Where to; it exists.
     """
     arm = load_arm(config_path(ARM))
-    lower, upper, velocity, acceleration = np.array(
-        [(j.lower, j.upper, j.velocity_limit, j.acceleration_limit) for j in arm.joints]
-    ).T
-    limits = MotionLimits(lower, upper, velocity, acceleration)
+    limits = limits_of(arm, arm.joint_names)
     series = random_feasible(
         arm.joint_names, limits, seed=plan.seed, fundamental_hz=plan.fundamental_hz, periods=plan.periods
     )

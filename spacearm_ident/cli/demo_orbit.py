@@ -13,7 +13,8 @@ from ..config import config_path
 from ..dynamics.arm import Arm, load_arm
 from ..dynamics.model_file import load_model
 from ..errors import UnfitDataError
-from ..excitation.trajectory import MotionLimits, random_feasible
+from ..excitation.run import limits_of
+from ..excitation.trajectory import random_feasible
 from ..excitation.trajectory_file import save_trajectory
 from ..recording import Recording, read_recording, write_recording
 from ..sessions.orbit import OrbitSession, orbit_session
@@ -120,7 +121,7 @@ def simulate(one: Run, arm: Arm, file: Path, report: common.Report) -> Recording
     Raises:
         UserError: The trajectory cannot be written, or the arm does not work at the temperature.
     """
-    limits = MotionLimits(*np.array([(j.lower, j.upper, j.velocity_limit, j.acceleration_limit) for j in arm.joints]).T)
+    limits = limits_of(arm, arm.joint_names)
     series = random_feasible(
         arm.joint_names, limits, seed=one.seed, fundamental_hz=one.fundamental_hz, periods=one.periods
     )
