@@ -12,7 +12,7 @@ from spacearm_ident.estimate.identified import Identified
 from spacearm_ident.identification.identify import identify
 from spacearm_ident.identification.validation import split, validate
 from spacearm_ident.recording import read_recording
-from spacearm_ident.sessions.identification import settings_for
+from spacearm_ident.sessions.bags import Options
 
 REAL = Path(__file__).parent.parent.parent / "shared" / "recordings" / "real"
 TX40 = REAL / "tx40" / "excitation.mcap"
@@ -23,7 +23,7 @@ def identified(bag: Path, friction: str = "auto", ratio: float = 0.0, couple: bo
 
     Args:
         bag: Recording, beside the URDF of its arm.
-        friction: As `settings_for`.
+        friction: As `Options`.
         ratio: Of the last joint in a coupling that the arm has before; 0: it has none.
         couple: As `Settings`.
     """
@@ -34,7 +34,7 @@ def identified(bag: Path, friction: str = "auto", ratio: float = 0.0, couple: bo
         ratios = {arm.joint_names[-2]: 1.0, arm.joint_names[-1]: ratio}
         arm = replace(arm, couplings=(Coupling("motor", ratios),))
     fit, held_out = split(read_recording(bag))
-    found = identify([fit], arm, replace(settings_for(arm, friction), couple=couple))
+    found = identify([fit], arm, replace(Options(friction=friction).settings(arm), couple=couple))
     figures = validate(found.model, [held_out], "held out", held_out=True).joints[arm.joint_names[-1]]
     return found, figures.moving.relative_rms
 

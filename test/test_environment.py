@@ -17,7 +17,7 @@ from spacearm_ident.estimate.environment import Environment, HighOrder, VacuumTe
 from spacearm_ident.estimate.identified import Determination
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.recording.recording import Recording, Series
-from spacearm_ident.sessions.identification import settings_for
+from spacearm_ident.sessions.bags import Options
 
 ARM = arm_from_urdf(urdf_of(TWO_LINKS))
 BARE = Friction(f_c=0.0, k_v1=0.0, k_v2=0.0, k_v3=0.0)
@@ -89,15 +89,15 @@ def test_terms_over_temperature_are_those_asked_for():
 
 
 def test_settings_refuse_what_does_not_go_together(tmp_path):
-    assert settings_for(ARM, temperature=("f_c",), estimate_gravity="vector").structure is None
+    assert Options(temperature=("f_c",), estimate_gravity="vector").settings(ARM).structure is None
     with pytest.raises(UserError, match="'J_m' over temperature"):
-        settings_for(ARM, temperature=("J_m",))
+        Options(temperature=("J_m",)).settings(ARM)
     with pytest.raises(UserError, match="leave out temperature f_c"):
-        settings_for(ARM, structure=tmp_path / "model.yaml", temperature=("f_c",))
+        Options(structure=tmp_path / "model.yaml", temperature=("f_c",)).settings(ARM)
     with pytest.raises(UserError, match="choose one of vector"):
-        settings_for(ARM, estimate_gravity="size")
+        Options(estimate_gravity="size").settings(ARM)
     with pytest.raises(UserError, match="pso-lm does not estimate friction over temperature"):
-        identify([warm_run()], ARM, settings_for(ARM, solver="pso-lm", temperature=("f_c",)))
+        identify([warm_run()], ARM, Options(solver="pso-lm", temperature=("f_c",)).settings(ARM))
 
 
 def test_a_slope_over_temperature_is_a_base_parameter():

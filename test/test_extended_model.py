@@ -20,7 +20,6 @@ from spacearm_ident.excitation.trajectory_file import save_trajectory
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.nodes.jobs import IdentifyJob
 from spacearm_ident.sessions.bags import Options
-from spacearm_ident.sessions.identification import settings_for
 from spacearm_ident.signals.motion import Motion
 from spacearm_ident.simulation.closed_loop import Truth, simulate_truth
 from spacearm_ident.simulation.concealed import Concealment
@@ -272,7 +271,7 @@ def test_an_effect_is_identified_beside_the_base_model(tmp_path):
     save_model(zero, tmp_path / "structure.yaml")
     run = small_arm.recording()
     pull = np.column_stack([np.zeros(len(run.time)), 0.5 + 3.0 * run.position[:, 1]])
-    settings = settings_for(arm, cutoff_hz=5.0, structure=tmp_path / "structure.yaml")
+    settings = Options(cutoff_hz=5.0, structure=tmp_path / "structure.yaml").settings(arm)
     found = identify([replace(run, effort=run.effort + pull)], arm, settings).model
     assert found.value("preload", "elbow") == pytest.approx(0.5, abs=0.05)
     # The paper's joint spring and the harness's are one column: only their sum is known.
@@ -316,11 +315,11 @@ def test_a_structure_that_does_not_fit_is_refused_in_one_line(tmp_path):
         file = tmp_path / f"{kind}.yaml"
         save_model(extended(kind, place, values), file)
         with pytest.raises(UserError, match=rf"{kind}.*no joint 'joint_"):
-            settings_for(arm, structure=file)
+            Options(structure=file).settings(arm)
     with pytest.raises(UserError, match="cannot read"):
-        settings_for(arm, structure=tmp_path / "missing.yaml")
+        Options(structure=tmp_path / "missing.yaml").settings(arm)
     with pytest.raises(UserError, match="own friction law"):
-        settings_for(arm, "paper", structure=tmp_path / "torque_ripple.yaml")
+        Options(friction="paper", structure=tmp_path / "torque_ripple.yaml").settings(arm)
 
 
 def test_the_identifiers_job_says_the_command_with_its_structure(tmp_path):

@@ -12,10 +12,11 @@ from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.errors import UnfitDataError, UserError
 from spacearm_ident.recording import read_recording, write_recording
-from spacearm_ident.sessions.identification import find_arm, identify_session, settings_for
+from spacearm_ident.sessions.bags import Options
+from spacearm_ident.sessions.identification import find_arm, identify_session
 
 ARM = arm_from_urdf(small_arm.URDF)
-QUICK = settings_for(ARM, "coulomb-viscous", 5.0)
+QUICK = Options(friction="coulomb-viscous", cutoff_hz=5.0).settings(ARM)
 
 
 @pytest.fixture(scope="module")
@@ -81,10 +82,11 @@ def test_the_arm_comes_from_the_file_or_else_from_the_recordings(runs, tmp_path)
 
 
 def test_settings_are_what_was_asked_for(runs, tmp_path):
-    assert settings_for(ARM).structure is None
-    session = identify_session(runs[:1], runs[1:], ARM, settings_for(ARM, "vacuum", 7.0), tmp_path)
+    assert Options().settings(ARM).structure is None
+    settings = Options(friction="vacuum", cutoff_hz=7.0).settings(ARM)
+    session = identify_session(runs[:1], runs[1:], ARM, settings, tmp_path)
     model = load_model(tmp_path / "model.yaml")
     assert model.cutoff_hz == session.identified.bandwidth.cutoff_hz == 7.0
     assert model.model.structure["viscous_friction"] == {"vacuum": True}
     with pytest.raises(UserError, match="friction law"):
-        settings_for(ARM, "sticky")
+        Options(friction="sticky").settings(ARM)

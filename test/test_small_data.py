@@ -15,7 +15,8 @@ from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.errors import UnfitDataError
 from spacearm_ident.recording import Recording, write_recording
-from spacearm_ident.sessions.identification import identify_session, settings_for
+from spacearm_ident.sessions.bags import Options
+from spacearm_ident.sessions.identification import identify_session
 
 LAWS = [Friction(k_v2=0.0, k_v3=0.0)] * len(THREE_LINKS)
 
@@ -38,7 +39,7 @@ def outcome(directory, fitted: Recording, judged: Recording | None) -> str:
     """`ok` with finite figures of every joint that moves, or the reason."""
     arm = arm_from_urdf(fitted.urdf)
     try:
-        session = identify_session([fitted], judged and [judged], arm, settings_for(arm), directory)
+        session = identify_session([fitted], judged and [judged], arm, Options().settings(arm), directory)
     except UnfitDataError as error:
         return str(error)
     figures = json.loads((directory / "validation.json").read_text())
@@ -101,4 +102,4 @@ def test_rest_at_the_end_is_not_what_a_recording_is_judged_on(tmp_path):
                 identify_session(resting, None, arm_from_urdf(run.urdf), QUICK, tmp_path)
 
 
-QUICK = settings_for(arm_from_urdf(little(2.0, 90.0).urdf), "coulomb-viscous", 5.0)
+QUICK = Options(friction="coulomb-viscous", cutoff_hz=5.0).settings(arm_from_urdf(little(2.0, 90.0).urdf))

@@ -24,7 +24,6 @@ from spacearm_ident.regression.prior import make_prior
 from spacearm_ident.regression.regression import Regression
 from spacearm_ident.results.covariance_file import covariance_dict
 from spacearm_ident.sessions.bags import Options
-from spacearm_ident.sessions.identification import settings_for
 from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.solvers import separable
 from spacearm_ident.solvers.choice import SOLVERS
@@ -111,14 +110,14 @@ def test_the_same_seed_gives_the_same_result_and_another_another(results):
 
 def test_an_unknown_solver_is_refused_with_those_there_are():
     with pytest.raises(UserError, match=r"no solver 'magic': choose one of separable, pso-lm, idim-iv, cloe"):
-        settings_for(ARM, solver="magic")
+        Options(solver="magic").settings(ARM)
     with pytest.raises(UserError, match="no solver 'magic'"):
         identify([small_arm.recording(duration_s=4.0)], ARM, Settings(solver="magic"))
 
 
 def test_a_negative_seed_is_refused():
     with pytest.raises(UserError, match="seed -1: a seed is a whole number from 0 on"):
-        settings_for(ARM, solver="pso-lm", seed=-1)
+        Options(solver="pso-lm", seed=-1).settings(ARM)
 
 
 def test_the_command_passes_solver_and_seed_on(tmp_path, capsys):

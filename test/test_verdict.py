@@ -26,7 +26,8 @@ from spacearm_ident.estimate.identified import Identified, JointValidation, Vali
 from spacearm_ident.identification.verdict import HELD, IMPOSSIBLE, Level, judge_result
 from spacearm_ident.recording import Recording, write_recording
 from spacearm_ident.results.tables import validation_dict
-from spacearm_ident.sessions.identification import Session, identify_session, settings_for
+from spacearm_ident.sessions.bags import Options
+from spacearm_ident.sessions.identification import Session, identify_session
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +171,8 @@ def test_errors_of_friction_are_those_of_its_parameters(made) -> None:
 
 def session(fitted: Recording, judged: Recording, directory: Path) -> Session:
     small = arm_from_urdf(fitted.urdf)
-    return identify_session([fitted], [judged], small, settings_for(small, "coulomb-viscous", 5.0), directory)
+    settings = Options(friction="coulomb-viscous", cutoff_hz=5.0).settings(small)
+    return identify_session([fitted], [judged], small, settings, directory)
 
 
 def negated(run: Recording, joint: int) -> Recording:

@@ -90,6 +90,21 @@ def add_mapping_option(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_files_option(
+    command: argparse.ArgumentParser, name: str, what: str, *, metavar: str = "BAG", action: str = "extend"
+) -> None:
+    """An option that takes one or more files and may be repeated.
+
+    Args:
+        command: Parser of the command.
+        name: Such as `--validate`.
+        what: Its help.
+        metavar: What stands for a file in the help.
+        action: `extend`: one list of all; `append`: a list for each time it is given.
+    """
+    command.add_argument(name, nargs="+", action=action, default=[], type=Path, metavar=metavar, help=what)
+
+
 def add_output_options(command: argparse.ArgumentParser) -> None:
     """`--json` and `--quiet`."""
     command.add_argument("--json", action="store_true", help="print the result as JSON on standard output")

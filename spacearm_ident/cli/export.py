@@ -43,14 +43,8 @@ def add(command: argparse.ArgumentParser) -> None:
         help="arm YAML with gear ratios and torque constants: actuators of mjcf then take the motor's current, A, with "
         "their gain in N m/A; without it torque, N m; also the arm of logs given to --validate",
     )
-    command.add_argument(
-        "--validate",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=Path,
-        metavar="BAG",
-        help="held-out recordings, for cost and thresholds; default: the result's own validation",
+    common.add_files_option(
+        command, "--validate", "held-out recordings, for cost and thresholds; default: the result's own validation"
     )
     command.add_argument(
         "--false-alarms",

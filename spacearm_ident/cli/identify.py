@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from ..conventions.finding import ConventionReport
 from ..dynamics.model import FRICTION_LAWS
@@ -14,8 +16,7 @@ from ..estimate.coupling import CouplingTrial
 from ..estimate.identified import GAIN_DEVIATION, Identified, OptionalTerm, Validation
 from ..identification.verdict import judge_result
 from ..results.tables import validation_dict
-from ..sessions.bags import Options, identify_bags
-from ..sessions.identification import AUTO
+from ..sessions.bags import AUTO, Options, identify_bags
 from ..solvers.choice import SEPARABLE, SOLVERS
 from . import common
 
@@ -33,14 +34,10 @@ def add(command: argparse.ArgumentParser) -> None:
     """Add the command's options to its parser."""
     command.description = DESCRIPTION
     command.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="recordings to fit, of the same arm")
-    command.add_argument(
+    common.add_files_option(
+        command,
         "--validate",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=Path,
-        metavar="BAG",
-        help="recordings to validate on; default: the last third of the motion in the last BAG is held out of the fit",
+        "recordings to validate on; default: the last third of the motion in the last BAG is held out of the fit",
     )
     command.add_argument("--out", required=True, type=Path, metavar="DIR", help="result folder")
     add_options(command)
@@ -55,7 +52,11 @@ def add_options(command: argparse.ArgumentParser) -> None:
     common.add_namespace_option(command)
     common.add_mapping_option(command)
     command.add_argument(
-        "--bandwidth", type=float, metavar="HZ", help="low-pass cut-off; default: chosen from the data and printed"
+        "--bandwidth",
+        dest="cutoff_hz",
+        type=float,
+        metavar="HZ",
+        help="low-pass cut-off; default: chosen from the data and printed",
     )
     command.add_argument(
         "--friction",
@@ -118,36 +119,16 @@ def _add_known_mass(command: argparse.ArgumentParser) -> None:
         help="calibrate each joint's torque gain with a known mass, in kg, fixed to this link of the URDF (2.5@tool0; "
         "without @LINK the last one) in the recordings of --loaded; recorded torque is then divided by the gains",
     )
-    command.add_argument(
-        "--loaded",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=Path,
-        metavar="BAG",
-        help="recordings with the known mass, of the arm as it is in the BAGs without it",
+    common.add_files_option(
+        command, "--loaded", "recordings with the known mass, of the arm as it is in the BAGs without it"
     )
 
 
 def options_of(options: argparse.Namespace) -> Options:
-    """What `add_options` added."""
-    return Options(
-        arm=options.arm,
-        gravity=None if options.gravity is None else tuple(options.gravity),
-        fixed_base=options.fixed_base,
-        namespace=options.namespace,
-        friction=options.friction,
-        cutoff_hz=options.bandwidth,
-        structure=options.structure,
-        solver=options.solver,
-        seed=options.seed,
-        temperature=options.temperature,
-        estimate_gravity=options.estimate_gravity,
-        prior=options.prior,
-        mapping=options.mapping,
-        weighed=options.weighed,
-        loaded=tuple(options.loaded),
-    )
+    """What `add_options` added; each is called as its field there."""
+    given: dict[str, Any] = {item.name: getattr(options, item.name) for item in fields(Options)}
+    given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+    return Options(**given)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..errors import UserError
 from ..layers.comparison import Comparison
@@ -31,40 +33,28 @@ With --simulation the arm is compared with a simulation of it (MJCF, URDF, SDF, 
 wrote), layer by layer: conventions and wiring, wrong parameters, physics that the simulation lacks, and the rest; with
 a corrected file of the simulation.
 """
+FILES = (
+    ("--reference", "BAG|MODEL", "recordings of the healthy arm, or one model.yaml"),
+    (
+        "--simulation",
+        "SIM",
+        "a simulation to compare with: MJCF, URDF (then also the arm of logs, without --arm), SDF, model.yaml, "
+        "or bags that a simulator wrote",
+    ),
+    (
+        "--validate",
+        "BAG",
+        "recordings to validate on; default: the last third of the motion in each BAG is held out",
+    ),
+)
 
 
 def add(command: argparse.ArgumentParser) -> None:
     """Add the command's options to its parser."""
     command.description = DESCRIPTION
     command.add_argument("bags", nargs="*", type=Path, metavar="BAG", help="recordings to explain")
-    command.add_argument(
-        "--reference",
-        nargs="+",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="BAG|MODEL",
-        help="recordings of the healthy arm, or one model.yaml",
-    )
-    command.add_argument(
-        "--simulation",
-        nargs="+",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="SIM",
-        help="a simulation to compare with: MJCF, URDF (then also the arm of logs, without --arm), SDF, model.yaml, "
-        "or bags that a simulator wrote",
-    )
-    command.add_argument(
-        "--validate",
-        nargs="+",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="BAG",
-        help="recordings to validate on; default: the last third of the motion in each BAG is held out",
-    )
+    for name, metavar, what in FILES:
+        common.add_files_option(command, name, what, metavar=metavar, action="append")
     common.add_arm_options(command)
     common.add_base_option(command)
     common.add_namespace_option(command)
@@ -183,9 +173,6 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
         lines.append(ITEM_WORDS)
     lines.append(f"residual RMS, {unit}, on {comparison.judged_on}")
     names = [layer.name for layer in comparison.layers[:3]]
-    lines.append(
-        f"{'joint':24}" + "".join(f"{head:>13}" for head in ("torque", "simulation", *names, "ceiling", "corrected"))
-    )
     columns = (
         comparison.torque_Nm,
         comparison.before_Nm,
@@ -193,11 +180,8 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
         comparison.ceiling_Nm,
         comparison.mended_Nm,
     )
-    places = common.decimals(np.ravel(columns).tolist())
-    lines += [
-        f"{joint:24}" + "".join(f"{value:13.{places}f}" for value in values)
-        for joint, *values in zip(comparison.joints, *columns)
-    ]
+    heads = ("torque", "simulation", *names, "ceiling", "corrected")
+    lines += _table(13, heads, comparison.joints, columns)
     if mended is not None and mended.closed_loop is not None:
         was, now = mended.closed_loop
         lines.append(f"closed loop in MuJoCo along the held-out motion: feedback RMS, {unit}; distance RMS, rad (m)")
@@ -210,6 +194,18 @@ def comparison_summary(comparison: Comparison, page: Path, mended: Mended | None
             cells = (format(value, form) if math.isfinite(value) else "unstable" for value, form in shown)
             lines.append(f"{joint:24}" + "".join(f"{cell:>13}" for cell in cells))
     return "\n".join(lines)
+
+
+def _table(width: int, heads: Sequence[str], joints: Sequence[str], columns: Sequence[FloatArray]) -> list[str]:
+    """Torques by joint: a line of heads, a line a joint, all with as many places."""
+    places = common.decimals(np.ravel(columns).tolist())
+    return [
+        f"{'joint':24}" + "".join(f"{head:>{width}}" for head in heads),
+        *(
+            f"{joint:24}" + "".join(f"{value:{width}.{places}f}" for value in values)
+            for joint, *values in zip(joints, *columns)
+        ),
+    ]
 
 
 def _next_step(comparison: Comparison, page: Path, mended: Mended) -> str:
@@ -282,15 +278,9 @@ def summary(explanation: Explanation, page: Path, unit: str) -> str:
     if explanation.verdict != DATA_UNFIT:
         lines.append(f"residual RMS, {unit}, on {explanation.judged_on}")
         heads = ("healthy", "detectable", *(("before", "after") if explanation.findings else ("residual",)))
-        lines.append(f"{'joint':24}" + "".join(f"{head:>11}" for head in heads))
         columns = [explanation.noise_floor_Nm, explanation.detectable_Nm, explanation.before_Nm]
         columns += [explanation.after_Nm] if explanation.findings else []
-        places = common.decimals(np.ravel(columns).tolist())
-        lines += [
-            f"{joint:24}" + "".join(f"{value:11.{places}f}" for value in values)
-            for joint, *values in zip(explanation.joints, *columns)
-        ]
-        lines.append(RESIDUAL_WORDS)
+        lines += [*_table(11, heads, explanation.joints, columns), RESIDUAL_WORDS]
     for left in explanation.unexplained:
         share = f"{100 * left.fraction:.0f} % of the residual variance"
         lines.append(f"unexplained at {', '.join(left.joints)}: {share}; {left.where}")

@@ -9,8 +9,7 @@ from pathlib import Path
 from ..dynamics.model import FRICTION_LAWS, OVER_TEMPERATURE
 from ..environment.gravity import GRAVITY_CHOICES
 from ..errors import UserError
-from ..sessions.bags import Options
-from ..sessions.identification import AUTO
+from ..sessions.bags import AUTO, Options
 from ..solvers.choice import SEPARABLE, require_solver
 from .runtime import LiveNode, require_folder
 from .tracking_stream import TrackingChoice

@@ -16,6 +16,8 @@ from typing import Any
 from ..bayes.from_prior import GroundPrior
 from ..documents import file_sha256
 from ..dynamics.arm import Arm, load_arm
+from ..dynamics.model import over_temperature, structure_of
+from ..environment.gravity import require_gravity_choice
 from ..errors import UserError
 from ..estimate.identified import Identified
 from ..identification.effort import in_newton_metres
@@ -23,30 +25,29 @@ from ..identification.identify import Progress, Settings
 from ..identification.weighed import Weight, calibrate_gains, parse_weight
 from ..recording import Recording, describe
 from ..results.store import ARRAYS, MODEL, load_prior
-from ..solvers.choice import SEPARABLE
-from .identification import (
-    AUTO,
-    Session,
-    corrected,
-    find_arm,
-    identify_session,
-    locked_words,
-    settings_for,
-    within,
-)
+from ..solvers.choice import SEPARABLE, require_solver
+from .identification import Session, corrected, find_arm, identify_session, locked_words, structure_of_file, within
 from .reading import Reading
+
+AUTO, VACUUM = "auto", "vacuum"
 
 
 @dataclass(frozen=True)
 class Options:
-    """How to identify, in words.
+    """How to identify, in the words of a user.
 
     Attributes:
         arm: URDF or arm YAML; None: of the bags' `/robot_description`.
         gravity: (3,) m/s^2 instead of the arm's; None: the arm's.
         fixed_base: Take the base for fixed though a bag holds its motion.
         namespace: Of the arm, where a bag holds several.
-        friction, cutoff_hz, structure, solver, seed, temperature, estimate_gravity: As `session.settings_for`.
+        friction: `auto` (the terms that predict held-out data best, joint by joint), or one of `FRICTION_LAWS`.
+        cutoff_hz: Bandwidth; None: chosen from the data.
+        structure: Model file whose terms are identified, effects included; its values do not count.
+        solver: One of `SOLVERS`.
+        seed: Of its particle swarm, where it has one.
+        temperature: What of friction follows the joints' temperatures, some of `OVER_TEMPERATURE`.
+        estimate_gravity: One of `GRAVITY_CHOICES`; empty: gravity is the arm's.
         prior: Result folder, or the model.yaml in one, to update.
         mapping: What the columns of logs are; None: the file beside each, or what is proposed.
         weighed: MASS@LINK of a known mass, kg, that the arm carries in `loaded`; empty: torque gains are taken as 1.
@@ -115,22 +116,38 @@ class Options:
         return {name: _content(name, value) for name, value in changed.items()}
 
     def settings(self, arm: Arm, prior: GroundPrior | None = None) -> Settings:
-        """For an arm, as `settings_for`.
+        """For an arm.
+
+        Args:
+            arm: The arm.
+            prior: Ground model to update, in its own structure; with friction `vacuum`, its k_v2 and k_v3 are gone.
 
         Raises:
-            UserError: As `settings_for`.
+            UserError: No friction law, solver, temperature term or choice of that name, a negative seed, a law beside a
+                structure, a structure that is not of this arm, or what a prior decides beside a prior.
         """
-        return settings_for(
-            arm,
-            self.friction,
-            self.cutoff_hz,
-            self.structure,
-            self.solver,
-            self.seed,
-            self.temperature,
-            self.estimate_gravity,
-            prior,
-        )
+        friction, structure, temperature = self.friction, self.structure, self.temperature
+        require_solver(self.solver)
+        if self.seed < 0:
+            raise UserError(f"seed {self.seed}: a seed is a whole number from 0 on")
+        require_gravity_choice(self.estimate_gravity, arm.gravity)
+        if prior is not None:
+            if friction not in (AUTO, VACUUM) or structure is not None or temperature or self.solver != SEPARABLE:
+                raise UserError(
+                    f"a prior has its own structure and solver: beside it, friction may be {VACUUM} (k_v2 and k_v3 "
+                    "gone), leave out other friction, structure, temperature and solver"
+                )
+            ground = prior.in_vacuum() if friction == VACUUM else prior
+            return Settings(self.cutoff_hz, gravity=self.estimate_gravity, prior=ground)
+        if structure is None:
+            terms = None if friction == AUTO else structure_of(arm, friction)
+            over_temperature(terms or structure_of(arm), arm, temperature)
+            return Settings(self.cutoff_hz, terms, self.solver, self.seed, tuple(temperature), self.estimate_gravity)
+        if friction != AUTO or temperature:
+            asked = f"friction {friction}" if friction != AUTO else f"temperature {','.join(temperature)}"
+            raise UserError(f"a structure has its own friction law: leave out {asked} or {structure}")
+        terms = structure_of_file(structure, arm)
+        return Settings(self.cutoff_hz, terms, self.solver, self.seed, gravity=self.estimate_gravity)
 
     def weight(self) -> Weight | None:
         """The known mass, if there is one.

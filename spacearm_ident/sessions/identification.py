@@ -20,10 +20,9 @@ from ..conventions.finding import ConventionReport
 from ..dynamics.arm import Arm, arm_from_urdf, load_arm, without_joints
 from ..dynamics.effects import Effect
 from ..dynamics.mimics import follower_words, require_open_chain
-from ..dynamics.model import Structure, TorqueModel, over_temperature, structure_of
+from ..dynamics.model import Structure, TorqueModel
 from ..dynamics.model_file import load_model
 from ..dynamics.urdf_chain import JointTree
-from ..environment.gravity import require_gravity_choice
 from ..errors import UserError
 from ..estimate.identified import Identified, Validation
 from ..forks import beside
@@ -32,9 +31,7 @@ from ..identification.validation import split, validate
 from ..recording import Recording
 from ..results.provenance import OPTIONS, provenance
 from ..results.recorded_runs import recorded_runs
-from ..solvers.choice import SEPARABLE, require_solver
 
-AUTO, VACUUM = "auto", "vacuum"
 ON_OTHERS = "on other recordings than the fit"
 ON_THE_FITTED = "on recordings of the fit itself"
 ON_THE_LAST_THIRD = "on the last third of the last recording, held out of the fit"
@@ -222,56 +219,6 @@ def locked_words(arm: Arm) -> list[str]:
         return words
     where = "at the positions recorded, else at 0; elsewhere: new-arm --lock"
     return [f"not in the recordings, and taken as fixed: {', '.join(arm.locked)} ({where})", *words]
-
-
-def settings_for(
-    arm: Arm,
-    friction: str = AUTO,
-    cutoff_hz: float | None = None,
-    structure: Path | None = None,
-    solver: str = SEPARABLE,
-    seed: int = 0,
-    temperature: Sequence[str] = (),
-    estimate_gravity: str = "",
-    prior: GroundPrior | None = None,
-) -> Settings:
-    """Settings from the words of a user.
-
-    Args:
-        arm: The arm.
-        friction: `auto` (the terms that predict held-out data best, joint by joint), or one of `FRICTION_LAWS`.
-        cutoff_hz: Bandwidth; None: chosen from the data.
-        structure: Model file whose terms are identified, effects included; its values do not count.
-        solver: One of `SOLVERS`.
-        seed: Of its particle swarm, where it has one.
-        temperature: What of friction follows the joints' temperatures, some of `OVER_TEMPERATURE`.
-        estimate_gravity: One of `GRAVITY_CHOICES`; empty: gravity is the arm's.
-        prior: Ground model to update, in its own structure; with friction `vacuum`, its k_v2 and k_v3 are gone.
-
-    Raises:
-        UserError: No friction law, solver, temperature term or choice of that name, a negative seed, a law beside a
-            structure, a structure that is not of this arm, or what a prior decides beside a prior.
-    """
-    require_solver(solver)
-    if seed < 0:
-        raise UserError(f"seed {seed}: a seed is a whole number from 0 on")
-    require_gravity_choice(estimate_gravity, arm.gravity)
-    if prior is not None:
-        if friction not in (AUTO, VACUUM) or structure is not None or temperature or solver != SEPARABLE:
-            raise UserError(
-                f"a prior has its own structure and solver: beside it, friction may be {VACUUM} (k_v2 and k_v3 gone), "
-                "leave out other friction, structure, temperature and solver"
-            )
-        ground = prior.in_vacuum() if friction == VACUUM else prior
-        return Settings(cutoff_hz, gravity=estimate_gravity, prior=ground)
-    if structure is None:
-        terms = None if friction == AUTO else structure_of(arm, friction)
-        over_temperature(terms or structure_of(arm), arm, temperature)
-        return Settings(cutoff_hz, terms, solver, seed, tuple(temperature), estimate_gravity)
-    if friction != AUTO or temperature:
-        asked = f"friction {friction}" if friction != AUTO else f"temperature {','.join(temperature)}"
-        raise UserError(f"a structure has its own friction law: leave out {asked} or {structure}")
-    return Settings(cutoff_hz, structure_of_file(structure, arm), solver, seed, gravity=estimate_gravity)
 
 
 def structure_of_file(path: Path, arm: Arm) -> Structure:
