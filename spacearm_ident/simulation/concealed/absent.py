@@ -29,10 +29,8 @@ class PumpDisturbance(Effect):
 
     def torque(self, state: State) -> FloatArray:
         """Periodic in time."""
-        torque = np.zeros_like(state.q)
         angle = 2 * np.pi * self.values["frequency"] * state.time + self.values["phase"]
-        torque[self.joints] = self.values["amplitude"] * np.sin(angle)
-        return torque
+        return self.added(np.zeros_like(state.q), self.values["amplitude"] * np.sin(angle))
 
 
 class PositionProduct(Effect):
@@ -91,9 +89,7 @@ class LooseBolt(Effect):
         last = int(np.searchsorted(self._starts, state.time)) - 1
         if last < 0 or state.time > self._starts[last] + self._lengths[last]:
             return level
-        level = level.copy()
-        level[self.joints] += self._heights[last]
-        return level
+        return self.added(level, self._heights[last])
 
 
 class SoftBase(Effect):
@@ -151,6 +147,4 @@ class RestingFriction(Effect):
 
     def level(self, state: State, level: FloatArray) -> FloatArray:
         """The dry film, as long as it lasts."""
-        level = level.copy()
-        level[self.joints] += self.values["amplitude"] * np.exp(-self._since / self.values["recovery"])
-        return level
+        return self.added(level, self.values["amplitude"] * np.exp(-self._since / self.values["recovery"]))

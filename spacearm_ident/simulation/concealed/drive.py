@@ -63,6 +63,4 @@ class CurrentOffset(Effect):
 
     def motor(self, torque: FloatArray, plant: Plant) -> FloatArray:
         """Less by the offset."""
-        torque = torque.copy()
-        torque[self.joints] -= self.values["offset"]
-        return torque
+        return self.added(torque, -self.values["offset"])

@@ -102,6 +102,12 @@ class Effect:
         full[self.joints] = self.values[name]
         return full
 
+    def added(self, whole: FloatArray, more: FloatArray | float) -> FloatArray:
+        """Torque or friction (n,) N·m of all joints with `more` (k,) N·m at the effect's."""
+        whole = whole.copy()
+        whole[self.joints] += more
+        return whole
+
     def prepare(self) -> None:
         """Called once, at the end of construction."""
 

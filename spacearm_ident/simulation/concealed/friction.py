@@ -38,15 +38,12 @@ class FrictionDrift(Effect):
 
     def level(self, state: State, level: FloatArray) -> FloatArray:
         """Higher or lower."""
-        level = level.copy()
-        level[self.joints] += self._share(state) * self.values["coulomb"]
-        return level
+        return self.added(level, self._share(state) * self.values["coulomb"])
 
     def torque(self, state: State) -> FloatArray:
         """Another viscosity."""
-        torque = np.zeros_like(state.q)
-        torque[self.joints] = self._share(state) * self.values["viscous"] * state.qd[self.joints]
-        return torque
+        viscous = self._share(state) * self.values["viscous"]
+        return self.added(np.zeros_like(state.q), viscous * state.qd[self.joints])
 
 
 class LoadFriction(Effect):
@@ -62,11 +59,10 @@ class LoadFriction(Effect):
 
     def level(self, state: State, level: FloatArray) -> FloatArray:
         """μ·|load| on top."""
-        load, level = state.load[self.joints], level.copy()
+        load = state.load[self.joints]
         if self.law == "input":
             load = load + level[self.joints] * np.sign(state.qd[self.joints])
-        level[self.joints] += self.values["mu"] * np.abs(load)
-        return level
+        return self.added(level, self.values["mu"] * np.abs(load))
 
 
 class GearEfficiency(Effect):
@@ -83,9 +79,7 @@ class GearEfficiency(Effect):
         """What the gear keeps for itself, as dry friction."""
         load, eta = state.load[self.joints], self.values["efficiency"]
         lost = np.where(load * state.qd[self.joints] > 0.0, 1.0 / eta - 1.0, 1.0 - eta)
-        level = level.copy()
-        level[self.joints] += lost * np.abs(load)
-        return level
+        return self.added(level, lost * np.abs(load))
 
 
 class PositionFriction(Effect):
@@ -106,9 +100,7 @@ class PositionFriction(Effect):
         sharp = 2.0 / (self.values["cycles"] * self.values["width"]) ** 2
         sharp = np.where(np.isnan(sharp), 4.0, sharp)
         wave = np.sin(angle) if self.law == "usual" else np.exp(sharp * (np.cos(angle) - 1.0))
-        level = level.copy()
-        level[self.joints] += self.values["amplitude"] * wave
-        return level
+        return self.added(level, self.values["amplitude"] * wave)
 
 
 class AsymmetricFriction(Effect):
@@ -122,15 +114,11 @@ class AsymmetricFriction(Effect):
 
     def level(self, state: State, level: FloatArray) -> FloatArray:
         """Half the difference up when it turns forward, down when backward."""
-        level, v = level.copy(), state.qd[self.joints]
-        level[self.joints] += self.values["coulomb"] * np.sign(v)
-        return level
+        return self.added(level, self.values["coulomb"] * np.sign(state.qd[self.joints]))
 
     def torque(self, state: State) -> FloatArray:
         """Viscosity that differs in the same way."""
-        torque, v = np.zeros_like(state.q), state.qd[self.joints]
-        torque[self.joints] = self.values["viscous"] * np.abs(v)
-        return torque
+        return self.added(np.zeros_like(state.q), self.values["viscous"] * np.abs(state.qd[self.joints]))
 
 
 class Stribeck(Effect):
@@ -153,9 +141,7 @@ class Stribeck(Effect):
                 left = np.exp(-ratio)
             case _:
                 left = np.exp(-ratio * ratio)
-        level = level.copy()
-        level[self.joints] += self.values["amplitude"] * left
-        return level
+        return self.added(level, self.values["amplitude"] * left)
 
 
 class VacuumFriction(Effect):
@@ -186,10 +172,11 @@ class TorqueRipple(Effect):
 
     def torque(self, state: State) -> FloatArray:
         """Of a potential when plain."""
-        torque, q = np.zeros_like(state.q), state.q[self.joints]
+        q = state.q[self.joints]
         wave = self.values["amplitude"] * np.sin(self.values["cycles"] * q + self.values["phase"])
-        torque[self.joints] = wave * (1.0 + 0.6 * np.sin(q + 1.0)) if self.law == "modulated" else wave
-        return torque
+        if self.law == "modulated":
+            wave = wave * (1.0 + 0.6 * np.sin(q + 1.0))
+        return self.added(np.zeros_like(state.q), wave)
 
 
 class HarnessSpring(Effect):
@@ -201,8 +188,8 @@ class HarnessSpring(Effect):
 
     def torque(self, state: State) -> FloatArray:
         """Back to where it hangs loose."""
-        torque, bend = np.zeros_like(state.q), state.q[self.joints] - self.values["centre"]
-        torque[self.joints] = self.values["stiffness"] * bend
+        bend = state.q[self.joints] - self.values["centre"]
+        torque = self.values["stiffness"] * bend
         if self.law == "hardening":
-            torque[self.joints] *= 1.0 + 0.5 * bend * bend
-        return torque
+            torque = torque * (1.0 + 0.5 * bend * bend)
+        return self.added(np.zeros_like(state.q), torque)

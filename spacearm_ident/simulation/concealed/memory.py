@@ -63,13 +63,11 @@ class PreslidingHysteresis(Effect):
 
     def torque(self, state: State) -> FloatArray:
         """What the bent bristles hold against."""
-        torque = np.zeros_like(state.q)
         if self.law == "maxwell":
             share = (self._bend / self._yield) @ self._height
         else:
             share = self._z + self.values["damping"] * self._rate
-        torque[self.joints] = self._level * share
-        return torque
+        return self.added(np.zeros_like(state.q), self._level * share)
 
 
 class TemperatureFriction(Effect):
@@ -116,16 +114,12 @@ class TemperatureFriction(Effect):
 
     def level(self, state: State, level: FloatArray) -> FloatArray:
         """The dry part."""
-        level = level.copy()
-        level[self.joints] += self._dry * self.values["coulomb_slope"] * self._warmth()
-        return level
+        return self.added(level, self._dry * self.values["coulomb_slope"] * self._warmth())
 
     def torque(self, state: State) -> FloatArray:
         """The viscous part; never below nothing."""
-        torque = np.zeros_like(state.q)
         factor = np.maximum(self.values["viscous_slope"] * self._warmth(), -0.95)
-        torque[self.joints] = self._viscous * factor * state.qd[self.joints]
-        return torque
+        return self.added(np.zeros_like(state.q), self._viscous * factor * state.qd[self.joints])
 
 
 class WristCoupling(Effect):
@@ -160,8 +154,7 @@ class WristCoupling(Effect):
         """On both."""
         speed = float(self._along @ state.qd[self.joints])
         force = self.one("coulomb") * self._wound / self._SLIP + self.one("viscous") * speed
-        torque = np.zeros_like(state.q)
-        torque[self.joints] = force * self._along
+        torque = self.added(np.zeros_like(state.q), force * self._along)
         if self.law == "moved":
             torque[self.joints[1]] -= self.one("viscous") * state.qd[self.joints[1]]
         return torque
