@@ -53,8 +53,9 @@ def burn(stop):
         sum(range(10_000))
 
 
-def cpu_seconds(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+def cpu_s(pid: int) -> float:
+    """CPU time a process has used, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
@@ -72,14 +73,14 @@ def measure(master: DriveMaster, seconds: float, drives: int) -> None:
     target = np.zeros(6)
     pacer = Pacer(1e-3)
     received, incomplete, late = cycle.received.copy(), cycle.incomplete, cycle.late
-    own, theirs, begin = time.process_time(), cpu_seconds(drives), time.monotonic()
+    own, theirs, begin = time.process_time(), cpu_s(drives), time.monotonic()
     for k in range(count):
         pacer.wait()
         target[:] = 0.3 * np.sin(2e-3 * np.pi * 0.5 * k)
         cycle.run(target)
         last[k] = cycle.stamp.max() - 1e-9 * cycle.sync_ns if cycle.answer_s == cycle.answer_s else np.nan
     wall = time.monotonic() - begin
-    own, theirs = time.process_time() - own, cpu_seconds(drives) - theirs
+    own, theirs = time.process_time() - own, cpu_s(drives) - theirs
     received, incomplete, late = cycle.received - received, cycle.incomplete - incomplete, cycle.late - late
     cycle.goal = Goal.DISABLED
     for _ in range(10):

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench_publish import cpu_s
+from bench_bus import cpu_s
 from bench_simulated_arm import base_scores, scores, share
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory

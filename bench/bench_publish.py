@@ -9,7 +9,6 @@ counted. `--busy` keeps one core busy meanwhile. Run it on a ROS domain of your 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import tempfile
 import time
@@ -20,6 +19,7 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 
+from bench_bus import cpu_s  # noqa: E402
 from live_nodes import Probe, Processes, end  # noqa: E402
 from simulated_arm import CONFIG, paper_limits  # noqa: E402
 
@@ -44,12 +44,6 @@ while True:
     pacer.wait()
     publisher.publish(writer.payload(time.time_ns(), zeros, zeros))
 """
-
-
-def cpu_s(pid: int) -> float:
-    """CPU time a process has used, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def recorded(bag: Path, topic: str) -> np.ndarray:

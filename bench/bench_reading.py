@@ -10,8 +10,9 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
@@ -43,29 +44,27 @@ def ours(folder: Path) -> np.ndarray:
     return read_recording(folder).effort
 
 
-def with_mcap_ros2(folder: Path) -> np.ndarray:
+def effort_of(rows: Iterable[Any]) -> np.ndarray:
     stamps, position, velocity, effort = [], [], [], []
+    for row in rows:
+        stamps.append(row.header.stamp.sec * 10**9 + row.header.stamp.nanosec)
+        position.append(row.position)
+        velocity.append(row.velocity)
+        effort.append(row.effort)
+    return [np.array(column) for column in (stamps, position, velocity, effort)][3]
+
+
+def with_mcap_ros2(folder: Path) -> np.ndarray:
     with next(folder.glob("*.mcap")).open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        for *_, row in reader.iter_decoded_messages(topics=[messages.STATES_TOPIC]):
-            stamps.append(row.header.stamp.sec * 10**9 + row.header.stamp.nanosec)
-            position.append(row.position)
-            velocity.append(row.velocity)
-            effort.append(row.effort)
-    return [np.array(column) for column in (stamps, position, velocity, effort)][3]
+        return effort_of(row for *_, row in reader.iter_decoded_messages(topics=[messages.STATES_TOPIC]))
 
 
 def with_rosbags(folder: Path) -> np.ndarray:
-    stamps, position, velocity, effort = [], [], [], []
     with AnyReader([folder]) as reader:
         wanted = [c for c in reader.connections if c.topic == messages.STATES_TOPIC]
-        for connection, _, payload in reader.messages(connections=wanted):
-            row = reader.deserialize(payload, connection.msgtype)
-            stamps.append(row.header.stamp.sec * 10**9 + row.header.stamp.nanosec)
-            position.append(row.position)
-            velocity.append(row.velocity)
-            effort.append(row.effort)
-    return [np.array(column) for column in (stamps, position, velocity, effort)][3]
+        rows = reader.messages(connections=wanted)
+        return effort_of(reader.deserialize(payload, connection.msgtype) for connection, _, payload in rows)
 
 
 def best(read: Callable[[Path], np.ndarray], folder: Path, repeats: int) -> tuple[float, np.ndarray]:

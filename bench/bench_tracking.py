@@ -142,7 +142,7 @@ def live(seconds: float) -> None:
 def node_fed_with(payloads: list[bytes], choice: tuple[str, ...]) -> str:
     """What the identifier needs and says while these joint states come to it at 1 kHz."""
     import rclpy
-    from bench_publish import cpu_s
+    from bench_bus import cpu_s
     from diagnostic_msgs.msg import DiagnosticArray
     from sensor_msgs.msg import JointState, Temperature
 

@@ -29,8 +29,8 @@ NOTHING = "nothing"
 Entry = dict[str, Any]
 
 
-def _of_joint(effect: Entry, arm: Entry, name: str) -> float:
-    return float(arm[name][int(str(effect["joints"][0]).rsplit("_", 1)[1]) - 1])
+def _viscous(effect: Entry, arm: Entry) -> float:
+    return float(arm["k_v1"][int(str(effect["joints"][0]).rsplit("_", 1)[1]) - 1])
 
 
 COMPARED: dict[str, tuple[str, Callable[[Entry, Entry], float]] | None] = {
@@ -38,7 +38,7 @@ COMPARED: dict[str, tuple[str, Callable[[Entry, Entry], float]] | None] = {
     "presliding_hysteresis": ("d_s", lambda effect, arm: effect["parameters"]["distance"] / 3.0),
     "temperature_friction": (
         "alpha_v",
-        lambda effect, arm: effect["parameters"]["viscous_slope"] * _of_joint(effect, arm, "k_v1"),
+        lambda effect, arm: effect["parameters"]["viscous_slope"] * _viscous(effect, arm),
     ),
     "wrist_coupling": ("f", lambda effect, arm: effect["parameters"]["coulomb"]),
     # A heavy base shows by how little it turns; its mass by how little it shifts, which is a tenth of that.
@@ -242,10 +242,10 @@ def _median(name: str, values: list[float]) -> str:
     return f"{name:52} {np.median(values):.3f}  ({len(values)})" if values else f"{name:52} -"
 
 
-def _confusion(trials: list[Scored], first: Callable[[Scored], str] = lambda t: t.first) -> list[str]:
+def _confusion(trials: list[Scored]) -> list[str]:
     table: dict[str, Counter[str]] = defaultdict(Counter)
     for trial in trials:
-        table[trial.truth["effect"]][first(trial)] += 1
+        table[trial.truth["effect"]][trial.first] += 1
     return [
         f"  {true:24} " + ", ".join(f"{said} {count}" for said, count in row.most_common())
         for true, row in sorted(table.items())

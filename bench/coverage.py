@@ -31,14 +31,15 @@ from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import Arm, load_arm
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.estimate.identified import Determination
-from spacearm_ident.excitation.trajectory import MotionLimits, random_feasible
+from spacearm_ident.excitation.run import limits_of
+from spacearm_ident.excitation.trajectory import random_feasible
 from spacearm_ident.identification.identify import identify
 from spacearm_ident.recording import Recording
 from spacearm_ident.simulation.closed_loop import SensorNoise, Truth, measure, simulate_truth
 from spacearm_ident.simulation.concealed import Concealment, load_concealed
 from spacearm_ident.simulation.concealed.from_model import simulated_arm
+from spacearm_ident.simulation.own_arm import drives_of
 from spacearm_ident.simulation.parameters import PlantParameters
-from spacearm_ident.simulation.servo import DriveData
 from spacearm_ident.simulation.thermal import ThermalParameters
 
 FIRST_SEED = 100
@@ -64,17 +65,11 @@ class Workshop:
         path = self.cache / f"{one.name}_{fingerprint()}.pkl"
         if path.exists():
             return pickle.loads(path.read_bytes())
-        joints = self.arm.joints
-        limits = MotionLimits(*np.array([(j.lower, j.upper, j.velocity_limit, j.acceleration_limit) for j in joints]).T)
+        limits = limits_of(self.arm, self.arm.joint_names)
         trajectory = random_feasible(
             self.arm.joint_names, limits, seed=one.seed, fundamental_hz=one.fundamental_hz, periods=one.periods
         ).run(limits)
-        drives = DriveData.plain(
-            len(joints),
-            gear_ratio=[j.gear_ratio for j in joints],
-            torque_constant=[j.torque_constant for j in joints],
-            torque_limit=[j.effort_limit for j in joints],
-        )
+        drives = drives_of(self.arm)
         effects = load_concealed(config_path(hidden), self.arm.joint_names) if hidden else None
         truth = simulate_truth(
             replace(plant, gravity=WEIGHTLESS) if one.orbit else plant,

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -103,10 +104,7 @@ def main() -> None:
             timing(model, folder)
         model = load_model(config_path("paper_arm_model.yaml"))
         motion = sweep(model.model.arm)
-        other = type(motion)(
-            motion.joints, motion.rate_hz, 0.0, motion.position, 0.6 * motion.velocity, 0.36 * motion.acceleration,
-            motion.torque, motion.speed_noise, motion.resolved_speed,
-        )  # fmt: skip
+        other = replace(motion, velocity=0.6 * motion.velocity, acceleration=0.36 * motion.acceleration)
         table("paper", model, None, [other], model.torque(other), folder)
         timing(model, folder)
 

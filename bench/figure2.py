@@ -23,6 +23,7 @@ import argparse
 import json
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -111,16 +112,22 @@ class Bench:
         bare = Motion(
             self.arm.joint_names, RATE_HZ, 0.0, *moved, np.zeros_like(moved.q), still, still, cutoff_hz=RATE_HZ / 2
         )
-        return _with_torque(bare, self.model.torque(bare, parameters, constants))
+        return replace(bare, torque=self.model.torque(bare, parameters, constants))
+
+    def measured(
+        self, seed: int, rng: np.random.Generator, parameters: FloatArray, constants: FloatArray
+    ) -> tuple[Motion, FloatArray]:
+        """The motion of a seed with noise on its torque, and (n,) the noise's standard deviation, N·m."""
+        clean = self.motion(2 * seed + 1, parameters, constants)
+        sigma = NOISE * np.sqrt(np.mean(clean.torque**2, axis=0))
+        return replace(clean, torque=clean.torque + sigma * rng.standard_normal(clean.torque.shape)), sigma
 
     def run(self, case: str, seed: int) -> list[dict[str, Any]]:
         """All methods on one seed; a line for each."""
         rng = np.random.default_rng([seed, len(case)])
         nominal = self.constants * CASES[case]
         parameters, constants = self.actual(rng, nominal)
-        clean = self.motion(2 * seed + 1, parameters, constants)
-        sigma = NOISE * np.sqrt(np.mean(clean.torque**2, axis=0))
-        noisy = _with_torque(clean, clean.torque + sigma * rng.standard_normal(clean.torque.shape))
+        noisy, sigma = self.measured(seed, rng, parameters, constants)
         unseen = self.motion(2 * seed + 2, parameters, constants)
         lines = []
         for name, method in METHODS.items():
@@ -183,21 +190,6 @@ def _tensor(six: FloatArray) -> FloatArray:
 
 def _steiner(centre: FloatArray) -> FloatArray:
     return np.asarray(centre @ centre * np.eye(3) - np.outer(centre, centre))
-
-
-def _with_torque(motion: Motion, torque: FloatArray) -> Motion:
-    return Motion(
-        motion.joints,
-        motion.rate_hz,
-        motion.start_s,
-        motion.position,
-        motion.velocity,
-        motion.acceleration,
-        torque,
-        motion.speed_noise,
-        motion.resolved_speed,
-        cutoff_hz=motion.cutoff_hz,
-    )
 
 
 def medians(lines: list[dict[str, Any]], case: str) -> dict[str, dict[str, float]]:
@@ -275,9 +267,7 @@ def minima(bench: Bench, seeds: int) -> str:
     for seed in range(seeds):
         rng = np.random.default_rng([seed, len("visible")])
         parameters, constants = bench.actual(rng, bench.constants * CASES["visible"])
-        clean = bench.motion(2 * seed + 1, parameters, constants)
-        sigma = NOISE * np.sqrt(np.mean(clean.torque**2, axis=0))
-        noisy = _with_torque(clean, clean.torque + sigma * rng.standard_normal(clean.torque.shape))
+        noisy, _ = bench.measured(seed, rng, parameters, constants)
         regression = Regression(bench.model, [noisy])
         prior = make_prior(bench.model, [noisy])
         begun = time.process_time()

@@ -111,7 +111,7 @@ def draw(arm: str, seed: int, out: Path) -> None:
     joints = [joint.name for joint in spec.joints]
     model = spec.compile()
     size = _gravity_rms(model)
-    truth, changes = _true_arm(spec, joints, size, rng)
+    truth = _true_arm(spec, joints, size, rng)
     (out / "simulation.xml").write_text(_simulation(truth, joints, rng))
     true_text = truth.to_xml()
     true_model = mujoco.MjModel.from_xml_string(true_text)
@@ -124,7 +124,6 @@ def draw(arm: str, seed: int, out: Path) -> None:
         "true": _values(true_model, joints),
         "wiring": wiring,
         "effects": [{"effect": e, "joint": joints[j], "rms_Nm": s, "over_noise": r} for e, j, s, r in chosen],
-        "changes": changes,
     }
     (out / "answer.json").write_text(json.dumps(answer, indent=1))
 
@@ -141,14 +140,14 @@ def _gravity_rms(model: Any) -> FloatArray:
     return np.maximum(np.sqrt(np.mean(np.square(held), axis=0)), 0.3)
 
 
-def _true_arm(spec: Any, joints: list[str], size: FloatArray, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:
+def _true_arm(spec: Any, joints: list[str], size: FloatArray, rng: np.random.Generator) -> Any:
     """The arm with friction of its size: Coulomb 10 to 25 % of the torque of gravity, damping and armature likewise."""
     for k, name in enumerate(joints):
         joint = spec.joint(name)
         joint.frictionloss = float(rng.uniform(0.1, 0.25) * (size[k] + 0.1 * size.max()))
         joint.damping = _first(joint.damping, float(rng.uniform(0.1, 0.3) * (size[k] + 0.1 * size.max())))
         joint.armature = float(rng.uniform(0.02, 0.06) * (size[k] + 0.1 * size.max()))
-    return spec, {}
+    return spec
 
 
 def _first(old: Any, value: float) -> Any:
@@ -334,11 +333,7 @@ def run(arms: list[str], draws: int, seed: int, out: Path) -> None:
         where = out / f"{arm}_{seed + number}"
         draw(arm, seed + number, where)
         begin = time.monotonic()
-        command = ["mismatch", str(where / "real_1.mcap"), "--simulation", str(where / "simulation.xml")]
-        command += ["--validate", str(where / "real_2.mcap"), "--out", str(where / "result")]
-        done = subprocess.run(
-            [sys.executable, "-m", "spacearm_ident.cli.main", *command], capture_output=True, text=True, check=False
-        )
+        done = _mismatch(where, ("simulation.xml",), ("real_1",), ("real_2",), where / "result")
         if done.returncode not in (0, 1):
             line: dict[str, Any] = {"draw": where.name, "failed": done.stderr.strip().splitlines()[-1:]}
         else:
@@ -374,15 +369,21 @@ def real(out: Path) -> None:
         print(_real_line(arm, result, time.monotonic() - begin), flush=True)
 
 
-def _compared(
+def _mismatch(
     folder: Path, simulation: Sequence[str], fitted: Sequence[str], held: Sequence[str], out: Path
-) -> dict[str, Any] | list[str]:
-    """What `mismatch` writes of an arm's recordings and its simulation, files of `folder`; the error where it fails."""
+) -> subprocess.CompletedProcess[str]:
     command = ["mismatch", *(str(folder / f"{name}.mcap") for name in fitted)]
     command += ["--simulation", *(str(folder / name) for name in simulation)]
     command += ["--validate", *(str(folder / f"{name}.mcap") for name in held)] if held else []
     where = [sys.executable, "-m", "spacearm_ident.cli.main", *command, "--out", str(out)]
-    done = subprocess.run(where, capture_output=True, text=True, check=False)
+    return subprocess.run(where, capture_output=True, text=True, check=False)
+
+
+def _compared(
+    folder: Path, simulation: Sequence[str], fitted: Sequence[str], held: Sequence[str], out: Path
+) -> dict[str, Any] | list[str]:
+    """What `mismatch` writes of an arm's recordings and its simulation, files of `folder`; the error where it fails."""
+    done = _mismatch(folder, simulation, fitted, held, out)
     if done.returncode:
         return done.stderr.strip().splitlines()[-1:]
     found: dict[str, Any] = json.loads((out / "mismatch.json").read_text())

@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bench_bus import cpu_s
 from bench_live import count_samples
-from bench_publish import cpu_s
 from fault_chain import held, newest_bag
 
 from spacearm_ident.cli.demo import FAST_PLANS, PLANS, begin, enable, node_parameters, perform, write_trajectory
