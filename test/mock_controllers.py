@@ -81,7 +81,6 @@ class MockArm:
         self.controller, self.pace, self.active = controller, pace, True
         rest = np.zeros(len(JOINTS))
         self.state, self.path = Motion(START, rest, rest), None
-        self.forward: list[tuple[float, np.ndarray]] = []
         self.model = pin.buildModelFromXML(URDF)
         self.data = self.model.createData()
         self.random = np.random.default_rng(0)

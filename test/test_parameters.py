@@ -11,7 +11,7 @@ import rclpy
 from rcl_interfaces.msg import ParameterType
 from rclpy.signals import SignalHandlerOptions
 
-from spacearm_ident.commissioning.params_check import EVERY_NODE, declared_parameters, known_parameters
+from spacearm_ident.commissioning.params_check import EVERY_NODE, declared_parameters
 from spacearm_ident.errors import UserError
 from spacearm_ident.nodes.main import NODES
 from spacearm_ident.nodes.runtime import LiveNode
@@ -62,7 +62,7 @@ def node(request, monkeypatch, tmp_path):
 
 def test_every_parameter_is_described_ranged_and_marked(node):
     declared = {name for name in node.list_parameters([], 0).names if name not in OF_RCLPY}
-    assert declared == known_parameters(node.get_name())
+    assert declared == declared_parameters(node.get_name()).keys()
     for descriptor in node.describe_parameters(sorted(declared)):
         name = descriptor.name
         assert len(descriptor.description) > 8, name
@@ -101,7 +101,7 @@ def test_types_and_ranges_read_from_the_source_are_those_the_node_declares(node)
 
 
 def test_what_is_marked_read_only_cannot_be_changed(node):
-    for name in sorted(known_parameters(node.get_name())):
+    for name in sorted(declared_parameters(node.get_name())):
         parameter = node.get_parameter(name)
         (result,) = node.set_parameters([parameter])
         assert result.successful is (name in CHANGEABLE), name

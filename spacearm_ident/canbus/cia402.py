@@ -117,9 +117,7 @@ _TOWARD: Final[dict[tuple[Goal, State], Command]] = {
 
 #: Bits of the statusword beside the state.
 VOLTAGE_ENABLED: Final = 0x0010
-WARNING: Final = 0x0080
 REMOTE: Final = 0x0200
-TARGET_REACHED: Final = 0x0400
 #: In the interpolated and cyclic modes: the drive follows the set-points.
 FOLLOWING: Final = 0x1000
 FOLLOWING_ERROR: Final = 0x2000

@@ -35,31 +35,46 @@ CYCLE: Final = {
 WINDOW_S: Final = 20.0
 
 
+Curve = tuple[str, str, str, str]
+"""Label, Foxglove's path, PlotJuggler's name, colour."""
+
+
+def _tabs(arm: str, joints: Sequence[str]) -> dict[str, dict[str, list[Curve]]]:
+    """Tab -> title of a plot -> its curves; `arm` is the hardware id of the diagnostics, for PlotJuggler alone."""
+
+    def value(label: str, topic: str, status: str, key: str, number: int) -> Curve:
+        path = f"{topic}.status[:]{{name=={json.dumps(status)}}}.values[:]{{key=={json.dumps(key)}}}.value"
+        return label, path, f"{topic}/{arm}/{status}/{key}", COLOURS[number % len(COLOURS)]
+
+    parameters = {
+        words: [value(joint, PARAMETERS, f"{symbol}[{joint}]", "value", k) for k, joint in enumerate(joints)]
+        for symbol, words in SYMBOLS.items()
+    }
+    parameters["residual, RMS of ten seconds, N·m"] = [
+        value(joint, DIAGNOSTICS, RESIDUAL_PART, f"rms_Nm[{joint}]", k) for k, joint in enumerate(joints)
+    ]
+    return {
+        "torque": {
+            f"{joint}: torque, N·m": [
+                (label, f"{topic}.effort[{k}]", f"{topic}/{joint}/effort", colour) for label, topic, colour in TORQUES
+            ]
+            for k, joint in enumerate(joints)
+        },
+        "parameters": parameters,
+        "cycle": {
+            words: [value(key, DIAGNOSTICS, DRIVER, key, k) for k, key in enumerate(keys)]
+            for words, keys in CYCLE.items()
+        },
+    }
+
+
 def foxglove_layout(joints: Sequence[str]) -> str:
     """Text of a layout file for Foxglove and Lichtblick."""
     panels: dict[str, Any] = {}
-
-    def plot(title: str, paths: Sequence[tuple[str, str, str]]) -> str:
-        name = f"Plot!{len(panels)}"
-        panels[name] = _plot(title, paths)
-        return name
-
-    torques = [
-        plot(f"{joint}: torque, N·m", [(label, f"{topic}.effort[{k}]", colour) for label, topic, colour in TORQUES])
-        for k, joint in enumerate(joints)
-    ]
-    parameters = [
-        plot(words, [(j, _value(PARAMETERS, f"{symbol}[{j}]", "value"), _colour(k)) for k, j in enumerate(joints)])
-        for symbol, words in SYMBOLS.items()
-    ]
-    rms = [
-        (joint, _value(DIAGNOSTICS, RESIDUAL_PART, f"rms_Nm[{joint}]"), _colour(k)) for k, joint in enumerate(joints)
-    ]
-    parameters.append(plot("residual, RMS of ten seconds, N·m", rms))
-    cycle = [
-        plot(words, [(key, _value(DIAGNOSTICS, DRIVER, key), _colour(k)) for k, key in enumerate(keys)])
-        for words, keys in CYCLE.items()
-    ]
+    shown: dict[str, list[str]] = {}
+    for tab, plots in _tabs("", joints).items():
+        shown[tab] = [f"Plot!{len(panels) + k}" for k in range(len(plots))]
+        panels |= {name: _plot(title, curves) for name, (title, curves) in zip(shown[tab], plots.items())}
     panels["DiagnosticSummary!0"] = {
         "minLevel": 0,
         "pinnedIds": [],
@@ -71,7 +86,11 @@ def foxglove_layout(joints: Sequence[str]) -> str:
         "topicPath": f"{DIAGNOSTICS}.status[:]{{name=={json.dumps(DRIVER)}}}",
         "diffEnabled": False,
     }
-    tabs = {"torque": _grid(torques), "parameters": _stack(parameters), "cycle": _stack([*cycle, "RawMessages!0"])}
+    tabs = {
+        "torque": _grid(shown["torque"]),
+        "parameters": _stack(shown["parameters"]),
+        "cycle": _stack([*shown["cycle"], "RawMessages!0"]),
+    }
     panels["Tab!0"] = {
         "activeTabIdx": 0,
         "tabs": [{"title": title, "layout": layout} for title, layout in tabs.items()],
@@ -86,13 +105,12 @@ def foxglove_layout(joints: Sequence[str]) -> str:
     return json.dumps(layout, indent=1, ensure_ascii=False) + "\n"
 
 
-def _plot(title: str, paths: Sequence[tuple[str, str, str]]) -> dict[str, Any]:
-    """A panel of curves, each a label, a message path and a colour."""
+def _plot(title: str, curves: Sequence[Curve]) -> dict[str, Any]:
     return {
         "title": title,
         "paths": [
             {"value": path, "label": label, "color": colour, "enabled": True, "timestampMethod": "headerStamp"}
-            for label, path, colour in paths
+            for label, path, _, colour in curves
         ],
         "showLegend": True,
         "legendDisplay": "floating",
@@ -108,30 +126,8 @@ def plotjuggler_layout(arm: str, joints: Sequence[str]) -> str:
     """Text of a layout file for PlotJuggler; `arm` is the hardware id of the diagnostics, the arm's name."""
     root = ET.Element("root")
     window = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
-    _tab(
-        window,
-        "torque",
-        {
-            f"{joint}: torque, N·m": [(f"{topic}/{joint}/effort", colour) for _, topic, colour in TORQUES]
-            for joint in joints
-        },
-    )
-    parameters = {
-        words: [(f"{PARAMETERS}/{arm}/{symbol}[{joint}]/value", _colour(k)) for k, joint in enumerate(joints)]
-        for symbol, words in SYMBOLS.items()
-    }
-    parameters["residual, RMS of ten seconds, N·m"] = [
-        (f"{DIAGNOSTICS}/{arm}/{RESIDUAL_PART}/rms_Nm[{joint}]", _colour(k)) for k, joint in enumerate(joints)
-    ]
-    _tab(window, "parameters", parameters)
-    _tab(
-        window,
-        "cycle",
-        {
-            words: [(f"{DIAGNOSTICS}/{arm}/{DRIVER}/{key}", _colour(k)) for k, key in enumerate(keys)]
-            for words, keys in CYCLE.items()
-        },
-    )
+    for name, plots in _tabs(arm, joints).items():
+        _tab(window, name, plots)
     ET.SubElement(window, "currentTabIndex", index="0")
     ET.SubElement(root, "use_relative_time_offset", enabled="1")
     ET.SubElement(root, "previouslyLoaded_Datafiles")
@@ -141,7 +137,7 @@ def plotjuggler_layout(arm: str, joints: Sequence[str]) -> str:
     return f"<?xml version='1.0' encoding='UTF-8'?>\n{ET.tostring(root, encoding='unicode')}\n"
 
 
-def _tab(window: ET.Element, name: str, plots: dict[str, list[tuple[str, str]]]) -> None:
+def _tab(window: ET.Element, name: str, plots: dict[str, list[Curve]]) -> None:
     tab = ET.SubElement(window, "Tab", containers="1", tab_name=name)
     sizes = ";".join([f"{1 / len(plots):.6f}"] * len(plots))
     box = ET.SubElement(tab, "Container")
@@ -151,17 +147,8 @@ def _tab(window: ET.Element, name: str, plots: dict[str, list[tuple[str, str]]])
         plot = ET.SubElement(area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false")
         ET.SubElement(plot, "range", left="0.0", right=str(WINDOW_S), bottom="-1.0", top="1.0")
         ET.SubElement(plot, "limitY")
-        for curve, colour in curves:
+        for _, _, curve, colour in curves:
             ET.SubElement(plot, "curve", name=curve, color=colour)
-
-
-def _value(topic: str, status: str, key: str) -> str:
-    """Foxglove's path of one value of one status."""
-    return f"{topic}.status[:]{{name=={json.dumps(status)}}}.values[:]{{key=={json.dumps(key)}}}.value"
-
-
-def _colour(number: int) -> str:
-    return COLOURS[number % len(COLOURS)]
 
 
 def _stack(panels: Sequence[str], direction: str = "column") -> Any:

@@ -89,12 +89,6 @@ EXPONENT: Final = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")
 
 
 @cache
-def known_parameters(node: str) -> frozenset[str]:
-    """Names a node declares."""
-    return frozenset(declared_parameters(node))
-
-
-@cache
 def declared_parameters(node: str) -> Mapping[str, Declared]:
     """What a node declares, read from the source of its modules (NODE*.py), so that ROS need not be there."""
     spec = importlib.util.find_spec(f"spacearm_ident.nodes.{node}")
@@ -165,7 +159,7 @@ def _node(key: str, given: Any) -> Iterator[CheckResult]:
     if not isinstance(values, dict):
         yield fail("parameters", f"{node} has no 'ros__parameters:'", "ROS ignores what is not under that key")
         return
-    known = EVERY_NODE.union(*map(known_parameters, nodes))
+    known = EVERY_NODE.union(*map(declared_parameters, nodes))
     for name, value in values.items():
         if name not in known:
             has = ", ".join(sorted(known - EVERY_NODE))

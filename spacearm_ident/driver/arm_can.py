@@ -134,7 +134,8 @@ def _build(data: Mapping[str, Any], arm: Arm, path: Path) -> ArmCan:
     buses = tuple(BusAddress(str(bus["interface"]), str(bus["channel"])) for bus in data["buses"])
     if any(not 0 <= axis.bus < len(buses) for axis in axes):
         raise UserError(f"{path}: a joint is on a bus that is not listed under 'buses' (the first is bus 0)")
-    rate = BitRate(float(data.get("bitrate", 1e6)), _optional_float(data.get("data_bitrate")))
+    fast = data.get("data_bitrate")
+    rate = BitRate(float(data.get("bitrate", 1e6)), None if fast is None else float(fast))
     bus = _arm_bus(axes, data.get("cycle") or {}, rate, str(path))
     if bus.buses != len(buses):
         raise UserError(f"{path}: no joint is on bus {len(buses) - 1}: remove it from 'buses'")
@@ -206,10 +207,6 @@ def _tracking(joint: Joint, keys: Mapping[str, Any]) -> float:
 def _eds(path: Path, name: str) -> str:
     beside = path.parent / name
     return str(beside) if beside.is_file() else name
-
-
-def _optional_float(value: Any) -> float | None:
-    return None if value is None else float(value)
 
 
 def _known(data: Mapping[str, Any], keys: set[str], where: str) -> None:

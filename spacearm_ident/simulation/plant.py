@@ -161,10 +161,7 @@ class Plant:
         turning = predicted if self._drives is None else predicted[self._drives]
         smooth = law.smooth_torque(q, turning, warm)
         level = law.dry_level(q, turning, warm)
-        state = (configuration, v, predicted, self._spread(torque - smooth), self._spread(level))
-        after = self._slide(*state, h)
-        if after is None:
-            after = self._stick_or_slip(*state, h)
+        after = self._after(configuration, v, predicted, self._spread(torque - smooth), self._spread(level), h)
         self._acceleration = (after - v) / h
         self.speed = after
         self.configuration = mechanism.moved(configuration, after, 0.5 * h)
@@ -184,27 +181,7 @@ class Plant:
         self._friction_power = no_speed
         return True
 
-    def _slide(
-        self,
-        configuration: FloatArray,
-        v: FloatArray,
-        predicted: FloatArray,
-        driving: FloatArray,
-        level: FloatArray,
-        h: float,
-    ) -> FloatArray | None:
-        """The new velocity if every joint moves and keeps its direction (nearly always), else None."""
-        joints = len(v)
-        if np.count_nonzero(v) < joints and np.count_nonzero((v != 0.0) | (level == 0.0)) < joints:
-            return None
-        friction = level * np.sign(v)
-        after = v + h * self.mechanism.acceleration(configuration, predicted, driving - friction)
-        onward = after * v > 0.0
-        # A joint without dry friction may reverse within the step.
-        kept = np.count_nonzero(onward) == joints or np.count_nonzero(onward | (level == 0.0)) == joints
-        return after if kept else None
-
-    def _stick_or_slip(
+    def _after(
         self,
         configuration: FloatArray,
         v: FloatArray,
@@ -213,7 +190,15 @@ class Plant:
         level: FloatArray,
         h: float,
     ) -> FloatArray:
-        """The new velocity with joints sticking, breaking away or turning round."""
+        """The new velocity: every joint moves on (nearly always), or some stick, break away or turn round."""
+        joints = len(v)
+        if np.count_nonzero(v) == joints or np.count_nonzero((v != 0.0) | (level == 0.0)) == joints:
+            friction = level * np.sign(v)
+            after = v + h * self.mechanism.acceleration(configuration, predicted, driving - friction)
+            onward = after * v > 0.0
+            # A joint without dry friction may reverse within the step.
+            if np.count_nonzero(onward) == joints or np.count_nonzero(onward | (level == 0.0)) == joints:
+                return after
         load = self.mechanism.bias(configuration, predicted)
         inertia = self.mechanism.inertia(configuration)
         momentum = inertia @ v + h * (driving - load)
