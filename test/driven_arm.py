@@ -161,10 +161,8 @@ class DrivenArm:
             self.start_driver()
         self.wait_for(lambda: self.values.get("connection") == "connected", "a connection")
         if self.fault:
-            done, message = self.call("/driver/recover")
-            assert done, message
-        done, message = self.call("/driver/enable", True)
-        assert done, message
+            self.probe.must("/driver/recover")
+        self.probe.must("/driver/enable", True)
         self.wait_for(lambda: self.enabled and not self.fault, "enabled")
 
     # Motion -------------------------------------------------------------------------------------------

@@ -4,11 +4,13 @@ Importing it puts this process, and those it starts, on a ROS domain of their ow
 """
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -48,11 +50,14 @@ class Processes:
         self._folder = folder
         self._all: list[subprocess.Popen] = []
 
-    def node(self, name: str, *ros_arguments: str, **options) -> subprocess.Popen:
-        """A node by the name of its executable; each argument is what follows `-p`, such as `rate_hz:=100`."""
-        parameters = [word for argument in ros_arguments for word in ("-p", argument)]
+    def node(self, name: str, *ros_arguments: str, words: Sequence[str] = (), **options) -> subprocess.Popen:
+        """A node by the name of its executable; each argument is what follows `-p`, such as `rate_hz:=100`.
+
+        `words` follow `--ros-args` as they are.
+        """
+        given = [*words, *(word for argument in ros_arguments for word in ("-p", argument))]
         code = f"import sys; from spacearm_ident.nodes.main import start; sys.exit(start({name!r}, sys.argv[1:]))"
-        process = self.python("-c", code, *(["--ros-args", *parameters] if parameters else []), **options)
+        process = self.python("-c", code, *(["--ros-args", *given] if given else []), **options)
         come_first(process.pid)
         return process
 
@@ -96,6 +101,8 @@ def end(process: subprocess.Popen, number: int = signal.SIGINT) -> int:
 class Probe:
     """A node in the test's process: publishes, listens, calls."""
 
+    patience_s = PATIENCE_S
+
     def __init__(self):
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
@@ -123,8 +130,8 @@ class Probe:
         while (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
 
-    def wait_for(self, condition, what: str, patience_s: float = PATIENCE_S):
-        return wait_for(condition, what, patience_s, self.spin)
+    def wait_for(self, condition, what: str, patience_s: float | None = None):
+        return wait_for(condition, what, patience_s or self.patience_s, self.spin)
 
     def call(self, name: str, data: bool | None = None) -> tuple[bool, str]:
         """Call a Trigger service, or a SetBool service with `data`."""
@@ -138,6 +145,22 @@ class Probe:
         future = client.call_async(Trigger.Request() if data is None else SetBool.Request(data=data))
         self.wait_for(future.done, f"a reply from {name}")
         return future.result().success, future.result().message
+
+    def must(self, name: str, data: bool | None = None) -> str:
+        """Call what has to be done; the reply."""
+        done, reply = self.call(name, data)
+        assert done, reply
+        return reply
+
+    def hear_runs(self, said: list, place: str = "") -> None:
+        """Append every `/excitation/state` from now on."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from std_msgs.msg import String
+
+        # Depth 1 keeps the last state only: fine for who wants to know it, too little for who counts them.
+        every = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        hear = lambda message: said.append(json.loads(message.data))  # noqa: E731
+        self.node.create_subscription(String, f"{place}/excitation/state", hear, every)
 
     def values(self, name: str) -> dict[str, str]:
         """The figures of a part's latest diagnostics; empty before the first."""

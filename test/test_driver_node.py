@@ -52,8 +52,7 @@ def stopped_by(arm, words):
 def recovers(arm):
     """Recovering moves nothing, and the arm can be enabled again."""
     before = arm.position()
-    done, message = arm.call("/driver/recover")
-    assert done, message
+    arm.probe.must("/driver/recover")
     arm.wait_for(lambda: not arm.fault and set(arm.drive_states().values()) == {"switch on disabled"}, "recovery")
     assert np.abs(arm.position() - before).max() < 0.01
     arm.healthy()
@@ -151,8 +150,7 @@ def test_enabling_twice_and_disabling_is_no_fault(arm):
 def test_whoever_is_answered_that_the_drives_are_enabled_may_rely_on_others_knowing_it(arm):
     """A run that is asked for next is refused by a trajectory node that has not heard of it."""
     for wanted in (False, True) * 5:
-        done, message = arm.call("/driver/enable", wanted)
-        assert done, message
+        arm.probe.must("/driver/enable", wanted)
         assert arm.probe.values("canopen_driver")["operation_enabled"] == str(wanted).lower()
 
 
@@ -367,8 +365,7 @@ def test_pause_before_the_first_enable_is_a_warning_that_clears_by_itself(live, 
     process.send_signal(signal.SIGCONT)
     live.wait_for(lambda: "connecting to the drives again, for node" in output(live.driver), "the pause noticed")
     # Asked for meanwhile, it waits for the drives.
-    done, message = live.call("/driver/enable", True)
-    assert done, message
+    live.probe.must("/driver/enable", True)
     live.probe.statuses.clear()
     live.wait_for(lambda: live.values.get("connection") == "connected", "a connection again")
     assert live.values["reconnections"] != "0"

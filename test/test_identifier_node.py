@@ -61,6 +61,8 @@ def bags(tmp_path_factory) -> dict[str, Path]:
 class Graph(Probe):
     """The test's own eyes on the graph, the identifier, and the arm that plays recordings to it."""
 
+    patience_s = PATIENCE_S
+
     def __init__(self, processes: Processes) -> None:
         super().__init__()
         self._processes = processes
@@ -70,9 +72,6 @@ class Graph(Probe):
         self.predicted: list[JointState] = []
         self.node.create_subscription(JointState, "/identifier/residuals", self.residuals.append, STREAM)
         self.node.create_subscription(JointState, "/identifier/predicted", self.predicted.append, STREAM)
-
-    def wait_for(self, condition, what: str, patience_s: float = PATIENCE_S):
-        return super().wait_for(condition, what, patience_s)
 
     def identifier(self, *parameters: str) -> subprocess.Popen[str]:
         """The node, ready to listen."""
@@ -432,8 +431,7 @@ def test_a_run_of_an_arm_that_has_changed_does_not_replace_its_model_until_asked
     graph.tell(f"play {tmp_path / 'later.mcap'}")
     graph.wait_for(graph.said("identifier: mismatch", "friction_drift at elbow"), "the explanation of the change")
     assert graph.values("identifier: mismatch")["reference"] == str(kept) and (out / "change" / "report.html").is_file()
-    granted, answer = graph.call("/identifier/identify")
-    assert granted, answer
+    graph.must("/identifier/identify")
     graph.wait_for(lambda: "residual and tracking are those of the model now in" in output(node), "the other model")
     graph.wait_for(lambda: float(graph.latched_parameters()["f_c[elbow]"]["value"]) > 1.6, "its parameters")
     assert "at elbow changed by +0.5" in graph.statuses["identifier: tracking"].message

@@ -16,16 +16,16 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spa
 pytest.importorskip("clarabel", reason="needs clarabel in the processes that identify (README.md, ROS 2 Jazzy)")
 
 from live_nodes import LIVE, Probe, Processes, output
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from spacearm_ident.dynamics.model_file import load_model
+from spacearm_ident.nodes.runtime import LATCHED
 from spacearm_ident.recording import Recording, cdr
 
 pytestmark = LIVE
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 QUICK = ("friction:=coulomb-viscous", "bandwidth_hz:=5.0")
 PER_SECOND = 2000.0
 PATIENCE_S = 180.0
@@ -35,22 +35,19 @@ PATIENCE_S = 180.0
 class Graph(Probe):
     """Publishes joint states and descriptions, and sees what identifiers say."""
 
+    patience_s = PATIENCE_S
+
     def __init__(self, processes: Processes, folder: Path) -> None:
         super().__init__()
         self.processes, self.folder = processes, folder
         self._states: dict[str, object] = {}
         self._descriptions: list[object] = []
 
-    def wait_for(self, condition, what: str, patience_s: float = PATIENCE_S):
-        return super().wait_for(condition, what, patience_s)
-
     def identifier(self, *parameters: str, namespace: str = "") -> str:
         """Start one; the name that its diagnostics have."""
         name = f"{namespace}/identifier".lstrip("/")
-        code = "import sys; from spacearm_ident.nodes.main import start; sys.exit(start('identifier', sys.argv[1:]))"
-        words = [word for one in (*parameters, *QUICK) for word in ("-p", one)]
         place = ["-r", f"__ns:={namespace}"] if namespace else []
-        node = self.processes.python("-c", code, "--ros-args", *place, *words)
+        node = self.processes.node("identifier", *parameters, *QUICK, words=place)
         self.wait_for(lambda: name in self.statuses or node.poll() is not None, "the node")
         assert node.poll() is None, output(node)
         return name
@@ -76,9 +73,6 @@ class Graph(Probe):
                 time.sleep(wait)
         time.sleep(0.5)
 
-    def identify(self, name: str) -> tuple[bool, str]:
-        return self.call(f"/{name}/identify")
-
     def outcome(self, name: str) -> str:
         """What became of an identification."""
         part = f"{name}: identification"
@@ -88,6 +82,10 @@ class Graph(Probe):
             return "" if message == "nothing identified yet" else message
 
         return self.wait_for(said, part)
+
+    def identified(self, name: str) -> None:
+        self.must(f"/{name}/identify")
+        assert "identified and validated" in self.outcome(name)
 
 
 @pytest.fixture
@@ -144,8 +142,7 @@ def test_two_arms_in_two_namespaces_do_not_mix(graph, tmp_path):
         graph.describe(small_arm.URDF, place)
     graph.play(*((f"{place}/joint_states", messages(one)) for place, one in arms.items()))
     for name in names.values():
-        granted, answer = graph.identify(name)
-        assert granted, answer
+        graph.must(f"/{name}/identify")
     for name in names.values():
         assert "identified and validated" in graph.outcome(name)
     results = {place: graph.folder / "identified" / place.strip("/") for place in arms}
@@ -159,15 +156,13 @@ def test_joint_states_at_20_hz_are_refused_with_what_to_do_and_100_hz_are_not(gr
     slow = graph.identifier(f"result_directory:={tmp_path / 'slow'}")
     graph.describe(small_arm.URDF)
     graph.play(("/joint_states", messages(run)[::10]))
-    granted, answer = graph.identify(slow)
+    granted, answer = graph.call(f"/{slow}/identify")
     assert "record joint states at 100 Hz or more" in (graph.outcome(slow) if granted else answer)
     assert not (tmp_path / "slow" / "model.yaml").exists()
     fast = graph.identifier(f"result_directory:={tmp_path / 'fast'}", namespace="/fast")
     graph.describe(small_arm.URDF, "/fast")
     graph.play(("/fast/joint_states", messages(run)[::2]))
-    granted, answer = graph.identify(fast)
-    assert granted, answer
-    assert "identified and validated" in graph.outcome(fast)
+    graph.identified(fast)
 
 
 @pytest.mark.parametrize("extra, without", [(("head", "finger"), ()), ((), ("elbow",))], ids=["more", "fewer"])
@@ -176,9 +171,7 @@ def test_an_arm_is_identified_from_joint_states_of_more_or_fewer_joints(graph, t
     name = graph.identifier(f"result_directory:={tmp_path / 'out'}")
     graph.describe(small_arm.URDF)
     graph.play(("/joint_states", messages(run, extra=extra, without=without)))
-    granted, answer = graph.identify(name)
-    assert granted, answer
-    assert "identified and validated" in graph.outcome(name)
+    graph.identified(name)
     found = coulomb(tmp_path / "out")
     known = dict(zip(small_arm.JOINTS, small_arm.COULOMB))
     assert found == {joint: pytest.approx(known[joint], rel=0.2) for joint in small_arm.JOINTS if joint not in without}
@@ -191,9 +184,7 @@ def test_of_two_arms_on_one_topic_the_identifier_takes_that_of_its_description(g
     name = graph.identifier(f"result_directory:={tmp_path / 'out'}", f"arm:={arm}")
     both = [messages(run, "left_"), messages(stronger(run, 2.0), "right_")]
     graph.play(*(("/joint_states", part) for part in both))
-    granted, answer = graph.identify(name)
-    assert granted, answer
-    assert "identified and validated" in graph.outcome(name)
+    graph.identified(name)
     found = coulomb(tmp_path / "out")
     known = zip(small_arm.JOINTS, small_arm.COULOMB)
     assert found == {f"right_{joint}": pytest.approx(2.0 * value, rel=0.1) for joint, value in known}

@@ -1,6 +1,5 @@
 """Driver, trajectory node and simulated arm as processes: which broken-off runs are begun again, and which are not."""
 
-import json
 import signal
 import time
 
@@ -11,7 +10,6 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (pip install '.[ros]')")
 
 from driven_arm import CONFIG, EMERGENCY, JOINTS, DrivenArm
 from live_nodes import LIVE
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from simulated_arm import paper_limits
 
 from spacearm_ident.excitation.trajectory import Trajectory, random_feasible
@@ -25,7 +23,6 @@ HELD_UP_S = 0.6
 
 @pytest.fixture(scope="module")
 def live(tmp_path_factory):
-    from std_msgs.msg import String
 
     folder = tmp_path_factory.mktemp("restart")
     series = random_feasible(
@@ -42,10 +39,7 @@ def live(tmp_path_factory):
             "restarts:=2",
         )
         arm.said = []
-        every = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        arm.probe.node.create_subscription(
-            String, "/excitation/state", lambda message: arm.said.append(json.loads(message.data)), every
-        )
+        arm.probe.hear_runs(arm.said)
         yield arm
     finally:
         arm.close()
@@ -65,8 +59,7 @@ def arm(live):
 def running(arm):
     """Start, and wait until the arm is in the periodic part, at full speed; returns the run's id."""
     arm.probe.wait_for(lambda: arm.at_rest(), "rest")
-    done, reply = arm.call("/excitation/start")
-    assert done, reply
+    arm.probe.must("/excitation/start")
     arm.wait_for(lambda: arm.said and arm.said[-1]["state"] == "running", "running")
     arm.probe.spin(0.7)
     return arm.said[-1]["run"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shlex
@@ -20,7 +19,6 @@ import mock_controllers
 from diagnostic_msgs.msg import DiagnosticArray
 from live_nodes import LIVE, Probe, Processes, output
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import String
 
 from spacearm_ident.canbus.realtime import come_first
 from spacearm_ident.cli.main import main
@@ -75,18 +73,12 @@ class Graph(Probe):
         self.folder, self.processes = folder, Processes(folder)
         self.said: list[dict] = []
         self.place = ""
-        self._hear_runs()
-
-    def _hear_runs(self) -> None:
-        every = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(
-            String, f"{self.place}/excitation/state", lambda message: self.said.append(json.loads(message.data)), every
-        )
+        self.hear_runs(self.said)
 
     def enter(self, place: str) -> None:
         """Heed the nodes of a namespace from now on, where their diagnostics may be, too."""
         self.place = place
-        self._hear_runs()
+        self.hear_runs(self.said, place)
         self.node.create_subscription(DiagnosticArray, f"{place}/diagnostics", self._keep, 100)
 
     def name(self, node: str) -> str:
@@ -104,10 +96,9 @@ class Graph(Probe):
         shown = {words[1]: words[2:] for words in commands("spacearm") if words[0] == "node"}
         for name in names:
             patient = PATIENT if name == "trajectory" else ()
-            given = [*words, *(word for value in (*patient, *extra) for word in ("-p", value))]
-            code = f"import sys; from spacearm_ident.nodes.main import start; sys.exit(start({name!r}, sys.argv[1:]))"
-            node = self.processes.python("-c", code, *shown[name], *given)
-            come_first(node.pid)
+            flag, *page = shown[name]
+            assert flag == "--ros-args"
+            node = self.processes.node(name, *patient, *extra, words=[*page, *words])
             full = self.name(name)
             self.wait_for(lambda n=full, p=node: n in self.statuses or p.poll() is not None, full, PATIENCE_S)
             assert node.poll() is None, output(node)
@@ -117,8 +108,7 @@ class Graph(Probe):
     def start(self) -> None:
         name = self.name("trajectory")
         self.wait_for(lambda: self.values(name).get("drives_enabled") == "true", "the controller is heard")
-        done, reply = self.call(f"{self.place}/excitation/start")
-        assert done, reply
+        self.must(f"{self.place}/excitation/start")
 
     def reach(self, *states: str) -> dict:
         over = (*states, "done")
@@ -236,8 +226,7 @@ def test_a_stop_is_a_way_to_rest_along_the_path_within_the_limits(graph):
     acceleration = np.diff(velocity, axis=0) / np.diff(stamp)[:, None]
     # Bridging from wherever the controller is to where the stop begins may ask for a little more.
     assert np.abs(acceleration).max() <= 6.0 * 1.1
-    done, reply = graph.call("/excitation/start")
-    assert done, reply
+    graph.must("/excitation/start")
 
 
 def test_an_interrupted_node_stays_until_the_arm_is_at_rest(graph):

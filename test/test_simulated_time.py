@@ -34,8 +34,7 @@ def test_a_recording_under_simulated_time_has_the_log_times_of_the_graphs_clock(
     clock = probe.node.create_publisher(Clock, "/clock", 10)
     words = probe.node.create_publisher(String, "/words", 10)
     processes.node("recorder", f"directory:={tmp_path / 'bags'}", "use_sim_time:=true")
-    done, reply = probe.call("/recorder/start")
-    assert done, reply
+    reply = probe.must("/recorder/start")
     # The clock stands, and what is on the graph is recorded none the less: no watch hangs on it.
     end = time.monotonic() + 60.0
     while time.monotonic() < end and words.get_subscription_count() == 0:

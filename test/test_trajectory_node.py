@@ -1,7 +1,6 @@
 """The trajectory node against a live graph: what it streams, when it refuses, how it stops."""
 
 import itertools
-import json
 import math
 import re
 import signal
@@ -15,7 +14,6 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 import rclpy
 from live_nodes import LIVE, Probe, end, output, wait_for
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from simulated_arm import CONFIG, paper_limits
 
 from spacearm_ident.driver.set_points import PAUSE
@@ -39,7 +37,6 @@ class Arm:
     def __init__(self, probe: Probe, joints=JOINTS, others=()):
         from diagnostic_msgs.msg import DiagnosticArray
         from sensor_msgs.msg import JointState
-        from std_msgs.msg import String
 
         self.position, self.velocity = HOME.copy(), np.zeros(6)
         self.joints, self.enabled, self.silent, self.offset = joints, True, False, 0.0
@@ -52,9 +49,7 @@ class Arm:
         self._command = self._command_node.create_subscription(JointState, "/joint_command", print, STREAM, raw=True)
         self._states = node.create_publisher(JointState, "/joint_states", STREAM)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Depth 1 keeps the last state only: fine for who wants to know it, too little for who counts them.
-        every = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(String, "/excitation/state", self._hear, every)
+        probe.hear_runs(self.states)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._work)
         self._thread.start()
@@ -69,9 +64,6 @@ class Arm:
         assert block.names == JOINTS
         self.commands.append((int(block.stamp_ns[0]), block.position[0], block.velocity[0]))
         self.position = block.position[0]
-
-    def _hear(self, message):
-        self.states.append(json.loads(message.data))
 
     def _work(self):
         for k in itertools.count():
