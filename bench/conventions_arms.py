@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
@@ -228,15 +228,11 @@ def _waypoints(rng: Rng, time: Array, model: pin.Model, reach: Array, slow: bool
     return q, v, a
 
 
-def _point_to_point(rng: Rng, time: Array, model: pin.Model, reach: Array) -> tuple[Array, Array, Array]:
-    return _waypoints(rng, time, model, reach, slow=False)
-
-
-def _slow(rng: Rng, time: Array, model: pin.Model, reach: Array) -> tuple[Array, Array, Array]:
-    return _waypoints(rng, time, model, reach, slow=True)
-
-
-_MOTION = {"fourier": _fourier, "point_to_point": _point_to_point, "slow": _slow}
+_MOTION = {
+    "fourier": _fourier,
+    "point_to_point": partial(_waypoints, slow=False),
+    "slow": partial(_waypoints, slow=True),
+}
 
 
 def _torque(

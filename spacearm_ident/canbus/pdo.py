@@ -169,8 +169,8 @@ class Feedback:
     def decode(self) -> None:
         """Scale the payloads into `position`, `torque` and `current`."""
         self._scaling.to_position(self.counts, self.position)
-        self._scaling.to_torque(self.units, self.torque)
-        self._scaling.to_current(self.units, self.current)
+        np.multiply(self.units, self._scaling.torque_per_unit, out=self.torque)
+        np.multiply(self.units, self._scaling.amps_per_unit, out=self.current)
 
 
 class SetPoints:

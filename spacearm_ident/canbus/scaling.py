@@ -108,24 +108,6 @@ class Scaling:
         np.subtract(counts, self.zero_counts, out=out)
         np.multiply(out, self.rad_per_count, out=out)
 
-    def to_torque(self, units: NDArray[np.int16], out: FloatArray) -> None:
-        """Output-side torques of torque values, N·m, into `out`; both (n,).
-
-        Args:
-            units: Torque values as the drives have them.
-            out: Filled; N·m.
-        """
-        np.multiply(units, self.torque_per_unit, out=out)
-
-    def to_current(self, units: NDArray[np.int16], out: FloatArray) -> None:
-        """Motor currents of torque values, A, into `out`; both (n,).
-
-        Args:
-            units: Torque values as the drives have them.
-            out: Filled; A.
-        """
-        np.multiply(units, self.amps_per_unit, out=out)
-
     def to_counts(self, position: FloatArray, out: FloatArray) -> None:
         """Nearest whole encoder counts of joint angles (rad), as floats into `out`; both (n,).
 

@@ -20,6 +20,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -90,6 +91,7 @@ class Identifier(LiveNode):
     def __init__(self) -> None:
         super().__init__("identifier")
         self._settings = declare(self)
+        self._new_job = partial(IdentifyJob, directory=self._settings.directory, options=self._settings.how)
         limit = max(1, int(self._settings.buffer_s * RATE_HZ))
         self._states = MessageBuffer(STATES_TOPIC, limit)
         self._temperatures = MessageBuffer(TEMPERATURES_TOPIC, limit // 10)
@@ -215,10 +217,10 @@ class Identifier(LiveNode):
         captures = self._captures(mark.start_ns, mark.stop_ns)
         if self._known is None:
             bag = self._settings.directory / "excitation.mcap"
-            self._start(self._new_job((bag,), (bag,), captures, bag))
+            self._start(self._new_job((bag,), (bag,), captures=captures, bag=bag))
         else:
             bag = self._settings.directory / "validation.mcap"
-            self._start(self._new_job(self._fitted, (bag,), captures, bag, self._known))
+            self._start(self._new_job(self._fitted, (bag,), captures=captures, bag=bag, known=self._known))
 
     def _identify_buffer(self) -> str:
         """The service."""
@@ -237,7 +239,7 @@ class Identifier(LiveNode):
             raise UserError(f"only {count} joint states are buffered: move the arm first")
         bag = self._settings.directory / "buffer.mcap"
         self._pending.clear()
-        self._start(self._new_job((bag,), (), self._captures(first, last), bag))
+        self._start(self._new_job((bag,), (), captures=self._captures(first, last), bag=bag))
         return f"identifying from {count} joint states that came within {span:.1f} s; the result goes to " + str(
             self._settings.directory
         )
@@ -247,24 +249,6 @@ class Identifier(LiveNode):
         if self._description is not None:
             captures.append(self._description)
         return tuple(capture for capture in captures if len(capture.times_ns))
-
-    def _new_job(
-        self,
-        fitted: tuple[Path, ...],
-        validated: tuple[Path, ...],
-        captures: tuple[Capture, ...] = (),
-        bag: Path | None = None,
-        known: Identified | None = None,
-    ) -> IdentifyJob:
-        return IdentifyJob(
-            fitted=fitted,
-            validated=validated,
-            directory=self._settings.directory,
-            options=self._settings.how,
-            captures=captures,
-            bag=bag,
-            known=known,
-        )
 
     def _explain_change(self, start_ns: int, stop_ns: int) -> None:
         """Explain what came between two times of arrival, behind a change."""

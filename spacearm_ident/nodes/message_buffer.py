@@ -159,7 +159,8 @@ class MessageBuffer:
             start_ns: First arrival, ns.
             stop_ns: Last arrival, ns.
         """
-        times, sizes, data = [], [], []
+        empty = np.zeros(0, dtype=np.int64)
+        times, sizes, data = [empty], [empty], [np.zeros(0, dtype=np.uint8)]
         for block in self._blocks:
             arrived = block.times_ns[: block.count]
             first, last = np.searchsorted(arrived, (start_ns, stop_ns + 1)).tolist()
@@ -169,13 +170,7 @@ class MessageBuffer:
             times.append(arrived[first:last].copy())
             sizes.append(np.diff(ends[first : last + 1]))
             data.append(block.data[ends[first] : ends[last]].copy())
-        empty = np.zeros(0, dtype=np.int64)
-        return Capture(
-            self.topic,
-            np.concatenate(times) if times else empty,
-            np.concatenate(sizes) if sizes else empty,
-            np.concatenate(data) if data else np.zeros(0, dtype=np.uint8),
-        )
+        return Capture(self.topic, np.concatenate(times), np.concatenate(sizes), np.concatenate(data))
 
 
 def write_captures(path: Path, captures: Sequence[Capture]) -> None:

@@ -95,6 +95,7 @@ class SetPointStream:
         warning: What keeps the thread from being on time, or None.
         start_ns: Stamp of the first set-point, ns since 1970.
         lag_s: How far the arm is behind, s; whoever sees the arm sets it.
+        stopped_s: When braking began, s from the start; None if it did not.
     """
 
     lag_s = 0.0
@@ -133,7 +134,7 @@ class SetPointStream:
         self._pacer = Pacer(self._period_s) if now_ns is None else ClockPacer(self._period_s, now_ns)
         self._stop = threading.Event()
         self._slot = 0
-        self._stopped_s: float | None = None
+        self.stopped_s: float | None = None
         self._at_rest = False
         self.start_ns = 0
         self._begun = threading.Event()
@@ -165,11 +166,6 @@ class SetPointStream:
     def late_s(self) -> float:
         """Lateness that 99 % of the set-points stayed below, s."""
         return self._pacer.lateness(0.99)
-
-    @property
-    def stopped_s(self) -> float | None:
-        """When braking began, s from the start; None if it did not."""
-        return self._stopped_s
 
     @property
     def phase(self) -> Phase:
@@ -227,8 +223,8 @@ class SetPointStream:
         return self._motion.at(end)
 
     def _brake(self) -> Motion:
-        self._stopped_s = self._slot * self._period_s
-        brake = Brake(self._run.trajectory, self._limits, self._stopped_s)
+        self.stopped_s = self._slot * self._period_s
+        brake = Brake(self._run.trajectory, self._limits, self.stopped_s)
         state = self._motion.at(min(self._slot, len(self._motion.q) - 1))
         while not brake.at_rest:
             for slot in self._next_slots():

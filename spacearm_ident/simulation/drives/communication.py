@@ -188,7 +188,7 @@ class Communication(ABC):
         """Put the objects at their defaults (or only those of the communication), boot up."""
         self.dictionary.restore(last=0x1FFF if communication_only else 0xFFFF)
         for pdo in (*self.receive, *self.transmit):
-            pdo.reconfigure()
+            pdo.configure()
         self._received.clear()
         self._master_deadline = None
         self.routes_changed = True

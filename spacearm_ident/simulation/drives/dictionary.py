@@ -68,15 +68,10 @@ class DriveDictionary:
         # An abort before the first transfer would otherwise have no index to name.
         self._server._index = self._server._subindex = 0
 
-    def restore(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
-        """Put the objects with an index from `first` to `last` back to their defaults.
-
-        Args:
-            first: Index.
-            last: Index, included.
-        """
+    def restore(self, last: int = 0xFFFF) -> None:
+        """Put the objects (from 0x1000) with an index up to `last`, included, back to their defaults."""
         for place, variable in self._variables.items():
-            if first <= variable.index <= last and variable.data_type in INTEGER_TYPES:
+            if 0x1000 <= variable.index <= last and variable.data_type in INTEGER_TYPES:
                 self.values[place] = int(variable.default or 0)
 
     def variable(self, index: int, sub: int) -> ODVariable | None:

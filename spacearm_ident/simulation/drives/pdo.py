@@ -58,9 +58,9 @@ class Pdo:
         before[key(self._mapping, 0)] = self._check_count
         for sub in range(1, 9):
             before[key(self._mapping, sub)] = self._check_entry
-        after[key(self._mapping, 0)] = after[key(self._communication, 1)] = self._configure
-        after[key(self._communication, 2)] = self._configure
-        self._configure(0)
+        after[key(self._mapping, 0)] = after[key(self._communication, 1)] = self.configure
+        after[key(self._communication, 2)] = self.configure
+        self.configure()
 
     @property
     def size(self) -> int:
@@ -84,11 +84,8 @@ class Pdo:
         self._count = 0
         return True
 
-    def reconfigure(self) -> None:
-        """Read the describing objects anew (after a reset)."""
-        self._configure(0)
-
-    def _configure(self, _: int) -> None:
+    def configure(self, _: int = 0) -> None:
+        """Read the describing objects, after a reset or one was written."""
         values = self._dictionary.values
         cob_id = values[key(self._communication, 1)]
         self.can_id = None if cob_id & INVALID else cob_id & 0x7FF
