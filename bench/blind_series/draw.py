@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import laws as laws_
@@ -37,22 +38,23 @@ def deck(items: list, rng: np.random.Generator):
             yield items[k]
 
 
-def plan(seed: int, count: int) -> list[dict]:
-    """What each trial will be: composition, arm, laws, strength; drawn before anything is simulated."""
-    rng = np.random.default_rng(seed)
-    listed, absent, strength, arm = (
-        deck(laws_.LISTED, rng),
-        deck(laws_.ABSENT, rng),
-        deck(list(STRENGTHS), rng),
-        deck(list(ARMS), rng),
-    )
-    out = []
+def trials(count: int, rng: np.random.Generator, *kinds: list) -> Iterator[dict]:
+    """Composition, arm, laws and strengths of each trial; `kinds`: listed laws, absent ones, arms."""
+    listed, absent, arm, strength = (deck(items, rng) for items in (*kinds, list(STRENGTHS)))
     for k, kind in enumerate(composition(count, rng)):
         trial = {"trial": k, "composition": str(kind), "arm": next(arm), "seed": int(rng.integers(2**31)), "laws": []}
         if kind in ("listed", "both"):
             trial["laws"].append((next(listed), next(strength)))
         if kind in ("absent", "both"):
             trial["laws"].append((next(absent), next(strength)))
+        yield trial
+
+
+def plan(seed: int, count: int) -> list[dict]:
+    """What each trial will be; drawn before anything is simulated."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for trial in trials(count, rng, laws_.LISTED, laws_.ABSENT, list(ARMS)):
         for law, _ in trial["laws"]:
             if law is laws_.VacuumFriction and trial["arm"] not in CUBIC:
                 trial["arm"] = str(rng.choice(CUBIC))
@@ -65,6 +67,34 @@ def plan(seed: int, count: int) -> list[dict]:
 def as_recording(run: Run) -> tuple:
     """Time, position and effort of a run."""
     return run.time, run.position, run.effort
+
+
+def told(law: laws_.Law, wanted: float, calculated: float, achieved: float) -> dict:
+    """A law in an answer; strengths are multiples of the healthy residual."""
+    return {
+        "name": law.name,
+        "listed": law.listed,
+        "also": list(law.also),
+        "joints": law.joints,
+        "strength": wanted,
+        "calculated": calculated,
+        "achieved": achieved,
+        "truth": {k: [float(x), u] for k, (x, u) in law.truth().items()},
+    }
+
+
+def write_answer(out: Path, answer: dict) -> None:
+    """Keep the answer of a trial apart from its bags."""
+    (out / "answers").mkdir(exist_ok=True)
+    (out / "answers" / f"{answer['trial']:03d}.json").write_text(json.dumps(answer, indent=1))
+
+
+def words(answer: dict) -> str:
+    """The laws of a trial in a line."""
+    return ", ".join(
+        f"{x['name']} at {'/'.join(x['joints'][:2])} x{x['strength']:g} (achieved {x['achieved']:.2f})"
+        for x in answer["laws"]
+    )
 
 
 def build(trial: dict, out: Path) -> dict:
@@ -89,10 +119,9 @@ def build(trial: dict, out: Path) -> dict:
     q, v, a = (x[thin] for x in motions[3])
     t = np.arange(len(motions[3][0]))[thin] * PERIOD
     motion = (t, q, v, a, np.stack([days[3].at(x) for x in t]))
-    told = []
-    for law, (_, wanted) in zip(laws, trial["laws"]):
-        reached = calibrate(arm, law, motion, fit.healthy, wanted)
-        told.append((wanted, reached))
+    strengths = [
+        (wanted, calibrate(arm, law, motion, fit.healthy, wanted)) for law, (_, wanted) in zip(laws, trial["laws"])
+    ]
     both = np.ones(2, bool)
     seed = int(rng.integers(2**31))
     # a change that upsets the loop would trip the drive of a real arm: it is halved until the loop holds
@@ -136,28 +165,16 @@ def build(trial: dict, out: Path) -> dict:
         "dirt": [[d.name, d.joints, d.size] for d in dirt],
         "laws": [],
     }
-    for law, (wanted, reached) in zip(laws, told):
+    for law, (wanted, reached) in zip(laws, strengths):
         at = [arm.joints.index(j) for j in law.joints]
         seen = float(max(np.sqrt(max(after[j] ** 2 - before[j] ** 2, 0)) / before[j] for j in at))
-        answer["laws"].append(
-            {
-                "name": law.name,
-                "listed": law.listed,
-                "also": list(law.also),
-                "joints": law.joints,
-                "strength": wanted,
-                "calculated": reached,
-                "achieved": seen,
-                "truth": {k: [float(x), u] for k, (x, u) in law.truth().items()},
-                "drawn": {
-                    k: (x.tolist() if hasattr(x, "tolist") else x)
-                    for k, x in vars(law).items()
-                    if isinstance(x, (int, float, str, np.generic)) and k not in ("size", "n", "dt")
-                },
-            }
-        )
-    (out / "answers").mkdir(exist_ok=True)
-    (out / "answers" / f"{trial['trial']:03d}.json").write_text(json.dumps(answer, indent=1))
+        drawn = {
+            k: (x.tolist() if hasattr(x, "tolist") else x)
+            for k, x in vars(law).items()
+            if isinstance(x, (int, float, str, np.generic)) and k not in ("size", "n", "dt")
+        }
+        answer["laws"].append(told(law, wanted, reached, seen) | {"drawn": drawn})
+    write_answer(out, answer)
     return answer
 
 
@@ -180,14 +197,8 @@ def main() -> None:
         except FloatingPointError as error:
             print(f"{trial['trial']:03d} not drawn: {error}", flush=True)
             continue
-        names = ", ".join(
-            f"{x['name']} at {'/'.join(x['joints'][:2])} x{x['strength']:g} (achieved {x['achieved']:.2f})"
-            for x in answer["laws"]
-        )
-        print(
-            f"{trial['trial']:03d} {trial['composition']:8s} {trial['arm']:6s} {names}  [{time.time() - start:.0f} s]",
-            flush=True,
-        )
+        names, took = words(answer), time.time() - start
+        print(f"{trial['trial']:03d} {trial['composition']:8s} {trial['arm']:6s} {names}  [{took:.0f} s]", flush=True)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ so only laws that are a torque given the motion, or a change of the logged torqu
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from arms import strip
 from calibrate import nominal, reach, walk
-from draw import STRENGTHS, composition, deck
+from draw import told, trials, words, write_answer
 from fit import Fit, rms, smooth
 from write import read_bag, write_bag
 
@@ -149,22 +148,9 @@ def build(trial: dict, recordings: Path, out: Path) -> dict:
         "seed": trial["seed"],
         "healthy_Nm": fit.healthy.round(4).tolist(),
         "field_unplanted_Nm": before.round(4).tolist(),
-        "laws": [
-            {
-                "name": law.name,
-                "listed": law.listed,
-                "also": list(law.also),
-                "joints": law.joints,
-                "strength": wanted,
-                "calculated": r,
-                "achieved": r,
-                "truth": {k: [float(x), u] for k, (x, u) in law.truth().items()},
-            }
-            for law, (_, wanted), r in zip(laws, trial["laws"], reached)
-        ],
+        "laws": [told(law, wanted, r, r) for law, (_, wanted), r in zip(laws, trial["laws"], reached)],
     }
-    (out / "answers").mkdir(exist_ok=True)
-    (out / "answers" / f"{trial['trial']:03d}.json").write_text(json.dumps(answer, indent=1))
+    write_answer(out, answer)
     return answer
 
 
@@ -177,29 +163,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
-    listed, absent, strength, arm = (
-        deck(LISTED, rng),
-        deck(ABSENT, rng),
-        deck(list(STRENGTHS), rng),
-        deck(list(SETS), rng),
-    )
-    for k, kind in enumerate(composition(options.count, rng)):
-        trial = {"trial": k, "composition": str(kind), "arm": next(arm), "seed": int(rng.integers(2**31)), "laws": []}
-        if kind in ("listed", "both"):
-            trial["laws"].append((next(listed), next(strength)))
-        if kind in ("absent", "both"):
-            trial["laws"].append((next(absent), next(strength)))
-        if (options.out / "answers" / f"{k:03d}.json").exists():
+    for trial in trials(options.count, rng, LISTED, ABSENT, list(SETS)):
+        if (options.out / "answers" / f"{trial['trial']:03d}.json").exists():
             continue
         answer = build(trial, options.recordings, options.out)
-        print(
-            f"{k:03d} {kind:8s} {trial['arm']:7s}",
-            ", ".join(
-                f"{x['name']} at {'/'.join(x['joints'][:2])} x{x['strength']:g} (achieved {x['achieved']:.2f})"
-                for x in answer["laws"]
-            ),
-            flush=True,
-        )
+        print(f"{trial['trial']:03d} {trial['composition']:8s} {trial['arm']:7s}", words(answer), flush=True)
 
 
 if __name__ == "__main__":
