@@ -40,9 +40,12 @@ BANDS_HZ = ((0.5, 2.0), (2.0, 5.0), (5.0, 10.0), (10.0, 20.0))
 BAND_S = 6.0
 _RANGE_SHARE = 0.9
 _SWEEP_S = 12.0
-_LARGEST_STROKE_RAD = 1.0
+LARGEST_STROKE_RAD = 1.0
+"""Farthest that a composite run swings a joint to one side of its centre."""
 _PAUSE_S = 0.5
 _GENTLE_S = 3.0
+_QUINTIC_PEAK = 1.875
+"""Highest speed of a quintic from rest to rest over its mean speed."""
 _POSTURES = 120
 SIZES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12)
 
@@ -61,27 +64,26 @@ EXPERIMENT_OF = {
     "load_friction": "ripple",
     "gear_efficiency": "ripple",
     "presliding_hysteresis": "presliding",
-    "backlash": "presliding",
     "position_friction": "ripple",
-    "asymmetric_friction": "ripple",
     "stribeck": "stribeck",
-    "vacuum_friction": "temperature",
     "torque_ripple": "ripple",
     "encoder_eccentricity": "ripple",
-    "encoder_zero": "ripple",
     "harness_spring": "ripple",
-    "current_offset": "ripple",
     "wrist_coupling": "ripple",
-    "base_tilt": "ripple",
     "joint_elasticity": "elasticity",
     "link_flexibility": "elasticity",
-    "base_flexibility": "elasticity",
     "rotor_coupling": "elasticity",
     "floating_base": "elasticity",
     "time_delay": "elasticity",
     "filter_lag": "elasticity",
 }
-"""Effect of the contract -> the composite experiment that shows it; the others want a periodic run at full speed."""
+"""Effect of the contract -> the composite run that is the experiment which it asks for (`Effect.experiment`); what the
+others ask for is none."""
+
+
+LEAST_RANGE = 2 * max(AMPLITUDES_RAD)
+"""rad (m): of a joint that may move over less, the largest of the slow sines has no room: in less, a joint does little
+but reverse."""
 
 
 class _Run:
@@ -102,12 +104,22 @@ class _Run:
         self.segments.append(segment)
         self._state = segment.evaluate(segment.duration_s).at(0)
 
-    def pass_by(self, begin: FloatArray, end: FloatArray, duration_s: float) -> None:
-        """Constant speed from `begin` to `end` (n,), with run-up from rest and run-out to rest outside of them."""
+    def go_slowly(self, position: FloatArray, speed: float) -> None:
+        """Rest at `position` (n,), reached at no more than `speed`, rad/s."""
+        apart = float(np.abs(position - self._state.q).max())
+        self.add(Rest(position, _PAUSE_S), max(_QUINTIC_PEAK * apart / speed, 0.3))
+
+    def pass_by(self, begin: FloatArray, end: FloatArray, duration_s: float, *, slowly: bool = False) -> None:
+        """Constant speed from `begin` to `end` (n,), with run-up from rest and run-out to rest outside of them.
+
+        `slowly`: no faster on the way there. Nothing has shown that to be free at a higher speed.
+        """
         velocity = (end - begin) / duration_s
         ramp = self.ramp_s(velocity)
         outside = begin - velocity * ramp / 2
-        if np.abs(outside - self._state.q).max() > 1e-12:
+        if slowly:
+            self.go_slowly(outside, float(np.abs(velocity).max()))
+        elif np.abs(outside - self._state.q).max() > 1e-12:
             self.add(Rest(outside, _PAUSE_S))
         cruise = Cruise(begin, velocity, duration_s)
         self.segments.append(Quintic(self._state, cruise.evaluate(0.0).at(0), ramp))
@@ -164,7 +176,7 @@ class _Scene:
         """(n,) rad: how far each moved joint may swing to both sides of a centre, zero for the others."""
         limits, out = self.needs.motion, np.zeros(len(self.start))
         chosen = list(self.moved)
-        out[chosen] = np.minimum((limits.upper - limits.lower)[chosen] / 2 * _RANGE_SHARE, _LARGEST_STROKE_RAD)
+        out[chosen] = np.minimum((limits.upper - limits.lower)[chosen] / 2 * _RANGE_SHARE, LARGEST_STROKE_RAD)
         return out
 
     def centre(self, room: FloatArray) -> FloatArray:
@@ -193,9 +205,9 @@ def _ripple(scene: _Scene, run: _Run, size: float) -> None:
             begin, end = scene.start.copy(), scene.start.copy()
             begin[joint], end[joint] = low + inset, high - inset
             duration = max(float(end[joint] - begin[joint]) / speed, 0.2)
-            run.pass_by(begin, end, duration)
+            run.pass_by(begin, end, duration, slowly=True)
             run.pass_by(end, begin, duration)
-        run.add(Rest(scene.start, _PAUSE_S))
+        run.go_slowly(scene.start, fast)
 
 
 def _presliding(scene: _Scene, run: _Run, size: float) -> None:

@@ -165,6 +165,9 @@ class Backlash(Compliance):
     source: ClassVar[str] = "Nordin and Gutman 2002"
     confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "presliding_hysteresis", "time_delay")
     experiment: ClassVar[str] = "slow reversals of the load (not only of the speed): gravity from either side"
+    remedy: ClassVar[str] = (
+        "look at the gear and the coupling of motor and link: play grows; until then use the model that has it"
+    )
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:

@@ -34,6 +34,9 @@ class Payload(Effect):
     source: ClassVar[str] = "Khalil, Gautier and Lemoine 2007"
     confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "base_tilt", "harness_spring")
     experiment: ClassVar[str] = "the same motion with the gripper turned by a right angle"
+    remedy: ClassVar[str] = (
+        "take it off if it should not be there; else enter its mass and centre as the payload of controller and model"
+    )
     weighs: ClassVar[bool] = True
     often: ClassVar[float] = 0.8
 
@@ -126,6 +129,9 @@ class HeldObject(Payload):
     equation: ClassVar[str] = "Y_k [m, m c] between t_0 and t_1"
     confused_with: ClassVar[tuple[str, ...]] = ("external_contact",)
     experiment: ClassVar[str] = "the same motion with an empty gripper"
+    remedy: ClassVar[str] = (
+        "enter its mass and centre as the payload while it is held, or leave that time out of what is fitted"
+    )
     one_cause: ClassVar[bool] = True
 
     @classmethod
@@ -192,6 +198,7 @@ class BaseTilt(Effect):
     confused_with: ClassVar[tuple[str, ...]] = ("payload", "current_offset", "harness_spring")
     sizes: ClassVar[tuple[str, ...]] = ("tilt",)
     experiment: ClassVar[str] = "a level on the base; or the same motion with joint 1 turned by a right angle"
+    remedy: ClassVar[str] = "level the base, or enter the direction of gravity (--gravity)"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -256,7 +263,12 @@ class FloatingBase(Effect):
     equation: ClassVar[str] = "-M_mb M_bb^-1 (M_bm qdd + c_b)"
     source: ClassVar[str] = "Umetani and Yoshida 1989"
     confused_with: ClassVar[tuple[str, ...]] = ("base_flexibility", "joint_elasticity", "payload")
-    experiment: ClassVar[str] = "record /base_imu; move joint 1 alone, then joint 2 alone"
+    experiment: ClassVar[str] = (
+        "record /base_imu; move one joint alone, then the next (spacearm excite --for elasticity)"
+    )
+    remedy: ClassVar[str] = (
+        "record /base_imu, so that the base's motion is known rather than inferred; plan with the model that has it"
+    )
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -374,6 +386,7 @@ class ExternalContact(Effect):
     confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
     sizes: ClassVar[tuple[str, ...]] = ("force",)
     experiment: ClassVar[str] = "the same motion again: a contact does not come back at the same place by itself"
+    remedy: ClassVar[str] = "find out what touched the arm then, and leave that time out of what is fitted"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:

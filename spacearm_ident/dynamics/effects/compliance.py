@@ -295,6 +295,9 @@ class JointElasticity(Compliance):
     source: ClassVar[str] = "Spong 1987; hardening: Tuttle 1992"
     confused_with: ClassVar[tuple[str, ...]] = ("link_flexibility", "base_flexibility", "backlash", "payload")
     experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
+    remedy: ClassVar[str] = (
+        "keep the motion below its resonance, or use the model that has it; if it is new, look at the gear"
+    )
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -345,6 +348,9 @@ class LinkFlexibility(Compliance):
     source: ClassVar[str] = "lumped first mode; De Luca and Siciliano 1991"
     confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "base_flexibility", "backlash")
     experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
+    remedy: ClassVar[str] = (
+        "keep the motion below its resonance, or use the model that has it; if it is new, look at the link's joints"
+    )
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -381,6 +387,7 @@ class BaseFlexibility(Compliance):
     source: ClassVar[str] = "lumped first mode of the mounting"
     confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "link_flexibility", "floating_base", "base_tilt")
     experiment: ClassVar[str] = "a step of joint 1 with the arm stretched: an accelerometer at the base sees it rock"
+    remedy: ClassVar[str] = "tighten the base's mount, or keep the motion below its resonance"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:

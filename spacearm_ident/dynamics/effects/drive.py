@@ -33,6 +33,9 @@ class TorqueConstant(Effect):
     source: ClassVar[str] = "demagnetisation, calibration; Gautier and Briot 2014"
     confused_with: ClassVar[tuple[str, ...]] = ("payload", "friction_drift", "load_friction")
     experiment: ClassVar[str] = "the same motion with a known mass at the flange"
+    remedy: ClassVar[str] = (
+        "correct the joint's torque constant by it, or calibrate the torque sensor against a known mass"
+    )
     follows: ClassVar[str] = "torque"
 
     @classmethod
@@ -62,6 +65,20 @@ class TorqueConstant(Effect):
         shown = {name: (float(values[0]), self.parameters[0].unit)}
         return shown if self.needs_temperature else {"scale": (1.0 + float(values[0]), "1"), **shown}
 
+    def where(self, values: FloatArray) -> str:
+        """What the factor means: recorded is current times the configured constant; the true one is smaller by it."""
+        error = float(values[0])
+        size, other = ("large", "lower") if error > 0.0 else ("small", "higher")
+        if self.needs_temperature:
+            return (
+                f"the recorded torque is {abs(error):.2%} too {size} for every kelvin: the torque constant is {other}"
+            )
+        true = abs(1.0 / (1.0 + error) - 1.0)
+        return (
+            f"the recorded torque is {100 * abs(error):.0f} % too {size}: "
+            f"the true torque constant is {100 * true:.0f} % {other} than configured"
+        )
+
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """The model's torque."""
         row = motion.joints.index(self.place["joint"])
@@ -84,6 +101,9 @@ class MotorSaturation(Effect):
     source: ClassVar[str] = "first terms of the odd series of a saturating torque-current curve"
     confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "load_friction", "vacuum_friction")
     experiment: ClassVar[str] = "high torque at low speed and low torque at high speed"
+    remedy: ClassVar[str] = (
+        "keep the joint's torque below where the current bends, or convert current to torque by that curve"
+    )
     follows: ClassVar[str] = "torque"
 
     @classmethod
@@ -122,6 +142,7 @@ class CurrentOffset(Effect):
     confused_with: ClassVar[tuple[str, ...]] = ("asymmetric_friction", "harness_spring", "base_tilt")
     same_torque: ClassVar[tuple[str, ...]] = ("asymmetric_friction",)
     experiment: ClassVar[str] = "read the currents with the brakes on: an offset of the sensor stays, friction goes"
+    remedy: ClassVar[str] = "set the current sensor's zero again, or take the offset off the recorded torque"
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -167,7 +188,12 @@ class TimeDelay(_Late):
     equation: ClassVar[str] = "tau(t - d) - tau(t), d < 0 where the motion is late"
     source: ClassVar[str] = "fieldbus and filter delays; MuJoCo and PACE identification reports"
     confused_with: ClassVar[tuple[str, ...]] = ("filter_lag", "joint_elasticity", "presliding_hysteresis")
-    experiment: ClassVar[str] = "a chirp up to the drive's bandwidth: delay turns phase in proportion to frequency"
+    experiment: ClassVar[str] = (
+        "a chirp to the drive's bandwidth (--for elasticity): delay turns phase in proportion to it"
+    )
+    remedy: ClassVar[str] = (
+        "shift the recorded torque by it (effort_delay_s in an arm YAML), or correct the time stamps"
+    )
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -223,7 +249,10 @@ class FilterLag(_Late):
     equation: ClassVar[str] = "tau filtered by 1/(1 + T s), or by 1/(1 + T s + (T s)^2/2), minus tau"
     source: ClassVar[str] = "current filters of drives"
     confused_with: ClassVar[tuple[str, ...]] = ("time_delay", "joint_elasticity", "presliding_hysteresis")
-    experiment: ClassVar[str] = "a chirp up to the drive's bandwidth: a filter also takes amplitude away"
+    experiment: ClassVar[str] = (
+        "a chirp to the drive's bandwidth (--for elasticity): a filter also takes amplitude away"
+    )
+    remedy: ClassVar[str] = "switch the drive's filter off, or let position and torque go through the same one"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:

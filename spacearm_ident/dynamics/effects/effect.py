@@ -37,6 +37,10 @@ class Effect(Term):
     source: ClassVar[str]
     confused_with: ClassVar[tuple[str, ...]] = ()
     experiment: ClassVar[str] = ""
+    remedy: ClassVar[str] = ""
+    """What to do about it once it is beyond doubt, in words."""
+    in_vacuum: ClassVar[bool] = False
+    """Whether an arm in air cannot have it."""
     same_torque: ClassVar[tuple[str, ...]] = ()
     """Kinds with the same torque wherever the joint moves. A finding's confidence is that of all of them together."""
     one_cause: ClassVar[bool] = False

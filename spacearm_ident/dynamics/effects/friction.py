@@ -51,7 +51,12 @@ class FrictionDrift(_Friction):
     equation: ClassVar[str] = "(df_c + creep t) sgn(qd) + dk_v1 qd, t since the recording began"
     source: ClassVar[str] = "paper eq. 2; wear and lubrication"
     confused_with: ClassVar[tuple[str, ...]] = ("temperature_friction", "torque_constant", "load_friction")
-    experiment: ClassVar[str] = "the same motion again after a rest, with the joint temperatures recorded"
+    experiment: ClassVar[str] = (
+        "constant speeds there and back after a rest, with the joint temperatures recorded (--for temperature)"
+    )
+    remedy: ClassVar[str] = (
+        "look at what changed there (lubricant, preload, brake, temperature); if the arm stays so, identify it again"
+    )
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -157,6 +162,7 @@ class TemperatureFriction(_Friction):
     source: ClassVar[str] = "paper §2.2.2"
     confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "torque_constant")
     experiment: ClassVar[str] = "constant-velocity runs over a temperature sweep (spacearm excite --for temperature)"
+    remedy: ClassVar[str] = "record the temperatures and identify with them (--temperature), or warm the arm up first"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -199,7 +205,10 @@ class LoadFriction(_Friction):
     equation: ClassVar[str] = "mu |tau_load| sgn(qd); by the input: tau_load = load + all friction, this one included"
     source: ClassVar[str] = "Hamon, Gautier and Garrec 2010"
     confused_with: ClassVar[tuple[str, ...]] = ("gear_efficiency", "torque_constant", "friction_drift")
-    experiment: ClassVar[str] = "raise and lower a known load slowly: load and speed of both signs"
+    experiment: ClassVar[str] = (
+        "with a known load at the flange, slow constant speed in both directions: up and down (--for ripple)"
+    )
+    remedy: ClassVar[str] = "look at the gear and its lubricant; if the arm stays so, use the model that has it"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -245,7 +254,10 @@ class GearEfficiency(_Friction):
     equation: ClassVar[str] = "tau_load (1/eta - 1) driving, tau_load (eta - 1) driven"
     source: ClassVar[str] = "Chevallereau and Khalil 1987"
     confused_with: ClassVar[tuple[str, ...]] = ("load_friction", "torque_constant")
-    experiment: ClassVar[str] = "raise and lower a known load slowly: load and speed of both signs"
+    experiment: ClassVar[str] = (
+        "with a known load at the flange, slow constant speed in both directions: up and down (--for ripple)"
+    )
+    remedy: ClassVar[str] = "look at the gear and its lubricant; if the arm stays so, use the model that has it"
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -277,6 +289,9 @@ class PreslidingHysteresis(_Friction):
     source: ClassVar[str] = "Dahl 1968; Canudas de Wit et al. 1995"
     confused_with: ClassVar[tuple[str, ...]] = ("backlash", "stribeck", "time_delay", "filter_lag")
     experiment: ClassVar[str] = "slow reversals at several amplitudes (spacearm excite --for presliding)"
+    remedy: ClassVar[str] = (
+        "use the model that has it where the joint reverses slowly, or leave reversals out of what is fitted"
+    )
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -309,7 +324,10 @@ class PositionFriction(_Friction):
     equation: ClassVar[str] = "[a sin(n q) + b cos(n q)] sgn(qd), or a exp(-((q - q_0)/w)^2) sgn(qd)"
     source: ClassVar[str] = "Simoni et al. 2017"
     confused_with: ClassVar[tuple[str, ...]] = ("torque_ripple", "harness_spring", "load_friction")
-    experiment: ClassVar[str] = "slow constant speed over the whole range in both directions (--for ripple)"
+    experiment: ClassVar[str] = "slow constant speed over its range in both directions (--for ripple)"
+    remedy: ClassVar[str] = (
+        "look at the joint there (bearing, seal, cable); if the arm stays so, use the model that has it"
+    )
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -367,6 +385,9 @@ class AsymmetricFriction(_Friction):
     source: ClassVar[str] = "Armstrong-Hélouvry, Dupont and Canudas de Wit 1994"
     confused_with: ClassVar[tuple[str, ...]] = ("current_offset", "harness_spring", "base_tilt")
     experiment: ClassVar[str] = "read the currents with the brakes on: an offset of the sensor stays, friction goes"
+    remedy: ClassVar[str] = (
+        "look at what drags in one direction (cable, seal, sensor offset); if the arm stays so, identify it again"
+    )
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
@@ -409,6 +430,7 @@ class Stribeck(_Friction):
     source: ClassVar[str] = "paper eq. 2; Tustin 1947; Bo and Pavelescu 1982"
     confused_with: ClassVar[tuple[str, ...]] = ("presliding_hysteresis", "friction_drift", "time_delay")
     experiment: ClassVar[str] = "constant speeds from a thousandth to a tenth of a radian a second (--for stribeck)"
+    remedy: ClassVar[str] = "use the model that has it at low speeds; if it is new, look at the lubricant"
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -446,10 +468,12 @@ class VacuumFriction(_Friction):
     one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "the high-order terms of friction are gone"
     imitated_by: ClassVar[str] = FrictionDrift.kind
+    in_vacuum: ClassVar[bool] = True
     equation: ClassVar[str] = "-share (k_v2 qd^2 + k_v3 qd^3)"
     source: ClassVar[str] = "paper §2.2.2"
     confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
     experiment: ClassVar[str] = "faster motion: the terms grow with the square and the cube of speed"
+    remedy: ClassVar[str] = "use the model without these terms as long as the arm is in vacuum"
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:

@@ -27,7 +27,8 @@ class TorqueRipple(Effect):
     equation: ClassVar[str] = "a sin(N q) + b cos(N q)"
     source: ClassVar[str] = "cogging and gear mesh; Olsen and Petersen 2001"
     confused_with: ClassVar[tuple[str, ...]] = ("position_friction", "encoder_eccentricity", "harness_spring")
-    experiment: ClassVar[str] = "slow constant speed over the whole range in both directions (--for ripple)"
+    experiment: ClassVar[str] = "slow constant speed over its range in both directions (--for ripple)"
+    remedy: ClassVar[str] = "use the model that has it as feed-forward; if it is new, look at the motor and the gear"
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -73,7 +74,10 @@ class HarnessSpring(Effect):
     equation: ClassVar[str] = "k (q - q_0)"
     source: ClassVar[str] = "cable harnesses of space manipulators"
     confused_with: ClassVar[tuple[str, ...]] = ("payload", "base_tilt", "current_offset", "position_friction")
-    experiment: ClassVar[str] = "slow motion over the whole range, with the next joints folded and stretched"
+    experiment: ClassVar[str] = (
+        "slow constant speed over its range, then once more with the next joints folded (--for ripple)"
+    )
+    remedy: ClassVar[str] = "look at the cables and hoses along the joint; if they stay so, use the model that has it"
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -104,7 +108,10 @@ class EncoderEccentricity(Effect):
     equation: ClassVar[str] = "q_read = q + a sin(n q) + b cos(n q), through inertia, gravity and viscosity"
     source: ClassVar[str] = "encoder data sheets"
     confused_with: ClassVar[tuple[str, ...]] = ("torque_ripple", "position_friction", "harness_spring")
-    experiment: ClassVar[str] = "constant speed over the whole range: eccentricity shows in velocity, ripple in torque"
+    experiment: ClassVar[str] = (
+        "constant speed over its range: eccentricity shows in velocity, ripple in torque (--for ripple)"
+    )
+    remedy: ClassVar[str] = "centre the encoder, or correct its reading by this curve"
 
     @classmethod
     def variants(cls, arm: Arm):  # type: ignore[no-untyped-def]
@@ -163,6 +170,9 @@ class EncoderZero(Effect):
     source: ClassVar[str] = "the model's gradient by position"
     confused_with: ClassVar[tuple[str, ...]] = ("payload", "base_tilt", "encoder_eccentricity", "current_offset")
     experiment: ClassVar[str] = "move the joint to its reference mark and read the encoder"
+    remedy: ClassVar[str] = (
+        "set the encoder's zero again at the joint's reference mark, or correct it (position_offset_rad)"
+    )
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
