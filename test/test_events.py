@@ -60,6 +60,9 @@ def test_a_push_in_the_field_alone_leaves_all_of_the_other_recording_judged():
     assert [finding.effect for finding in answer.findings] == ["external_contact"]
     assert not answer.happened
     assert answer.findings[0].explained > 0.8
+    ((number, begin, end),) = answer.findings[0].windows
+    assert number == 0 and (begin, end) == pytest.approx((5.5, 7.5), abs=0.7)
+    assert "not checked on unseen data" in answer.findings[0].unchecked and answer.unchecked
 
 
 def test_pushes_for_most_of_a_held_out_recording_are_no_events_of_it():

@@ -28,8 +28,8 @@ from spacearm_ident.recording import read_recording, write_recording
 from spacearm_ident.recording.corrections import Corrections, JointCorrection
 from spacearm_ident.report.mismatch_folder import write_mismatch
 from spacearm_ident.sessions.identification import find_arm
-from spacearm_ident.sessions.mismatch import next_run
 from spacearm_ident.sessions.mistakes import mistakes
+from spacearm_ident.sessions.next_run import next_run
 from spacearm_ident.signals.prepare import prepare
 
 LAWS = (Friction(k_v2=0.0, k_v3=0.0), Friction(f_c=1.5, k_v1=0.8, k_v2=0.0, k_v3=0.0, J_m=0.1))

@@ -18,6 +18,7 @@ from ..layers.document import comparison_document, verdict
 from ..layers.item import REST, Item, Mended
 from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN, to_document
 from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Explanation, Finding
+from ..mismatch.rivals import UNKNOWN
 from ..sessions.identification import locked_words
 from ..sessions.mismatch import explain_session
 from ..sessions.reading import Comparing
@@ -141,6 +142,9 @@ RESIDUAL_WORDS = (
     "healthy: noise floor, of the reference where that is recorded; detectable: residual above which a joint counts as "
     "a mismatch; before, after: without and with the findings"
 )
+NOTHING_OF_IT = (
+    "the held-out data have nothing of what was found: their residuals say nothing of it (mismatch.json has them)"
+)
 UNFIT_NEXT = "next: correct the recordings or their description as listed, then repeat the command"
 
 
@@ -221,12 +225,12 @@ def _next_step(comparison: Comparison, page: Path, mended: Mended) -> str:
 
 def _item_line(layer: str, item: Item) -> str:
     if layer == REST:
-        return f"{', '.join(item.joints)}: {item.value:.3g} {item.unit}; {item.where}"
+        return f"{', '.join(item.joints)}: {item.value:.3g}{_unit(item.unit)}; {item.where}"
     if not math.isfinite(item.value):
         return f"{item.name}: {item.where}"
     was = f"{item.was:.4g} -> " if math.isfinite(item.was) else ""
     replicated = {True: ", replicated", False: ", NOT replicated", None: ""}[item.replicated]
-    value = f"{was}{item.value:.4g} [{item.low:.4g}, {item.high:.4g}] {item.unit}"
+    value = f"{was}{item.value:.4g} [{item.low:.4g}, {item.high:.4g}]{_unit(item.unit)}"
     share = f"< {LEAST_SHARE:.1%}" if item.share < LEAST_SHARE else f"{item.share:.1%}"
     share = share if math.isfinite(item.share) else "share not known"
     place = "" if any(joint in item.where for joint in item.joints) else f" at {', '.join(item.joints)}"
@@ -275,7 +279,10 @@ def summary(explanation: Explanation, page: Path, unit: str) -> str:
     lines += [*_next_lines(explanation, page), f"report: {page}"]
     for finding in explanation.findings:
         lines += _finding_lines(finding)
-    if explanation.verdict != DATA_UNFIT:
+    if explanation.unchecked:
+        # Residuals of data that have nothing of it would read as an all-clear.
+        lines.append(NOTHING_OF_IT)
+    elif explanation.verdict != DATA_UNFIT:
         lines.append(f"residual RMS, {unit}, on {explanation.judged_on}")
         heads = ("healthy", "detectable", *(("before", "after") if explanation.findings else ("residual",)))
         columns = [explanation.noise_floor_Nm, explanation.detectable_Nm, explanation.before_Nm]
@@ -308,19 +315,39 @@ def _next_lines(explanation: Explanation, page: Path) -> list[str]:
     if explanation.verdict == DATA_UNFIT:
         return [UNFIT_NEXT]
     if explanation.next_experiment:
-        run = page.with_name(NEXT_RUN)
-        return [f"next: {explanation.next_experiment}" + (f"; a motion for it: {run}" if run.exists() else "")]
+        lines = [f"next: {explanation.next_experiment}"]
+        if explanation.next_motion:
+            lines.append(f"  {page.with_name(NEXT_RUN)} is that motion: {explanation.next_motion}")
+        return lines + [f"  {caution}" for caution in explanation.next_cautions]
     if explanation.findings:
-        return [f"next: look at {page}; {page.with_name(EXTENDED_MODEL)} predicts torque with what was found"]
+        to_do = f"{explanation.findings[0].remedy}; see {page}" if explanation.findings[0].remedy else f"look at {page}"
+        return [f"next: {to_do}; {page.with_name(EXTENDED_MODEL)} predicts torque with what was found"]
     return []
 
 
 def _finding_lines(finding: Finding) -> list[str]:
-    lines = [f"{finding.effect} at {', '.join(finding.joints)} (confidence {finding.confidence:.2f}): {finding.where}"]
-    values = [f"{name} {q.value:.4g} [{q.low:.4g}, {q.high:.4g}] {q.unit}" for name, q in finding.parameters.items()]
+    sure = f"{finding.confidence:.2f}{' that no known effect is the cause' if finding.effect == UNKNOWN else ''}"
+    lines = [f"{finding.effect} at {', '.join(finding.joints)} (confidence {sure}): {finding.where}"]
+    values = [
+        f"{name} {q.value:.4g} [{q.low:.4g}, {q.high:.4g}]{_unit(q.unit)}" for name, q in finding.parameters.items()
+    ]
     if values:
         lines.append(f"    {'; '.join(values)}")
-    when = "while it lasts" if finding.event else "there"
-    lines.append(f"    explains {100 * finding.explained:.0f} % of the residual variance above the noise floor {when}")
+    when = "while it lasts" if finding.unchecked else "there"
+    if math.isfinite(finding.explained):
+        lines.append(
+            f"    explains {100 * finding.explained:.0f} % of the residual variance above the noise floor {when}"
+        )
+    elif not finding.unchecked:
+        lines.append("    without it the held-out residual is within the noise floor: its share is not testable")
+    if finding.unchecked:
+        lines.append(f"    {finding.unchecked}")
+    if finding.remedy:
+        lines.append(f"    what to do: {finding.remedy}")
     lines += [f"    rather than {a.effect} at {', '.join(a.joints)}: {a.why_not}" for a in finding.alternatives]
     return lines
+
+
+def _unit(unit: str) -> str:
+    """A unit after a value; of a ratio, nothing."""
+    return "" if unit == "1" else f" {unit}"

@@ -78,7 +78,16 @@ class Cards:
             felt_Nm=felt,
             event=event,
             experiment=effect.experiment,
+            windows=self._windows(effect, values),
+            driver=str(effect.place.get("with", "")) if effect.kind == UNKNOWN else "",
         )
+
+    def _windows(self, effect: Effect, values: FloatArray) -> tuple[tuple[int, float, float], ...]:
+        """Of an event, the number of its recording, and begin and end in it, s."""
+        if not effect.event:
+            return ()
+        constants = tuple(float(value) for value in values[len(effect.parameters) :])
+        return ((int(effect.place.get("recording", 0)), *effect.window(constants)),)
 
     def _rivals(self, number: int) -> list[Scored]:
         """Plausible competitors worth a line, the best of each kind and place.

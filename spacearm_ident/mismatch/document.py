@@ -34,6 +34,9 @@ def to_document(explanation: Explanation) -> dict[str, Any]:
         "reasons": list(explanation.reasons),
         "would_have_seen": [smallest_size(one) for one in explanation.would_have_seen],
         "next_experiment": explanation.next_experiment,
+        "next_experiment_file": NEXT_RUN if explanation.next_motion else None,
+        "next_experiment_motion": explanation.next_motion or None,
+        "next_experiment_cautions": list(explanation.next_cautions),
         "model": EXTENDED_MODEL if explanation.model is not None else None,
     }
 
@@ -61,6 +64,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
         },
         "confidence": finding.confidence,
         "visibility": finite(finding.visibility),
+        "remedy": finding.remedy or None,
         "alternatives": [
             {"effect": a.effect, "joints": list(a.joints), "score": finite(a.score), "why_not": a.why_not}
             for a in finding.alternatives
@@ -69,5 +73,6 @@ def _finding(finding: Finding) -> dict[str, Any]:
             "rms_before_Nm": {joint: finite(value) for joint, value in finding.before_Nm.items()},
             "rms_after_Nm": {joint: finite(value) for joint, value in finding.after_Nm.items()},
             "explained_fraction": finite(finding.explained),
+            "unchecked": finding.unchecked or None,
         },
     }

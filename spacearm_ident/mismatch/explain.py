@@ -28,7 +28,8 @@ from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Happened, Unexplained, joined, unfit
 from .healthy import Healthy, healthy_levels
 from .integrity import faults
-from .judgement import BEYOND_A_DAY, beyond_healthy, clears_up, contradicted, doubted, harms, shows
+from .judgement import BEYOND_A_DAY, WEAKLY, beyond_healthy, clears_up, contradicted, doubted, harms, shows
+from .next_step import next_experiment, outside_held_out, with_remedy
 from .null import exceeds_null
 from .power import would_have_seen
 from .preparation import ChooseStructure, Prepared, prepare_evidence
@@ -52,8 +53,6 @@ UNDETERMINED = (
     "the data do not determine the base model (its normal equations are singular): record a longer run, or a motion of "
     "all joints"
 )
-CLOSE = 0.7
-"""Another explanation with this share of the score cannot be told apart."""
 
 
 def explain(
@@ -110,7 +109,8 @@ def explain(
     report(0.92, "writing the result")
     answer = _answer(prepared, competition, outcome, is_finding)
     report(1.0, "done")
-    return replace(answer, judged_on=judged_on)
+    findings = outside_held_out(answer.findings, runs.field, judged_on)
+    return replace(answer, judged_on=judged_on, findings=findings)
 
 
 def held_out_ends(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
@@ -149,7 +149,9 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
         findings = field_alone.unnamed()
     if evidence.reference is not None:
         findings = calibrated(findings)
-    words, next_effect, next_joints = _next(findings)
+    in_air = bool(np.any(evidence.base.model.arm.gravity))
+    findings = tuple(with_remedy(finding, in_air) for finding in findings)
+    words, next_effect, next_joints = next_experiment(findings, in_air)
     # Without a finding nothing was added to the reference's model, whatever a refit to the field would leave.
     added, rms_added = (after, rms_after) if findings else (before, rms_before)
     return Explanation(
@@ -367,28 +369,6 @@ def _unexplained(
         if np.isfinite(rms) and rms > least:
             where = "no effect of the catalogue explains it"
             if left is not None and left.kind == UNKNOWN and joint in left.joints:
-                where = f"weakly: {left.where(outcome.left_values)}"
+                where = f"{WEAKLY}{left.where(outcome.left_values)}"
             found.append(Unexplained((joint,), where, float(1.0 - noise**2 / rms**2)))
     return tuple(found)
-
-
-def _next(findings: Sequence[Finding]) -> tuple[str | None, str, tuple[str, ...]]:
-    """The experiment that would separate what these data cannot, for the largest finding that leaves a doubt.
-
-    Returns:
-        In words, for which effect (or purpose of an experiment; empty: the same motion), and at which joints.
-    """
-    for finding in findings:
-        if finding.effect == UNKNOWN:
-            return (
-                f"move {finding.joints[0]} alone, slowly over its range in both directions, then at constant speeds: "
-                "what it depends on will show",
-                "ripple",
-                finding.joints,
-            )
-        close = [a for a in finding.alternatives if a.score > CLOSE and a.effect not in (UNKNOWN, finding.effect)]
-        if close:
-            words = f"{finding.experiment}: separates {finding.effect} from {close[0].effect}"
-            # Of an event that is the motion that was recorded, and no other.
-            return words, "" if finding.event else finding.effect, finding.joints
-    return None, "", ()

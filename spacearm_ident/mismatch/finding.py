@@ -65,6 +65,10 @@ class Finding:
         felt_Nm: By joint, RMS of what it adds to the torque in the field where it acts.
         event: Whether it has a name, and begins and ends in time; the RMS are those of the field then, while it lasts.
         experiment: What would separate it from what it is confused with.
+        windows: Of what begins and ends in time: number of the field recording, begin and end in it, s.
+        unchecked: Where and when it was, in words, if the held-out data have nothing of it.
+        remedy: What to do about it, in words, where it leaves no doubt.
+        driver: The other joint whose motion it follows, where it has no name and that is what it follows.
     """
 
     effect: str
@@ -87,6 +91,10 @@ class Finding:
     felt_Nm: dict[str, float] = field(default_factory=dict)
     event: bool = False
     experiment: str = ""
+    windows: tuple[tuple[int, float, float], ...] = ()
+    unchecked: str = ""
+    remedy: str = ""
+    driver: str = ""
 
 
 def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
@@ -115,6 +123,8 @@ def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
         beside_Nm={joint: rms for finding in findings for joint, rms in finding.beside_Nm.items()},
         felt_Nm={joint: rms for finding in findings for joint, rms in finding.felt_Nm.items()},
         explained=sum(w * e for w, e in known) / sum(w for w, _ in known) if known else float("nan"),
+        # What lasts beside what happened once is in the held-out data.
+        windows=tuple(one for f in findings for one in f.windows) if all(f.windows for f in findings) else (),
     )
 
 
@@ -210,6 +220,8 @@ class Explanation:
         unexplained: What is left.
         next_experiment: What would separate what these data cannot.
         next_effect, next_joints: Which effect, or purpose of an experiment, and at which joints, that is about.
+        next_motion: What the excitation file written for it does, in words; empty: there is none.
+        next_cautions: Where that leaves what was recorded, in words.
         already_there: Effects that the reference shows as well, in words.
         reasons: Why data are unfit, or what else a reader should know.
         model: Base model with the effects; None where nothing was found.
@@ -231,6 +243,8 @@ class Explanation:
     next_experiment: str | None = None
     next_effect: str = ""
     next_joints: tuple[str, ...] = ()
+    next_motion: str = ""
+    next_cautions: tuple[str, ...] = ()
     already_there: tuple[str, ...] = ()
     reasons: tuple[str, ...] = ()
     model: IdentifiedModel | None = None
@@ -244,6 +258,12 @@ class Explanation:
         """Joints whose residual says something: whose noise is known, and that move where it is judged."""
         known = np.isfinite(self.noise_floor_Nm) & np.isfinite(self.before_Nm)
         return tuple(joint for joint, is_known in zip(self.joints, known) if is_known)
+
+    @property
+    def unchecked(self) -> bool:
+        """Whether the held-out residuals would read as an all-clear, though they have nothing of what was found."""
+        above = any(bool(np.any(rms > self.detectable_Nm)) for rms in (self.before_Nm, self.after_Nm))
+        return bool(self.findings) and all(finding.unchecked for finding in self.findings) and not above
 
     @property
     def headline(self) -> str:

@@ -17,6 +17,8 @@ from .rivals import UNKNOWN
 NAMES, LAW_LEFT = 0.8, 1.4
 """A finding that leaves more than a fifth of what there was on held-out data, and more than so many times the noise's
 variance, has not that name,"""
+WEAKLY = "weakly: "
+"""Before a dependence that leaves most of what there is to something else."""
 ALONE, RIVALLED = 0.65, 0.5
 """unless it removes this share, and nothing else explains so much as this share of what it does: how teeth bounce, say,
 follows from the smallest things, and leaves much of itself."""
@@ -109,12 +111,15 @@ def clears_up(finding: Finding, left: Mapping[str, float], floor: Mapping[str, f
 def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
     """A finding whose law is clearly not its own, or not quite, as an unknown one that is like it; else the finding.
 
+    A dependence without a name that leaves so much is said to be weak.
+
     Args:
         finding: The finding, with residuals on held-out data.
         floor: Joint -> noise floor, RMS, N·m.
     """
     if finding.effect == UNKNOWN:
-        return finding
+        weak = finding.explained < NAMES and times_noise(finding, floor) ** 2 > LAW_LEFT and not finding.windows
+        return replace(finding, where=f"{WEAKLY}{finding.where}") if weak else finding
     worse = spoiled(finding, floor)
     if worse:
         why_not = f"leaves more than before at {' and '.join(worse)}"

@@ -49,6 +49,16 @@ def write_mismatch(
         if explanation.model is not None:
             save_model(replace(explanation.model, provenance=sources), part / EXTENDED_MODEL)
         if planned is not None:
-            save_trajectory(planned, part / NEXT_RUN)
+            save_trajectory(planned, part / NEXT_RUN, _origin(explanation))
         (part / REPORT).write_text(page, encoding="utf-8")
     return directory / REPORT
+
+
+def _origin(explanation: Explanation) -> list[str]:
+    """Lines at the head of the next experiment's file."""
+    return [
+        f"next experiment of spacearm mismatch: {explanation.next_experiment}",
+        *([explanation.next_motion] if explanation.next_motion else []),
+        *explanation.next_cautions,
+        "positions were recorded joint by joint, not in every combination: watch the first run, at low speed",
+    ]

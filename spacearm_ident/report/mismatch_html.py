@@ -11,6 +11,7 @@ import numpy as np
 
 from ..dynamics.arm import Arm
 from ..dynamics.effects import EFFECTS
+from ..mismatch.document import NEXT_RUN
 from ..mismatch.finding import DATA_UNFIT, NO_MISMATCH, Alternative, Explanation, Finding, Quantity
 from ..results.provenance import FITTED, VALIDATED
 from . import mismatch_figures as figures
@@ -50,6 +51,7 @@ def mismatch_html(explanation: Explanation, arm: Arm, sources: Mapping[str, Any]
         glance=_glance(explanation, arm),
         cards=finding_cards(explanation, arm, drawn),
         over_time=None if drawn is None else figures.over_time(explanation.joints, drawn, explanation.noise_floor_Nm),
+        next_lines=_next_lines(explanation),
         unexplained=_unexplained(explanation),
         facts=facts,
         sources=source_files(sources, SOURCES),
@@ -74,8 +76,10 @@ def _judged(explanation: Explanation) -> tuple[str, str, list[str]]:
     first, more = findings[0], findings[1:]
     headline = f"Mismatch at {_at(first)}: {_name(first.effect)}, {_size(first)}"
     sentences = [_surety(first)]
+    if first.unchecked:
+        sentences.append(f"{capital(first.unchecked)}.")
     if math.isfinite(first.explained):
-        where = "While it lasts" if first.event else f"On {explanation.judged_on or 'held-out data'}"
+        where = "While it lasts" if first.unchecked else f"On {explanation.judged_on or 'held-out data'}"
         sentences.append(
             f"{where} it removes {whole_percent(first.explained)} of the residual variance above the noise floor there."
         )
@@ -116,7 +120,7 @@ def _size(finding: Finding) -> str:
         if math.isfinite(before) and math.isfinite(finding.after_Nm.get(joint, math.nan))
     }
     if not sizes or not max(sizes.values()) > 0:
-        return "not visible in the held-out data"
+        return "outside the held-out data" if finding.unchecked else "not visible in the held-out data"
     joint = max(sizes, key=sizes.__getitem__)
     where = f" at {joint}" if len(sizes) > 1 else ""
     return f"{number(sizes[joint], 2)} N·m RMS{where}"
@@ -132,6 +136,16 @@ def _glance(explanation: Explanation, arm: Arm) -> list[tuple[str, str, list[flo
         ratios = [value / floor if floor > 0 else math.nan for value in (before, after)]
         rows.append((joint, units.get(joint, "N·m"), [floor, detectable, before, after], ratios))
     return rows
+
+
+def _next_lines(explanation: Explanation) -> list[str]:
+    """The next experiment, the file that has its motion, and where that was not recorded."""
+    if not explanation.next_experiment:
+        return []
+    lines = [explanation.next_experiment]
+    if explanation.next_motion:
+        lines.append(f"{NEXT_RUN}, beside this page, is that motion: {explanation.next_motion}")
+    return [*lines, *explanation.next_cautions]
 
 
 # --- findings -------------------------------------------------------------------------------------------------
@@ -152,6 +166,7 @@ def finding_cards(explanation: Explanation, arm: Arm, drawn: figures.Signals | N
             "name": _name(finding.effect),
             "at": _at(finding),
             "equation": typeset(finding.equation),
+            "sure_of": "that no known effect is the cause" if finding.effect == UNKNOWN else "that the name is right",
             "rms": [
                 (joint, before, finding.after_Nm.get(joint, math.nan)) for joint, before in finding.before_Nm.items()
             ],

@@ -13,9 +13,6 @@ from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model
 from ..errors import UserError
-from ..excitation.composite import experiment_for
-from ..excitation.constraints import limits_for_excitation
-from ..excitation.trajectory import Trajectory
 from ..identification.effort import in_newton_metres
 from ..identification.identify import Progress
 from ..mismatch.explain import explain
@@ -26,6 +23,7 @@ from ..report.folder import refuse_to_replace
 from ..report.mismatch_folder import write_mismatch
 from .identification import corrected, find_arm, within
 from .mistakes import mistakes
+from .next_run import described, next_run
 from .reading import Comparing, Reading
 
 MODEL_SUFFIXES = (".yaml", ".yml")
@@ -78,7 +76,8 @@ def explain_session(
         explanation = unfit(arm.joint_names, wrong)
     else:
         explanation = explain(arm, runs, comparing.excluded, progress=within(report, 0.15, 0.95))
-    planned = next_run(explanation, arm, runs.field[0])
+    planned = next_run(explanation, arm, *runs.every)
+    explanation = described(explanation, planned, arm, *runs.every)
     page = write_mismatch(explanation, arm, runs, planned, directory, command)
     return MismatchSession(explanation, page, tuple(runs.every), arm)
 
@@ -98,21 +97,3 @@ def _arm(comparing: Comparing, runs: RunSet) -> Arm:
     if runs.known is not None and file is None and gravity is None:
         return runs.known.model.arm
     return find_arm(file, gravity, runs.every)
-
-
-def next_run(explanation: Explanation, arm: Arm, field: Recording) -> Trajectory | None:
-    """Trajectory of the next experiment; None where none is proposed or none keeps the limits.
-
-    Args:
-        explanation: The analysis; `next_effect` and `next_joints` say what the experiment is for.
-        arm: The arm, with its motion limits.
-        field: Recording whose first position the run starts from.
-    """
-    if not explanation.next_effect:
-        return None
-    start = field.in_order(arm.joint_names).position[0]
-    try:
-        limits, _ = limits_for_excitation(arm, start)
-        return experiment_for(explanation.next_effect, arm, limits, start=start, joints=explanation.next_joints or None)
-    except UserError:
-        return None
