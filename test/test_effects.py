@@ -141,6 +141,8 @@ def test_a_joint_that_the_arm_does_not_have_is_refused(kind):
         ("base_flexibility", {"at": [{"axis": [0, 1]}]}),
         ("base_flexibility", {"at": [{"axis": [0, 0, 0]}]}),
         ("position_friction", {"at": [{"joint": "elbow", "cycles": "many"}]}),
+        ("harness_spring", {"at": [{"joint": "elbow", "side": "left"}]}),
+        ("harness_spring", {"at": [{"joint": "elbow", "side": "above", "range": [1.0]}]}),
         ("friction_drift", {"at": [{"joint": "elbow", "of": ["colour"]}]}),
         ("rotor_coupling", {"at": [{"joint": "waist"}]}),
     ],
@@ -163,6 +165,8 @@ S = np.sign(V)
     [
         ("torque_ripple", {}, [1.5 * np.cos(0.3), 1.5 * np.sin(0.3)], [20.0], 1.5 * np.sin(20 * Q + 0.3)),
         ("harness_spring", {}, [3.0, -3.0 * 0.2], [], 3.0 * (Q - 0.2)),
+        ("harness_spring", {"side": "above"}, [3.0], [0.2], np.where(Q > 0.2, 3.0 * (Q - 0.2), 0.0)),
+        ("harness_spring", {"side": "below"}, [3.0], [0.2], np.where(Q < 0.2, 3.0 * (Q - 0.2), 0.0)),
         ("friction_drift", {"of": ["f_c"]}, [0.7], [], 0.7 * S),
         ("friction_drift", {"of": ["k_v1"]}, [0.7], [], 0.7 * V),
         ("friction_drift", {"of": ["f_c", "k_v1"]}, [0.7, -0.2], [], 0.7 * S - 0.2 * V),
@@ -211,6 +215,20 @@ def test_a_spot_is_looked_for_where_a_joint_has_passed():
     low, high = W.position[:, 2].min(), W.position[:, 2].max()
     assert spots == {centre for centre in effect.constants[0].grid if low <= centre < high} != set()
     assert not list(grid_points(effect, [replace(W, position=np.full_like(W.position, 0.05))]))
+
+
+@pytest.mark.parametrize("side", ["above", "below"])
+def test_a_one_sided_spring_begins_where_a_joint_is_often_enough_on_both_sides_and_pulls_back(side):
+    effect = one("harness_spring", ARM, joint="elbow", side=side).over(ARM, [W])
+    begins = np.array(list(grid_points(effect, [W])))[:, 0]
+    assert len(begins) == 12
+    for position in (begins.min(), begins.max()):
+        assert 0.01 < np.mean(W.position[:, 2] > position) < 0.99
+    candidate = Candidate(effect, (begins[3],), None, *np.zeros((3, 1)))
+    assert plausible(candidate, np.array([2.0]), {}) and not plausible(candidate, np.array([-2.0]), {})
+    assert EFFECTS["harness_spring"].at(ARM, effect.place) == effect
+    still = replace(W, position=np.full_like(W.position, 0.05))
+    assert not list(grid_points(effect.over(ARM, [still]), [still]))
 
 
 def test_friction_below_the_noise_of_speed_is_nothing():

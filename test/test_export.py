@@ -20,6 +20,7 @@ from mujoco_arm import inverse_in_mujoco
 from spacearm_ident.cli.main import main
 from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import Coupling, arm_from_urdf, load_arm
+from spacearm_ident.dynamics.effects.position import HarnessSpring
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel, Unbounded
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.dynamics.regressor import regressor
@@ -31,7 +32,7 @@ from spacearm_ident.export.mjcf import mjcf
 from spacearm_ident.export.motion import motions_of, sweep
 from spacearm_ident.export.write import FORMATS, export_model
 from spacearm_ident.recording import read_recording
-from spacearm_ident.results.formats import MJCF
+from spacearm_ident.results.formats import MJCF, SDF, URDF
 from spacearm_ident.signals.prepare import prepare
 
 UR10E = Path(__file__).parents[2] / "shared" / "recordings" / "real" / "ur10e" / "commissioning_validation.mcap"
@@ -194,6 +195,28 @@ def test_what_the_law_has_no_place_for_is_left_out_and_priced():
     assert np.array_equal(law.joints, control_law(model).joints)
     cost = code_cost(rippled, law, [sweep(model.model.arm)])
     assert cost.cost_Nm["joint_3"] > 0.3 and cost.cost_Nm["joint_2"] == 0.0 and cost.lost
+
+
+@pytest.mark.parametrize("form", [MJCF, SDF, URDF])
+def test_a_spring_that_pulls_beyond_a_position_is_left_out_and_priced(form):
+    """No format has one; a linear spring of its stiffness would pull over the whole range."""
+    model = paper()
+    place = {"joint": "joint_3", "side": "above"}
+    wider = TorqueModel(model.model.arm, {**model.model.structure, "harness_spring": {"at": [place]}})
+    taut = replace(
+        model,
+        model=wider,
+        parameters=np.append(model.parameters, 40.0),
+        constants=np.append(model.constants, 0.1),
+    )
+    motions = [sweep(model.model.arm)]
+    assert np.any(motions[0].position[:, 2] > 0.2)
+    before, after = (nearest(one, form, motions) for one in (model, taut))
+    if form is not URDF:
+        assert after.values["joint_3"]["stiffness"] == before.values["joint_3"]["stiffness"]
+    assert set(after.lost) - set(before.lost) == {HarnessSpring.beyond}
+    assert after.cost_Nm["joint_3"] > before.cost_Nm["joint_3"] + 1.0
+    assert after.cost_Nm["joint_2"] == before.cost_Nm["joint_2"]
 
 
 # --- simulators ---------------------------------------------------------------------------------------------

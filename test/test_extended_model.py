@@ -86,6 +86,8 @@ def in_one_direction(truth: Truth) -> np.ndarray:
         ("stribeck", {**SECOND, "law": "exponential"}, {"f": 3.0, "v_b": 0.2}, 0.01),
         ("vacuum_friction", ALL, {"share": 0.8}, 0.01),
         ("harness_spring", THIRD, {"stiffness": 5.0, "preload": 1.5}, 0.01),
+        ("harness_spring", {**THIRD, "side": "above"}, {"stiffness_above": 5.0, "above": 0.35}, 0.01),
+        ("harness_spring", {**THIRD, "side": "below"}, {"stiffness_below": 5.0, "below": 0.35}, 0.01),
         ("current_offset", THIRD, {"offset": -2.0}, 0.01),
         ("torque_constant", SECOND, {"error": 0.08}, 0.01),
         ("time_delay", ALL, {"share": 1.0, "delay": 0.006}, 0.01),
@@ -217,6 +219,7 @@ def test_what_moves_beside_its_encoder_does_so_by_as_much_as_the_term_says(kind,
         ("floating_base", {}, {"share": 1.0, "inertia": 24.0, "mass": 150.0, "below": 0.2}, "floating_base.*gravity"),
         ("presliding_hysteresis", SECOND, {"f": 1.0, "d_s": 0.01}, "presliding_hysteresis at joint_2"),
         ("harness_spring", SECOND, {"stiffness": 0.0, "preload": 1.0}, "harness_spring at joint_2"),
+        ("harness_spring", {**SECOND, "side": "above"}, {"stiffness_above": 0.0, "above": 0.1}, "not above zero"),
     ],
 )
 def test_what_cannot_be_simulated_is_named_in_one_line(kind, place, values, named):

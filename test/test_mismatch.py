@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changed_arm import ARM, HEALTHY, LAWS, NOISE, explained, loaded_run, ripple, run
-from planted_arm import TWO_LINKS, two_link_run, urdf_of
+from planted_arm import TWO_LINKS, incommensurate, plant, two_link_run, urdf_of
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.effects import EFFECTS
@@ -254,6 +254,62 @@ def test_a_stretch_where_a_joint_is_tight_is_found_where_it_is():
     assert finding.parameters["centre"].value == pytest.approx(0.3, abs=0.05)
     assert finding.parameters["amplitude"].value == pytest.approx(0.7, rel=0.15)
     assert "tight" in finding.where and finding.explained > 0.9
+
+
+def pulled(planted, side, begins=0.2, stiffness=5.0):
+    """Torque of a cable that is taut, or of a soft stop that is touched, on one side of a position of the elbow."""
+    far = planted.q[:, 1] - begins
+    return np.outer(stiffness * (np.maximum(far, 0.0) if side == "above" else np.minimum(far, 0.0)), [0.0, 1.0])
+
+
+@pytest.mark.parametrize(("side", "begins"), [("above", 0.2), ("below", -0.15)])
+def test_a_spring_that_pulls_beyond_an_angle_is_named_with_its_stiffness_and_where_it_begins(side, begins):
+    answer = explained(lambda planted: pulled(planted, side, begins), *SLOW_ONES)
+    (finding,) = answer.findings
+    assert (finding.effect, finding.joints) == ("harness_spring", ("elbow",))
+    assert f"{side} {finding.parameters[side].value:.3g} rad" in finding.where and "soft stop" in finding.where
+    for name, truth, unit in ((f"stiffness_{side}", 5.0, "N m/rad"), (side, begins, "rad")):
+        quantity = finding.parameters[name]
+        assert quantity.low < truth < quantity.high and quantity.unit == unit, name
+    assert finding.explained > 0.9
+    motion = prepare([run(4)], ARM.joint_names)[0][0]
+    term = answer.model.torque(motion, ["harness_spring"])
+    far = motion.position[:, 1] - begins
+    want = 5.0 * (np.maximum(far, 0.0) if side == "above" else np.minimum(far, 0.0))
+    np.testing.assert_allclose(term, np.outer(want, [0.0, 1.0]), atol=0.25)
+
+
+def test_a_spring_over_the_whole_range_has_no_side():
+    (finding,) = explained(lambda planted: np.outer(5.0 * (planted.q[:, 1] - 0.1), [0.0, 1.0]), *SLOW_ONES).findings
+    assert (finding.effect, finding.joints) == ("harness_spring", ("elbow",))
+    assert set(finding.parameters) == {"stiffness", "preload"}
+    assert finding.parameters["stiffness"].low < 5.0 < finding.parameters["stiffness"].high
+
+
+def test_an_angle_that_is_hardly_reached_is_no_finding():
+    """A stop in the outermost per cent of the field's positions."""
+    edge = np.percentile(run(2).position[:, 1], 99.0)
+    answer = explained(lambda planted: pulled(planted, "above", edge, 30.0), *SLOW_ONES)
+    assert not [finding for finding in answer.findings if finding.effect == "harness_spring"]
+
+
+def test_a_spring_at_a_joint_that_slides_is_in_newtons_and_metres():
+    links = (TWO_LINKS[0], replace(TWO_LINKS[1], kind="prismatic"))
+
+    def slid(seed, *extra):
+        time = np.arange(0.0, 16.0, 1 / 250.0)
+        planted = plant(links, LAWS, incommensurate(time, 2, seed, 1.0), 250.0)
+        added = sum((one(planted) for one in extra), np.zeros_like(planted.torque))
+        return replace(planted, torque=planted.torque + added).recording(noise=NOISE, seed=seed + 100)
+
+    def cable(planted):
+        return pulled(planted, "above")
+
+    arm = arm_from_urdf(urdf_of(links))
+    (finding,) = explain(arm, RunSet([slid(2, cable)], [slid(1)], [slid(3, cable)]), SLOW_ONES).findings
+    assert (finding.effect, finding.joints) == ("harness_spring", ("elbow",))
+    assert {name: value.unit for name, value in finding.parameters.items()} == {"stiffness_above": "N/m", "above": "m"}
+    assert re.search(r"above 0\.\d+ m$", finding.where)
 
 
 def test_what_vanishes_in_vacuum_is_one_finding_and_the_extended_model_lacks_it(tmp_path):

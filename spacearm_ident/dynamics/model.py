@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -119,8 +119,17 @@ def temperature_joints(structure: Structure, arm: Arm) -> tuple[str, ...]:
     return tuple(joint for joint in arm.joint_names if joint in asked)
 
 
-def _in_own_units(term: Term, sliding: frozenset[str]) -> Term:
-    """A term whose parameters and constants at `sliding` joints are in metres and newtons."""
+_AnyTerm = TypeVar("_AnyTerm", bound=Term)
+
+
+def in_own_units(term: _AnyTerm, arm: Arm) -> _AnyTerm:
+    """A term whose parameters and constants at joints that slide are in metres and newtons; else itself.
+
+    Args:
+        term: With the units of joints that turn.
+        arm: Whose joints there are.
+    """
+    sliding = {joint.name for joint in arm.joints if not joint.revolute}
     if sliding.isdisjoint([*(item.joint for item in term.parameters), *(item.joint for item in term.constants)]):
         return term
     return replace(
@@ -154,9 +163,8 @@ class TorqueModel:
         unknown = set(self.structure) - set(CATALOGUE)
         if unknown:
             raise UserError(f"unknown term {sorted(unknown)[0]!r}: this version has {', '.join(CATALOGUE)}")
-        sliding = frozenset(joint.name for joint in self.arm.joints if not joint.revolute)
         built = (term for kind, options in self.structure.items() for term in CATALOGUE[kind].build(self.arm, options))
-        return tuple(_in_own_units(term, sliding) for term in built)
+        return tuple(in_own_units(term, self.arm) for term in built)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

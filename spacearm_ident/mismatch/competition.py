@@ -17,6 +17,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
+from ..dynamics.model import in_own_units
 from ..forks import each
 from .constants import Method, grid_points, polish, recorded_span, refine, search
 from .evidence import Candidate, Evidence, HeldOut, Refit, inner_each, with_own
@@ -129,7 +130,7 @@ class Competition:
             if kind in excluded:
                 continue
             for place in effect.variants(arm):
-                term = effect.at(arm, place)
+                term = in_own_units(effect.at(arm, place).over(arm, self.evidence.field.motions), arm)
                 if (warm or not term.needs_temperature) and (compared or not term.needs_reference):
                     yield from self._in_each_recording(term)
         for place in rivals(self.evidence.field.motions):
@@ -464,7 +465,9 @@ class Competition:
     def _renew_pool(self, effect: Effect) -> None:
         """What is accepted competes no more; a further one of its kind may."""
         self._drop(effect)
-        if again := effect.again(self.evidence.base.model.arm):
+        arm = self.evidence.base.model.arm
+        if again := effect.again(arm):
+            again = in_own_units(again, arm)
             self._pool.append(again)
             if again == effect:
                 self._grids[id(again)] = [replace(one, effect=again) for one in self._grids[id(effect)]]

@@ -36,7 +36,7 @@ USD = Format("usd", frozenset({ARMATURE, DAMPING, FRICTION}))
 """PhysX's joint: armature q'' + viscous q' + dynamic friction sgn(q')."""
 
 SPRINGS = (JointSpring.kind, HarnessSpring.kind, TorqueOffset.kind)
-"""Terms that are a spring about some position: k q + c."""
+"""Terms that are a spring about some position, k q + c; a one-sided harness spring is none, no format has it."""
 PARTS = {
     "stribeck_friction": (
         ("f_b", "Stribeck friction"),
@@ -93,7 +93,8 @@ def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
     for term, first, first_constant in model.model.numbered():
         values = {p.symbol: model.parameters[first + k] for k, p in enumerate(term.parameters)}
         values |= {c.symbol: model.constants[first_constant + k] for k, c in enumerate(term.constants)}
-        if term.kind in SPRINGS and STIFFNESS in form.holds:
+        one_sided = isinstance(term, HarnessSpring) and term.one_sided
+        if term.kind in SPRINGS and STIFFNESS in form.holds and not one_sided:
             here = {p.joint for k, p in enumerate(term.parameters) if model.parameters[first + k] != 0.0}
             if all(spring_of(model, joint).fits for joint in here):
                 continue
@@ -105,7 +106,7 @@ def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
                 if there and (symbol != "f_b" or values.get("v_b", 0.0) > 0.0):
                     words.append(what)
         elif any(values.values()):
-            words.append(CATALOGUE[term.kind].words)
+            words.append(HarnessSpring.beyond if one_sided else CATALOGUE[term.kind].words)
     if model.unbounded is not None:
         words.append("the share of least squares without physical bounds")
     if model.plain is not None:

@@ -198,6 +198,15 @@ class Effect(Term):
         begin, end = np.clip(self.window(constants), *span)
         return (*constants[:begins], float(begin), float(end - begin), *constants[begins + 2 :])
 
+    def over(self, arm: Arm, motions: Sequence[Motion]) -> Effect:
+        """The same with constants looked for where some motions have been; itself where that does not matter.
+
+        Args:
+            arm: The arm.
+            motions: At least one.
+        """
+        return self
+
     def prepare(self, motion: Motion, points: Sequence[Values], background: Background | None) -> None:
         """Compute what columns at many values of the constants have in common; it is kept in the background.
 

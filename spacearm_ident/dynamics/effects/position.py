@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -64,15 +64,31 @@ class TorqueRipple(Effect):
         return f"{values[2]:.4g} cycles a joint revolution, {np.hypot(*values[:2]):.2g} N m in amplitude"
 
 
+SIDES = ("above", "below")
+"""Of the position from which a one-sided spring pulls."""
+ANGLES = 12
+"""Positions at which a one-sided spring may begin; the search goes on between them."""
+PASSED = (2.0, 98.0)
+"""Percentiles of the recorded positions between which it may: what a joint hardly reaches, or hardly leaves, a few rows
+would decide. Generic rivals follow a position between the same (`mismatch.rivals.INNER`)."""
+
+
 @dataclass(frozen=True)
 class HarnessSpring(Effect):
-    """Cables that pull a joint towards where they are slack."""
+    """Cables that pull a joint towards where they are slack; with a `side`, on one side of a position alone.
+
+    The stiffness is not negative: a spring pulls back, in whichever direction it was bent, and never pushes on.
+    """
 
     kind: ClassVar[str] = "harness_spring"
     follows: ClassVar[str] = "position"
     words: ClassVar[str] = "a spring, as of a cable harness, pulls the joint"
-    equation: ClassVar[str] = "k (q - q_0)"
-    source: ClassVar[str] = "cable harnesses of space manipulators"
+    beyond: ClassVar[str] = "a spring pulls the joint back beyond a position, as a taut cable or a soft stop does"
+    """Words of the one-sided form."""
+    equation: ClassVar[str] = "k (q - q_0); one-sided: k (q - q_1) where q > q_1, or where q < q_1, else 0"
+    source: ClassVar[str] = (
+        "cable harnesses of space manipulators; one-sided: the spring of a unilateral contact, Hunt and Crossley 1975"
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("payload", "base_tilt", "current_offset", "position_friction")
     experiment: ClassVar[str] = (
         "slow constant speed over its range, then once more with the next joints folded (--for ripple)"
@@ -80,19 +96,58 @@ class HarnessSpring(Effect):
     remedy: ClassVar[str] = "look at the cables and hoses along the joint; if they stay so, use the model that has it"
 
     @classmethod
+    def variants(cls, arm: Arm) -> Iterator[Options]:
+        """Over the whole range, or on either side of a position."""
+        for joint in arm.joint_names:
+            yield {"joint": joint}
+            for side in SIDES:
+                yield {"joint": joint, "side": side}
+
+    @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
-        """At one joint."""
+        """At one joint; on the `side` `above` or `below` of a position within `range`, where it is one-sided."""
         joint = known_joint(arm, place)
-        parameters = (
-            Parameter("stiffness", joint, "N m/rad", dimension=(1, 0, 0), lower=0.0),
-            Parameter("preload", joint, "N m"),
-        )
-        return cls(parameters, place=place)
+        rate = Parameter("stiffness", joint, "N m/rad", dimension=(1, 0, 0), lower=0.0)
+        if "side" not in place:
+            return cls((rate, Parameter("preload", joint, "N m")), place=place)
+        side = place["side"]
+        if side not in SIDES:
+            raise ValueError(f"side is {' or '.join(SIDES)}")
+        low, high = place.get("range", (-np.pi, np.pi))
+        begins = Constant(side, joint, "rad", tuple(np.linspace(low, high, ANGLES).tolist()), position=True)
+        return cls((replace(rate, symbol=f"stiffness_{side}"),), (begins,), place=place)
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether it pulls on one side of a position alone."""
+        return "side" in self.place
+
+    @property
+    def rarity(self) -> int:
+        """Over the whole range, if that explains as much."""
+        return int(self.one_sided)
+
+    def over(self, arm: Arm, motions: Sequence[Motion]) -> Effect:
+        """One-sided from a position that these motions pass."""
+        if not self.one_sided:
+            return self
+        passed = np.concatenate([motion.position[:, motion.joints.index(self.place["joint"])] for motion in motions])
+        return self.at(arm, {**self.place, "range": np.percentile(passed, PASSED).tolist()})
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """Position, and one for where it is slack."""
+        """Position, and one for where it is slack; one-sided: how far beyond."""
         row = motion.joints.index(self.place["joint"])
-        return own(row, motion.position[:, row], np.ones(len(motion.position)))
+        position = motion.position[:, row]
+        if self.one_sided:
+            far = position - constants[0]
+            return own(row, np.maximum(far, 0.0) if self.place["side"] == "above" else np.minimum(far, 0.0))
+        return own(row, position, np.ones(len(position)))
+
+    def where(self, values: FloatArray) -> str:
+        """One-sided: from which position on."""
+        if not self.one_sided:
+            return self.words
+        return f"{self.beyond}: {self.place['side']} {values[1]:.3g} {self.constants[0].unit}"
 
 
 FARTHEST_OFF = 0.1

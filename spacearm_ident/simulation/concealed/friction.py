@@ -180,15 +180,20 @@ class TorqueRipple(Effect):
 
 
 class HarnessSpring(Effect):
-    """A cable loom that is bent by the joint; law `hardening`: stiffer by half at one radian."""
+    """A cable loom that is bent by the joint; law `hardening`: stiffer by half at one radian.
+
+    Laws `above` and `below`: it is taut, and pulls, on that side of the centre alone.
+    """
 
     name = "harness_spring"
     parameters: ClassVar = {"stiffness": Parameter("N m/rad", 0.5, 12.0), "centre": Parameter("rad", -1.0, 1.0, 0.0)}
-    laws = ("usual", "hardening")
+    laws = ("usual", "hardening", "above", "below")
 
     def torque(self, state: State) -> FloatArray:
         """Back to where it hangs loose."""
         bend = state.q[self.joints] - self.values["centre"]
+        if self.law in ("above", "below"):
+            bend = np.maximum(bend, 0.0) if self.law == "above" else np.minimum(bend, 0.0)
         torque = self.values["stiffness"] * bend
         if self.law == "hardening":
             torque = torque * (1.0 + 0.5 * bend * bend)

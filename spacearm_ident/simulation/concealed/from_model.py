@@ -280,9 +280,13 @@ def _elasticity(found: _Found) -> Values:
 
 
 def _harness(found: _Found) -> Values:
-    if found["stiffness"] <= 0.0:
+    side = found.place.get("side")
+    stiffness = found[f"stiffness_{side}" if side else "stiffness"]
+    if stiffness <= 0.0:
         raise found.refused("its stiffness is not above zero")
-    return {"stiffness": found["stiffness"], "centre": -found["preload"] / found["stiffness"]}
+    if side:
+        return {"stiffness": stiffness, "centre": found[side], "law": side}
+    return {"stiffness": stiffness, "centre": -found["preload"] / found["stiffness"]}
 
 
 _CONVERTERS: dict[str, Callable[[_Found], Values]] = {
