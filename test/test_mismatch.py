@@ -286,11 +286,15 @@ def test_a_spring_over_the_whole_range_has_no_side():
     assert finding.parameters["stiffness"].low < 5.0 < finding.parameters["stiffness"].high
 
 
-def test_an_angle_that_is_hardly_reached_is_no_finding():
-    """A stop in the outermost per cent of the field's positions."""
+@pytest.mark.parametrize("stiffness", [30.0, 300.0])
+def test_a_stop_that_is_hardly_reached_gets_no_stiffness(stiffness):
+    """It begins in the outermost per cent of the field's positions: a soft one is not seen, of a hard one no more."""
     edge = np.percentile(run(2).position[:, 1], 99.0)
-    answer = explained(lambda planted: pulled(planted, "above", edge, 30.0), *SLOW_ONES)
-    assert not [finding for finding in answer.findings if finding.effect == "harness_spring"]
+    findings = explained(lambda planted: pulled(planted, "above", edge, stiffness), *SLOW_ONES).findings
+    assert [(finding.effect, finding.joints, finding.parameters) for finding in findings] == (
+        [(UNKNOWN, ("elbow",), {})] if stiffness > 100.0 else []
+    )
+    assert all("most like harness_spring" in finding.where for finding in findings)
 
 
 def test_a_spring_at_a_joint_that_slides_is_in_newtons_and_metres():

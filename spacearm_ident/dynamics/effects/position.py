@@ -71,6 +71,8 @@ ANGLES = 12
 PASSED = (2.0, 98.0)
 """Percentiles of the recorded positions between which it may: what a joint hardly reaches, or hardly leaves, a few rows
 would decide. Generic rivals follow a position between the same (`mismatch.rivals.INNER`)."""
+AT_END = 0.01
+"""Share of the range from where it may begin: nearer to an end it begins beyond, and its stiffness is another."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,14 @@ class HarnessSpring(Effect):
             far = position - constants[0]
             return own(row, np.maximum(far, 0.0) if self.place["side"] == "above" else np.minimum(far, 0.0))
         return own(row, position, np.ones(len(position)))
+
+    def against(self, values: FloatArray) -> str:
+        """Where it begins must have been passed: at an end of the range it may as well begin further out."""
+        if not self.one_sided:
+            return ""
+        low, high = self.constants[0].bounds
+        near = AT_END * (high - low)
+        return "" if low + near < values[1] < high - near else "beginning is at an end of where the joint has been"
 
     def where(self, values: FloatArray) -> str:
         """One-sided: from which position on."""
