@@ -214,11 +214,6 @@ class BaseTilt(Effect):
             place=place,
         )
 
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """None: it is the base."""
-        return ()
-
     def around(self, parameters: Values) -> Effect:
         """By how much gravity turns depends on how far it has turned."""
         return replace(self, point=tuple(parameters))
@@ -290,11 +285,6 @@ class FloatingBase(Effect):
             Constant("below", "base", "m", (BELOW_M,), reach=(0.0, DEEPEST_M)),
         )
         return cls((share,), constants, place=place)
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """None: it is the base."""
-        return ()
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """What the rows of all joints differ by."""
@@ -408,11 +398,6 @@ class ExternalContact(Effect):
         rise = Constant("rise", joint, "s", (RISE_S,), reach=RISE_REACH)
         point = (Constant(f"point_{axis}", joint, "m", (0.0,), reach=POINT_REACH) for axis in "xyz")
         return cls(parameters, (start, length, rise, *point), place=place)
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """That of the link that was touched."""
-        return (str(self.place["joint"]),)
 
     def again(self, arm: Arm) -> Effect:
         """Another touch of the same link."""

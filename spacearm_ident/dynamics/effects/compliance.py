@@ -298,13 +298,7 @@ class JointElasticity(Compliance):
     remedy: ClassVar[str] = (
         "keep the motion below its resonance, or use the model that has it; if it is new, look at the gear"
     )
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Each joint, on a spring that is linear or hardens."""
-        for joint in arm.joint_names:
-            yield {"joint": joint}
-            yield {"joint": joint, "hardens": True}
+    forms: ClassVar[tuple[Options, ...]] = ({}, {"hardens": True})
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -403,11 +397,6 @@ class BaseFlexibility(Compliance):
             known_axis(place)
         share = share_of("base")
         return cls((share,), springs(arm, "base", MOUNT), place=place)
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """None: it is the base."""
-        return ()
 
     @property
     def parts(self) -> tuple[Compliance, ...]:

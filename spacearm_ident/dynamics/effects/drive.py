@@ -37,13 +37,7 @@ class TorqueConstant(Effect):
         "correct the joint's torque constant by it, or calibrate the torque sensor against a known mass"
     )
     follows: ClassVar[str] = "torque"
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """A factor, or one that follows temperature."""
-        for joint in arm.joint_names:
-            yield {"joint": joint, "of": "level"}
-            yield {"joint": joint, "of": "temperature"}
+    forms: ClassVar[tuple[Options, ...]] = ({"of": "level"}, {"of": "temperature"})
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -105,13 +99,7 @@ class MotorSaturation(Effect):
         "keep the joint's torque below where the current bends, or convert current to torque by that curve"
     )
     follows: ClassVar[str] = "torque"
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """The first term of the series, or two."""
-        for joint in arm.joint_names:
-            yield {"joint": joint}
-            yield {"joint": joint, "terms": 2}
+    forms: ClassVar[tuple[Options, ...]] = ({}, {"terms": 2})
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -158,11 +146,7 @@ class CurrentOffset(Effect):
 class _Late(Effect):
     """The recorded torque is later than the motion it belongs to."""
 
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """All joints alike, or one."""
-        yield {"joints": list(arm.joint_names)}
-        yield from ({"joint": joint} for joint in arm.joint_names)
+    of_all: ClassVar[bool] = True
 
     def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
         """The torque (N, k) after a lag of so many samples."""
@@ -253,13 +237,7 @@ class FilterLag(_Late):
         "a chirp to the drive's bandwidth (--for elasticity): a filter also takes amplitude away"
     )
     remedy: ClassVar[str] = "switch the drive's filter off, or let position and torque go through the same one"
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Of either order."""
-        for place in super().variants(arm):
-            yield place
-            yield {**place, "order": 2}
+    forms: ClassVar[tuple[Options, ...]] = ({}, {"order": 2})
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:

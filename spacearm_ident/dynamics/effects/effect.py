@@ -7,6 +7,7 @@ adds to a torque is written here once; the simulated arm conceals the same physi
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -52,6 +53,12 @@ class Effect(Term):
     """Whether nature has its very equation, so that whatever explains more than it has seen something else."""
     one_form: ClassVar[bool] = False
     """Whether its joints have it in one of its forms alone: one spring, one filter, one curve."""
+    forms: ClassVar[tuple[Options, ...]] = ({},)
+    """What a place may say beside its joint: at every joint each of these is tried."""
+    of_all: ClassVar[bool] = False
+    """Whether all joints may have it alike."""
+    turns: ClassVar[bool] = False
+    """Whether only joints that turn have it."""
     imitated_by: ClassVar[str] = ""
     """Kind that can follow it joint by joint; then it is that, unless it explains more than all of these together."""
     weighs: ClassVar[bool] = False
@@ -61,6 +68,8 @@ class Effect(Term):
     follows: ClassVar[str] = ""
     """What it is a function of at its joint, if of one thing alone: `velocity`, `position`, or `friction_position`,
     which is position times the direction of motion."""
+    depends = True
+    """Effects act on what the rest of the model says."""
     place: Options = ()  # type: ignore[assignment]
     point: Values = ()
     """Own parameters around which `columns` are taken, where these depend on them; empty: those of the model."""
@@ -92,13 +101,10 @@ class Effect(Term):
     @classmethod
     def variants(cls, arm: Arm) -> Iterator[Options]:
         """Every place where it could act."""
-        for joint in arm.joint_names:
-            yield {"joint": joint}
-
-    @property
-    def depends(self) -> bool:
-        """Effects act on what the rest of the model says."""
-        return True
+        places: list[Options] = [{"joints": list(arm.joint_names)}] if cls.of_all else []
+        places += [{"joint": joint.name} for joint in arm.joints if joint.revolute or not cls.turns]
+        # Each has its own copy of a form: a model file would write a shared list as a reference.
+        yield from ({**place, **deepcopy(form)} for place in places for form in cls.forms)
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -57,14 +57,10 @@ class FrictionDrift(_Friction):
     remedy: ClassVar[str] = (
         "look at what changed there (lubricant, preload, brake, temperature); if the arm stays so, identify it again"
     )
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Coulomb level, viscosity, or both; a level that creeps; another Coulomb level for a while."""
-        for joint in arm.joint_names:
-            for of in (["f_c"], ["k_v1"], ["f_c", "k_v1"], ["creep"]):
-                yield {"joint": joint, "of": of}
-            yield {"joint": joint, "of": ["f_c"], "for_a_while": True}
+    forms: ClassVar[tuple[Options, ...]] = (
+        *({"of": of} for of in (["f_c"], ["k_v1"], ["f_c", "k_v1"], ["creep"])),
+        {"of": ["f_c"], "for_a_while": True},
+    )
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -112,7 +108,6 @@ class PassingFriction(FrictionDrift):
     words: ClassVar[str] = "friction was another for a while"
     equation: ClassVar[str] = "df_c sgn(qd) between t_0 and t_1"
     source: ClassVar[str] = "De Luca and Mattone 2003: what is wrong with one joint, and when"
-    confused_with: ClassVar[tuple[str, ...]] = ("external_contact",)
     experiment: ClassVar[str] = (
         "the same motion again with the state of the joint's brake recorded (a gear that jams at a place does it again)"
     )
@@ -163,13 +158,8 @@ class TemperatureFriction(_Friction):
     confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "torque_constant")
     experiment: ClassVar[str] = "constant-velocity runs over a temperature sweep (spacearm excite --for temperature)"
     remedy: ClassVar[str] = "record the temperatures and identify with them (--temperature), or warm the arm up first"
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Coulomb level, viscosity, or both."""
-        for joint in arm.joint_names:
-            for of in (["f_c"], ["k_v1"], ["f_c", "k_v1"]):
-                yield {"joint": joint, "of": of}
+    forms: ClassVar[tuple[Options, ...]] = ({"of": ["f_c"]}, {"of": ["k_v1"]}, {"of": ["f_c", "k_v1"]})
+    needs_temperature = True
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -182,11 +172,6 @@ class TemperatureFriction(_Friction):
             "k_v1": Parameter("alpha_v", joint, "N m s/(rad K)", scale=1.0, upper=highest),
         }
         return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), place=place)
-
-    @property
-    def needs_temperature(self) -> bool:
-        """It is nothing without them."""
-        return True
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Direction and velocity times the excess temperature; nothing where no temperature was recorded."""
@@ -209,13 +194,7 @@ class LoadFriction(_Friction):
         "with a known load at the flange, slow constant speed in both directions: up and down (--for ripple)"
     )
     remedy: ClassVar[str] = "look at the gear and its lubricant; if the arm stays so, use the model that has it"
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """By the load on either side of the gear."""
-        for joint in arm.joint_names:
-            yield {"joint": joint}
-            yield {"joint": joint, "side": "motor"}
+    forms: ClassVar[tuple[Options, ...]] = ({}, {"side": "motor"})
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -328,14 +307,7 @@ class PositionFriction(_Friction):
     remedy: ClassVar[str] = (
         "look at the joint there (bearing, seal, cable); if the arm stays so, use the model that has it"
     )
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """One to six cycles a turn, or a spot."""
-        for joint in arm.joint_names:
-            for cycles in range(1, 7):
-                yield {"joint": joint, "cycles": cycles}
-            yield {"joint": joint, "spot": True}
+    forms: ClassVar[tuple[Options, ...]] = (*({"cycles": cycles} for cycles in range(1, 7)), {"spot": True})
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -388,13 +360,8 @@ class AsymmetricFriction(_Friction):
     remedy: ClassVar[str] = (
         "look at what drags in one direction (cable, seal, sensor offset); if the arm stays so, identify it again"
     )
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Level alone is an offset as well; level and viscosity."""
-        for joint in arm.joint_names:
-            yield {"joint": joint, "of": ["level", "viscous"]}
-            yield {"joint": joint, "of": ["viscous"]}
+    forms: ClassVar[tuple[Options, ...]] = ({"of": ["level", "viscous"]}, {"of": ["viscous"]})
+    """A level alone is an offset as well."""
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -431,6 +398,7 @@ class Stribeck(_Friction):
     confused_with: ClassVar[tuple[str, ...]] = ("presliding_hysteresis", "friction_drift", "time_delay")
     experiment: ClassVar[str] = "constant speeds from a thousandth to a tenth of a radian a second (--for stribeck)"
     remedy: ClassVar[str] = "use the model that has it at low speeds; if it is new, look at the lubricant"
+    forms: ClassVar[tuple[Options, ...]] = ({}, {"law": EXPONENTIAL})
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -440,13 +408,6 @@ class Stribeck(_Friction):
         return cls(
             (Parameter("f", joint, "N m", lower=0.0),), (Constant("v_b", joint, "rad/s", grid, True),), place=place
         )
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Gaussian or exponential in speed."""
-        for joint in arm.joint_names:
-            yield {"joint": joint}
-            yield {"joint": joint, "law": EXPONENTIAL}
 
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """Whether it ends at a speed that was looked at: one below all of them is how the joint turns round."""
@@ -474,12 +435,7 @@ class VacuumFriction(_Friction):
     confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
     experiment: ClassVar[str] = "faster motion: the terms grow with the square and the cube of speed"
     remedy: ClassVar[str] = "use the model without these terms as long as the arm is in vacuum"
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """All joints together, or one."""
-        yield {"joints": list(arm.joint_names)}
-        yield from ({"joint": joint} for joint in arm.joint_names)
+    of_all: ClassVar[bool] = True
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -96,14 +96,7 @@ class HarnessSpring(Effect):
         "slow constant speed over its range, then once more with the next joints folded (--for ripple)"
     )
     remedy: ClassVar[str] = "look at the cables and hoses along the joint; if they stay so, use the model that has it"
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Over the whole range, or on either side of a position."""
-        for joint in arm.joint_names:
-            yield {"joint": joint}
-            for side in SIDES:
-                yield {"joint": joint, "side": side}
+    forms: ClassVar[tuple[Options, ...]] = ({}, *({"side": side} for side in SIDES))
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -177,13 +170,9 @@ class EncoderEccentricity(Effect):
         "constant speed over its range: eccentricity shows in velocity, ripple in torque (--for ripple)"
     )
     remedy: ClassVar[str] = "centre the encoder, or correct its reading by this curve"
-
-    @classmethod
-    def variants(cls, arm: Arm):  # type: ignore[no-untyped-def]
-        """Up to eight times a turn: an encoder off its centre once, a bent disc twice, a resolver by its poles."""
-        for joint in (joint.name for joint in arm.joints if joint.revolute):
-            for cycles in range(1, 9):
-                yield {"joint": joint, "cycles": cycles}
+    turns: ClassVar[bool] = True
+    forms: ClassVar[tuple[Options, ...]] = tuple({"cycles": cycles} for cycles in range(1, 9))
+    """Up to eight times a turn: an encoder off its centre once, a bent disc twice, a resolver by its poles."""
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -238,13 +227,9 @@ class EncoderZero(Effect):
     remedy: ClassVar[str] = (
         "set the encoder's zero again at the joint's reference mark, or correct it (position_offset_rad)"
     )
-
-    @classmethod
-    def variants(cls, arm: Arm) -> Iterator[Options]:
-        """Every joint that turns."""
-        for joint in arm.joints:
-            if joint.revolute:
-                yield {"joint": joint.name}
+    turns: ClassVar[bool] = True
+    needs_reference = True
+    """A zero that is wrong from the start is one of the model's own first moments."""
 
     @classmethod
     def at(cls, arm: Arm, place: Options) -> Effect:
@@ -252,11 +237,6 @@ class EncoderZero(Effect):
         joint = known_joint(arm, place)
         zero = Parameter("zero", joint, "rad", scale=0.02, lower=-FARTHEST_ZERO, upper=FARTHEST_ZERO)
         return cls((zero,), place=place)
-
-    @property
-    def needs_reference(self) -> bool:
-        """A zero that is wrong from the start is one of the model's own first moments."""
-        return True
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Torque of the motion that was read, less that of the motion that was."""
