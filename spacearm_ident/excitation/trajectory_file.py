@@ -21,7 +21,7 @@ segments:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ import yaml
 from spacearm_ident.arrays import FloatArray
 from spacearm_ident.documents import read_yaml, write_whole
 from spacearm_ident.errors import UserError, one_line
-from spacearm_ident.excitation.segments import Chirp, Cruise, Motion, Quintic, Rest, Segment
+from spacearm_ident.excitation.segments import Chirp, Cruise, Quintic, Rest, Segment
 from spacearm_ident.excitation.trajectory import FourierTrajectory, Trajectory
 
 SCHEMA = "spacearm_ident/trajectory/1"
@@ -102,70 +102,34 @@ def trajectory_from_dict(document: object) -> Trajectory:
     return Trajectory(names, _joined(segments))
 
 
+_FORMS: dict[str, tuple[type[Any], dict[str, int]]] = {
+    "rest": (Rest, {"duration_s": 0, "position": 1}),
+    "quintic": (Quintic, {"duration_s": 0}),
+    "fourier": (FourierTrajectory, {"fundamental_hz": 0, "periods": 0, "q0": 1, "a": 2, "b": 2}),
+    "cruise": (Cruise, {"duration_s": 0, "position": 1, "velocity": 1}),
+    "chirp": (Chirp, {"duration_s": 0, "centre": 1, "amplitude": 1, "start_hz": 0, "end_hz": 0}),
+}
+"""Kind -> its class, and of each attribute the dimensions: 0 a positive number, 1 a number a joint, 2 a row a joint."""
+
+
 def _segment(entry: object, where: str, joints: tuple[str, ...]) -> Segment | float:
     """One segment; a quintic comes back as its duration alone, to be joined to its neighbours."""
     kind = entry.get("kind") if isinstance(entry, dict) else None
-    reader = _READERS.get(kind) if isinstance(kind, str) else None
-    if reader is None:
-        raise UserError(f"{where}: kind {kind!r} is unknown; use one of {', '.join(_READERS)}")
-    return reader(entry, where, joints)
-
-
-def _read_rest(entry: object, where: str, joints: tuple[str, ...]) -> Rest:
-    fields = _fields(entry, where, ("kind", "duration_s", "position"))
-    return Rest(_array(fields, "position", where, (len(joints),)), _positive(fields, "duration_s", where))
-
-
-def _read_quintic(entry: object, where: str, joints: tuple[str, ...]) -> float:
-    return _positive(_fields(entry, where, ("kind", "duration_s")), "duration_s", where)
-
-
-def _read_fourier(entry: object, where: str, joints: tuple[str, ...]) -> FourierTrajectory:
-    fields = _fields(entry, where, ("kind", "fundamental_hz", "periods", "q0", "a", "b"))
-    periods = fields["periods"]
-    if not isinstance(periods, int) or isinstance(periods, bool) or periods < 1:
-        raise UserError(f"{where}: periods must be a whole number of at least 1, not {periods!r}")
-    n = len(joints)
-    a = _array(fields, "a", where, (n, None))
-    return FourierTrajectory(
-        joints=joints,
-        q0=_array(fields, "q0", where, (n,)),
-        a=a,
-        b=_array(fields, "b", where, a.shape),
-        fundamental_hz=_positive(fields, "fundamental_hz", where),
-        periods=periods,
-    )
-
-
-def _read_cruise(entry: object, where: str, joints: tuple[str, ...]) -> Cruise:
-    fields = _fields(entry, where, ("kind", "duration_s", "position", "velocity"))
-    shape = (len(joints),)
-    return Cruise(
-        _array(fields, "position", where, shape),
-        _array(fields, "velocity", where, shape),
-        _positive(fields, "duration_s", where),
-    )
-
-
-def _read_chirp(entry: object, where: str, joints: tuple[str, ...]) -> Chirp:
-    fields = _fields(entry, where, ("kind", "duration_s", "centre", "amplitude", "start_hz", "end_hz"))
-    shape = (len(joints),)
-    return Chirp(
-        centre=_array(fields, "centre", where, shape),
-        amplitude=_array(fields, "amplitude", where, shape),
-        start_hz=_positive(fields, "start_hz", where),
-        end_hz=_positive(fields, "end_hz", where),
-        duration_s=_positive(fields, "duration_s", where),
-    )
-
-
-_READERS: dict[str, Callable[[object, str, tuple[str, ...]], Segment | float]] = {
-    "rest": _read_rest,
-    "quintic": _read_quintic,
-    "fourier": _read_fourier,
-    "cruise": _read_cruise,
-    "chirp": _read_chirp,
-}
+    if not isinstance(kind, str) or kind not in _FORMS:
+        raise UserError(f"{where}: kind {kind!r} is unknown; use one of {', '.join(_FORMS)}")
+    made, form = _FORMS[kind]
+    fields = _fields(entry, where, ("kind", *form))
+    values: Entry = {"joints": joints} if kind == "fourier" else {}
+    for key, dimensions in form.items():
+        if key == "periods":
+            values[key] = _count(fields, key, where)
+        elif dimensions == 0:
+            values[key] = _positive(fields, key, where)
+        else:
+            shape = values["a"].shape if key == "b" else (len(joints), None)[:dimensions]
+            values[key] = _array(fields, key, where, shape)
+    segment: Segment | float = values["duration_s"] if kind == "quintic" else made(**values)
+    return segment
 
 
 def _joined(segments: list[Segment | float]) -> tuple[Segment, ...]:
@@ -178,45 +142,17 @@ def _joined(segments: list[Segment | float]) -> tuple[Segment, ...]:
         if not out or following is None or isinstance(following, float):
             raise UserError(f"segment {i + 1}: a quintic joins two segments of other kinds; put one on each side")
         last = out[-1]
-        out.append(Quintic(last.evaluate(last.duration_s).at(0), _state_at_start(following), duration_s=segment))
+        end, begin = last.evaluate(last.duration_s).at(0), following.evaluate(0.0).at(0)
+        out.append(Quintic(end, begin, duration_s=segment))
     return tuple(out)
 
 
-def _state_at_start(segment: Segment) -> Motion:
-    return segment.evaluate(0.0).at(0)
-
-
 def _segment_to_dict(segment: Segment) -> Entry:
-    match segment:
-        case Rest():
-            return {"kind": "rest", "duration_s": float(segment.duration_s), "position": segment.position.tolist()}
-        case Quintic():
-            return {"kind": "quintic", "duration_s": float(segment.duration_s)}
-        case FourierTrajectory():
-            return {
-                "kind": "fourier",
-                "fundamental_hz": float(segment.fundamental_hz),
-                "periods": segment.periods,
-                "q0": segment.q0.tolist(),
-                "a": segment.a.tolist(),
-                "b": segment.b.tolist(),
-            }
-        case Cruise():
-            return {
-                "kind": "cruise",
-                "duration_s": float(segment.duration_s),
-                "position": segment.position.tolist(),
-                "velocity": segment.velocity.tolist(),
-            }
-        case Chirp():
-            return {
-                "kind": "chirp",
-                "duration_s": float(segment.duration_s),
-                "centre": segment.centre.tolist(),
-                "amplitude": segment.amplitude.tolist(),
-                "start_hz": float(segment.start_hz),
-                "end_hz": float(segment.end_hz),
-            }
+    for kind, (made, form) in _FORMS.items():
+        if isinstance(segment, made):
+            plain = {key: np.asarray(getattr(segment, key), dtype=float).tolist() for key in form}
+            counts = {"periods": segment.periods} if isinstance(segment, FourierTrajectory) else {}
+            return {"kind": kind, **plain, **counts}
     raise TypeError(f"no file form for {type(segment).__name__}")
 
 
@@ -231,6 +167,13 @@ def _fields(document: object, where: str, keys: Sequence[str]) -> Entry:
     if missing:
         raise UserError(f"{where}: {', '.join(missing)} missing; add it")
     return document
+
+
+def _count(fields: Entry, key: str, where: str) -> int:
+    value = fields[key]
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        raise UserError(f"{where}: {key} must be a whole number of at least 1, not {value!r}")
+    return value
 
 
 def _positive(fields: Entry, key: str, where: str) -> float:
