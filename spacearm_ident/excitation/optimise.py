@@ -422,19 +422,9 @@ def join(problem: Problem, series: FourierTrajectory) -> tuple[FourierTrajectory
     Raises:
         UserError: There is no such phase: the limit broken least.
     """
-    limits, phases = problem.needs.motion, 40
-    runs: list[tuple[float, FourierTrajectory, Trajectory]] = []
-    refusal: UserError | None = None
-    for time_s in np.linspace(0.0, series.period_s, phases, endpoint=False):
-        begun = series.shifted(float(time_s))
-        try:
-            run = begun.run(limits, problem.start, problem.rest_s)
-        except UserError as error:
-            refusal = error
-            continue
-        runs.append((run.duration_s, begun, run))
     least = np.inf
-    for _, begun, run in sorted(runs, key=lambda entry: entry[0]):
+    refusal = UserError("the excitation cannot be joined to the start posture; choose another with --start")
+    for begun, run in series.runs_by_phase(problem.needs.motion, problem.start, problem.rest_s):
         place = run.segments.index(begun)
         parts = (run.segments[:place], run.segments[place + 1 :])
         margins = [margin for part in parts for margin in broken(Trajectory(run.joints, part), problem.needs)]
@@ -442,11 +432,9 @@ def join(problem: Problem, series: FourierTrajectory) -> tuple[FourierTrajectory
             return begun, run
         worst = max(margins, key=lambda margin: margin.used)
         if worst.used < least:
-            least, refusal = (
-                worst.used,
-                UserError(f"on the way between start posture and excitation, {worst.complaint()}"),
-            )
-    raise refusal or UserError("the excitation cannot be joined to the start posture; choose another with --start")
+            least = worst.used
+            refusal = UserError(f"on the way between start posture and excitation, {worst.complaint()}")
+    raise refusal
 
 
 def _staged(report: Progress, begin: float, length: float, steps: int, what: str) -> Callable[[int, float], None]:

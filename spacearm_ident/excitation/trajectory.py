@@ -6,7 +6,6 @@ class and one entry in `trajectory_file`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -102,19 +101,31 @@ class FourierTrajectory:
         Raises:
             UserError: Begun nowhere in its period can it be joined within the limits.
         """
-        best, quickest, refusal = None, math.inf, UserError()
+        return self.runs_by_phase(limits, start)[0][0]
+
+    def runs_by_phase(
+        self, limits: MotionLimits, start: ArrayLike | None = None, rest_s: float = 1.0
+    ) -> list[tuple[FourierTrajectory, Trajectory]]:
+        """The same motion begun at phases all over its period, each with its `run`, the quickest first.
+
+        Args:
+            limits: As for `run`.
+            start: As for `run`.
+            rest_s: As for `run`.
+
+        Raises:
+            UserError: Begun nowhere in its period can it be joined within the limits.
+        """
+        runs, refusal = [], UserError()
         for time_s in np.linspace(0.0, self.period_s, _PHASES, endpoint=False):
             begun = self.shifted(float(time_s))
             try:
-                duration = begun.run(limits, start).duration_s
+                runs.append((begun, begun.run(limits, start, rest_s)))
             except UserError as error:
                 refusal = error
-                continue
-            if duration < quickest:
-                best, quickest = begun, duration
-        if best is None:
+        if not runs:
             raise refusal
-        return best
+        return sorted(runs, key=lambda pair: pair[1].duration_s)
 
     def run(self, limits: MotionLimits, start: ArrayLike | None = None, rest_s: float = 1.0) -> Trajectory:
         """The whole run: rest at `start` (n,), approach, all periods, return, rest.
