@@ -51,6 +51,8 @@ class _Twists:
 BASE_ROWS = range(-6, 0)
 """Rows of the base: force and moment at the base link's origin, in its axes."""
 BASE_LINK = -1
+INERTIA_PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+"""Row and column of the inertia, in the order of `INERTIAL_SYMBOLS`."""
 
 
 def rigid_body_blocks(
@@ -84,7 +86,8 @@ def rigid_body_blocks(
         if link != BASE_LINK:
             twists[link] = _twists_in_child(twists[max(arm.joints[link].parent, BASE_LINK)], motion, link, arm)
         # All rows at once: with few samples a call of numpy costs more than what it computes.
-        columns = _columns(twists[link], motion)
+        omega, epsilon, accel = (vector[:, None] for vector in (motion.omega, motion.epsilon, motion.accel))
+        columns = link_columns(omega, epsilon, accel, twists[link].linear, twists[link].angular)
         blocks.update({(row, link): columns[:, k] for k, row in enumerate(twists[link].rows)})
     return blocks
 
@@ -123,8 +126,8 @@ def rigid_body_torque(
             force, moment = force + own_force, moment + own_moment
         torque[link] = joint.axis @ (moment if joint.revolute else force)
         if joint.parent >= 0:
-            force = _to_carrier(motion.rotation, force)
-            moment = _to_carrier(motion.rotation, moment) + cross(motion.origin, force)
+            force = times(motion.rotation, force)
+            moment = times(motion.rotation, moment) + cross(motion.origin, force)
             beside = carried.get(joint.parent)
             carried[joint.parent] = (force, moment) if beside is None else (beside[0] + force, beside[1] + moment)
     return torque.T
@@ -163,8 +166,8 @@ def _twists_in_child(carrier: _Twists, motion: _LinkMotion, link: int, arm: Arm)
     joint, count = arm.joints[link], len(carrier.rows)
     rotation, origin = motion.rotation[:, :, None], motion.origin[:, None]
     linear, angular = np.zeros((2, 3, count + 1, motion.omega.shape[1]))
-    linear[:, :count] = _to_child(rotation, carrier.linear + cross(carrier.angular, origin))
-    angular[:, :count] = _to_child(rotation, carrier.angular)
+    linear[:, :count] = times_transposed(rotation, carrier.linear + cross(carrier.angular, origin))
+    angular[:, :count] = times_transposed(rotation, carrier.angular)
     (angular if joint.revolute else linear)[:, count] = joint.axis[:, None]
     return _Twists((*carrier.rows, link), linear, angular)
 
@@ -194,9 +197,9 @@ def _child_motion(joint: Joint, carrier: _LinkMotion, q: FloatArray, qd: FloatAr
     else:
         rotation = joint.rotation[:, :, None]
         origin = joint.translation[:, None] + (joint.rotation @ joint.axis)[:, None] * q
-    omega = _to_child(rotation, carrier.omega)
-    epsilon = _to_child(rotation, carrier.epsilon)
-    accel = _to_child(
+    omega = times_transposed(rotation, carrier.omega)
+    epsilon = times_transposed(rotation, carrier.epsilon)
+    accel = times_transposed(
         rotation,
         carrier.accel + cross(carrier.epsilon, origin) + cross(carrier.omega, cross(carrier.omega, origin)),
     )
@@ -222,14 +225,14 @@ def joint_rotation(joint: Joint, q: FloatArray) -> FloatArray:
     return np.asarray((parts.reshape(9, 3) @ np.stack([np.cos(q), np.sin(q), np.ones_like(q)])).reshape(3, 3, -1))
 
 
-def _to_child(rotation: FloatArray, vector: FloatArray) -> FloatArray:
-    """The transpose of `rotation` (3, 3, N or 1) applied to `vector` (3, N)."""
-    return np.asarray(rotation[0] * vector[0] + rotation[1] * vector[1] + rotation[2] * vector[2])
+def times_transposed(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Transposes of matrices (3, 3, N or 1) times vectors (3, N): of rotations, from the carrier to the child."""
+    return np.asarray(matrix[0] * vector[0] + matrix[1] * vector[1] + matrix[2] * vector[2])
 
 
-def _to_carrier(rotation: FloatArray, vector: FloatArray) -> FloatArray:
-    """`rotation` (3, 3, N or 1) applied to `vector` (3, N)."""
-    return np.asarray(rotation[:, 0] * vector[0] + rotation[:, 1] * vector[1] + rotation[:, 2] * vector[2])
+def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Matrices (3, 3, N or 1) times vectors (3, N): of rotations, from the child to the carrier."""
+    return np.asarray(matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2])
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -251,15 +254,23 @@ def _wrench(phi: FloatArray, motion: _LinkMotion) -> tuple[FloatArray, FloatArra
     return force, cross(first, accel) + inertia @ epsilon + cross(omega, inertia @ omega)
 
 
-def _columns(twists: _Twists, motion: _LinkMotion) -> FloatArray:
-    """(10, R, N) columns of one link in the rows of some twists; the formula of the module's head."""
-    omega, epsilon, accel = (vector[:, None] for vector in (motion.omega, motion.epsilon, motion.accel))
-    linear, angular = twists.linear, twists.angular
+def link_columns(
+    omega: FloatArray, epsilon: FloatArray, accel: FloatArray, linear: FloatArray, angular: FloatArray
+) -> FloatArray:
+    """(10, R, N) columns of links in the rows of twists seen in their frames; the formula of the module's head.
+
+    Args:
+        omega: (3, R or 1, N) angular velocity of the link.
+        epsilon: (3, R or 1, N) angular acceleration.
+        accel: (3, R or 1, N) acceleration of its origin, gravity included.
+        linear: (3, R, N) part of the twist.
+        angular: (3, R, N) part of the twist.
+    """
     twist_x_omega = cross(angular, omega)
     columns = np.empty((10, *twist_x_omega.shape[1:]))
     columns[0] = linear[0] * accel[0] + linear[1] * accel[1] + linear[2] * accel[2]
     columns[1:4] = cross(linear, epsilon) + cross(omega, cross(omega, linear)) + cross(accel, angular)
-    for row, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), start=4):
+    for row, (i, j) in enumerate(INERTIA_PAIRS, start=4):
         columns[row] = angular[i] * epsilon[j] + twist_x_omega[i] * omega[j]
         if i != j:
             columns[row] += angular[j] * epsilon[i] + twist_x_omega[j] * omega[i]

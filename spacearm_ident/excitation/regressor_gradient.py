@@ -23,10 +23,8 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm, Joint
-from ..dynamics.regressor import cross
+from ..dynamics.regressor import INERTIA_PAIRS, cross, link_columns, times, times_transposed
 from .segments import Motion
-
-INERTIA_PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
 @dataclass
@@ -100,7 +98,7 @@ class DifferentiableRegressor:
 
     def columns(self) -> FloatArray:
         """(10, K, T) columns of each pair's link in the row of its joint."""
-        return _columns(self._pairs)
+        return link_columns(*self._pairs)
 
     def back(self, adjoint: FloatArray) -> Motion:
         """Derivatives by the states, (T, n) each, from those by the columns, (10, K, T)."""
@@ -143,11 +141,11 @@ def _forward(
     else:
         rotation = np.tile(joint.rotation[..., None], len(q))
         origin = joint.translation[:, None] + (joint.rotation @ joint.axis)[:, None] * q
-    omega_in, epsilon_in = _inwards(rotation, omega), _inwards(rotation, epsilon)
+    omega_in, epsilon_in = times_transposed(rotation, omega), times_transposed(rotation, epsilon)
     moved = accel + cross(epsilon, origin) + cross(omega, cross(omega, origin))
-    accel_in = _inwards(rotation, moved)
-    linear_in = _inwards(rotation[:, :, None], linear + cross(angular, origin[:, None]))
-    angular_in = _inwards(rotation[:, :, None], angular)
+    accel_in = times_transposed(rotation, moved)
+    linear_in = times_transposed(rotation[:, :, None], linear + cross(angular, origin[:, None]))
+    angular_in = times_transposed(rotation[:, :, None], angular)
     own = (axis * ones)[:, None]
     nothing = np.zeros_like(own)
     omega_out, epsilon_out, accel_out = omega_in, epsilon_in, accel_in
@@ -165,20 +163,6 @@ def _forward(
     )  # fmt: skip
 
 
-def _columns(pairs: _Pairs) -> FloatArray:
-    """(10, K, T) columns of each pair's link in the row of its joint."""
-    o, e, a, linear, w = pairs
-    block = np.empty((10, *linear.shape[1:]))
-    block[0] = (linear * a).sum(axis=0)
-    block[1:4] = cross(linear, e) + cross(o, cross(o, linear)) + cross(a, w)
-    across = cross(w, o)
-    for row, (i, j) in enumerate(INERTIA_PAIRS, start=4):
-        block[row] = w[i] * e[j] + across[i] * o[j]
-        if i != j:
-            block[row] += w[j] * e[i] + across[j] * o[i]
-    return block
-
-
 def _contract(pairs: _Pairs, adjoint: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
     """Derivatives of S by omega, epsilon, accel, and by linear and angular, (3, K, T) each."""
     o, e, a, linear, w = pairs
@@ -186,17 +170,14 @@ def _contract(pairs: _Pairs, adjoint: FloatArray) -> tuple[list[FloatArray], lis
     inertia = np.empty((3, 3, *adjoint.shape[1:]))
     for row, (i, j) in enumerate(INERTIA_PAIRS, start=4):
         inertia[i, j] = inertia[j, i] = adjoint[row]
-    spun = _apply(inertia, o)
+    spun = times(inertia, o)
     by_omega = (
-        cross(cross(o, linear), moment)
-        + cross(linear, cross(moment, o))
-        + cross(spun, w)
-        + _apply(inertia, cross(w, o))
+        cross(cross(o, linear), moment) + cross(linear, cross(moment, o)) + cross(spun, w) + times(inertia, cross(w, o))
     )
-    by_epsilon = cross(moment, linear) + _apply(inertia, w)
+    by_epsilon = cross(moment, linear) + times(inertia, w)
     by_accel = mass * linear + cross(w, moment)
     by_linear = mass * a + cross(e, moment) + cross(o, cross(o, moment))
-    by_angular = cross(moment, a) + _apply(inertia, e) + cross(o, spun)
+    by_angular = cross(moment, a) + times(inertia, e) + cross(o, spun)
     return [by_omega, by_epsilon, by_accel], [by_linear, by_angular]
 
 
@@ -229,8 +210,8 @@ def _backward(
         turned += (cross(link.linear[:, :-1], linear) + cross(link.angular[:, :-1], angular)).sum(axis=1)
         out.q[:, index] = -(axis * turned).sum(axis=0)
     rotation, origin = link.rotation, link.origin
-    omega, epsilon, accel = (_outwards(rotation, v) for v in (omega, epsilon, accel))
-    linear, angular = (_outwards(rotation[:, :, None], v) for v in (linear, angular))
+    omega, epsilon, accel = (times(rotation, v) for v in (omega, epsilon, accel))
+    linear, angular = (times(rotation[:, :, None], v) for v in (linear, angular))
     if parent is not None:
         o, e, _, w = parent
         if not joint.revolute:
@@ -241,17 +222,3 @@ def _backward(
         epsilon = epsilon + cross(origin, accel)
         angular = angular + cross(origin[:, None], linear)
     return [omega, epsilon, accel, linear, angular]
-
-
-def _inwards(rotation: FloatArray, v: FloatArray) -> FloatArray:
-    """R' v, parent to child."""
-    return np.asarray(rotation[0] * v[0] + rotation[1] * v[1] + rotation[2] * v[2])
-
-
-def _outwards(rotation: FloatArray, v: FloatArray) -> FloatArray:
-    """R v, child to parent."""
-    return np.asarray(rotation[:, 0] * v[0] + rotation[:, 1] * v[1] + rotation[:, 2] * v[2])
-
-
-def _apply(matrix: FloatArray, v: FloatArray) -> FloatArray:
-    return np.asarray(matrix[:, 0] * v[0] + matrix[:, 1] * v[1] + matrix[:, 2] * v[2])
