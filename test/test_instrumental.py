@@ -12,7 +12,7 @@ from spacearm_ident.dynamics.base_parameters import base_parameters
 from spacearm_ident.dynamics.model import TorqueModel, structure_of
 from spacearm_ident.errors import UnfitDataError
 from spacearm_ident.estimate.identified import Identified
-from spacearm_ident.identification.comparison import compare
+from spacearm_ident.identification.cross_check import compare
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.instrumental import halves, split_motions
 from spacearm_ident.recording.recording import Recording
@@ -83,13 +83,13 @@ def test_a_stretch_too_short_to_split_is_refused():
 def test_the_verdict_names_the_worst():
     base = base_parameters(TorqueModel(ARM, STRUCTURE))
     errors = np.ones(len(base.names))
-    truth = np.zeros(base.regrouping.shape[1])
-    moved = truth.copy()
+    same = np.zeros(base.regrouping.shape[1])
+    moved = same.copy()
     moved[base.independent[2]] = 3.0
-    assert compare("instrumental variables", base, truth, truth, errors).agree
-    comparison = compare("instrumental variables", base, moved, truth, errors)
-    assert not comparison.agree and comparison.worst == base.names[2]
-    assert "at 1 base parameters" in comparison.words and "3 standard errors" in comparison.words
+    assert " agree with" in compare("instrumental variables", base, same, errors)
+    words = compare("instrumental variables", base, moved, errors)
+    assert " disagree with" in words and f"most at {base.names[2]} (" in words
+    assert "at 1 base parameters" in words and "3 standard errors" in words
     # One that is held fixed has no standard error, and is no disagreement.
     errors[2] = 0.0
-    assert compare("instrumental variables", base, moved, truth, errors).agree
+    assert " agree with" in compare("instrumental variables", base, moved, errors)
