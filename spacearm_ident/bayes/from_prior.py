@@ -36,8 +36,7 @@ from ..regression.regression import Regression
 from ..signals.bandwidth import Bandwidth
 from ..signals.motion import Motion
 from ..signals.prepare import prepare
-from ..solvers.separable import Solution
-from ..solvers.solution_columns import all_columns
+from ..solvers.solution_columns import columns_at
 from .posterior import posterior
 
 CHANGES: Mapping[str, float] = {"f_c": 0.3, "f_b": 0.3, "k_v1": 0.3, "k_v2": 1.0, "k_v3": 1.0}
@@ -322,7 +321,7 @@ def _rows(
     regression: Regression, ground: IdentifiedModel, about: IdentifiedModel, factor: FloatArray
 ) -> tuple[list[FloatArray], list[FloatArray]]:
     """Per joint, rows (M, r) of v and what is left of the torque (M,) at the ground's values, linear about others."""
-    columns, numbers = all_columns(regression, Solution(about.parameters, about.constants, 0.0, 0, ""))
+    columns, numbers = columns_at(regression, about.constants)
     share, of_constants = ground.departure_share, ground.constant_share
     matrices = [block * share[j, number] @ factor[number] for j, (block, number) in enumerate(zip(columns, numbers))]
     targets = [

@@ -24,7 +24,7 @@ from ..signals.motion import Motion
 from ..signals.prepare import require_torque
 from ..solvers import pso_lm
 from ..solvers.separable import PRESENCE_GATE, Solution, exact, grid_search, solve, system, without_constants
-from ..solvers.solution_columns import all_columns, residuals_of
+from ..solvers.solution_columns import columns_at, residuals_of
 from .cad_scale import with_cad_scale
 
 REWEIGHTINGS = 2
@@ -202,7 +202,7 @@ def _first_weights(regression: Regression) -> None:
 
 def freedom(fit: Fit) -> dict[str, float]:
     """Joint -> effective rows beyond its own columns; at least one."""
-    numbers = all_columns(fit.regression, fit.solution)[1]
+    numbers = columns_at(fit.regression, fit.solution.constants)[1]
     effective = [sum(noise.rows / noise.correlation_rows for noise in joint) for joint in fit.noise]
     joints = fit.regression.model.arm.joint_names
     return {name: max(rows - len(own), 1.0) for name, rows, own in zip(joints, effective, numbers)}
@@ -222,7 +222,7 @@ def covariance_of(fit: Fit, further: Sequence[FloatArray] = ()) -> FloatArray:
     """
     regression, solution = fit.regression, fit.solution
     count = len(regression.model.parameters)
-    columns, numbers = all_columns(regression, solution)
+    columns, numbers = columns_at(regression, solution.constants)
     for term, first, terms in regression.shaped_terms():
         for k in range(terms):
             if solution.constants[first + k] <= 0:

@@ -31,7 +31,7 @@ from ..regression.regression import Regression
 from ..signals.motion import Motion
 from ..signals.prepare import prepare
 from ..solvers.separable import Solution
-from ..solvers.solution_columns import all_columns
+from ..solvers.solution_columns import columns_at
 
 
 def halves(recording: Recording) -> tuple[Recording, Recording]:
@@ -76,14 +76,20 @@ def split_motions(
     first, second = (
         prepare([pair[which] for pair in split], joints, cutoff_hz, average=False)[0] for which in range(2)
     )
+    return plain, with_speeds_of(plain, first), with_speeds_of(plain, second)
 
-    def alike(motions: list[Motion]) -> list[Motion]:
-        return [
-            replace(motion, speed_noise=own.speed_noise, resolved_speed=own.resolved_speed)
-            for motion, own in zip(motions, plain)
-        ]
 
-    return plain, alike(first), alike(second)
+def with_speeds_of(known: Sequence[Motion], motions: Sequence[Motion]) -> list[Motion]:
+    """Motions, told at which speeds those that are known stand still.
+
+    Args:
+        known: Of the same recordings.
+        motions: Made of their positions in another way.
+    """
+    return [
+        replace(motion, speed_noise=own.speed_noise, resolved_speed=own.resolved_speed)
+        for motion, own in zip(motions, known)
+    ]
 
 
 def instrumental(
@@ -102,7 +108,7 @@ def instrumental(
     normal, side = prior.rows.T @ prior.rows, prior.rows.T @ prior.target
     for other in (first, second):
         other.update_background(solution.parameters, solution.constants)
-    parts = [all_columns(other, solution) for other in (first, second)]
+    parts = [columns_at(other, solution.constants) for other in (first, second)]
     for joint, rows in enumerate(regression.rows):
         places = [_keys(other, joint) for other in (regression, first, second)]
         shared = np.intersect1d(np.intersect1d(places[0], places[1]), places[2])

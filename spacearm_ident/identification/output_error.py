@@ -32,6 +32,7 @@ from ..regression.regression import Regression
 from ..signals.motion import Motion
 from ..signals.prepare import prepare
 from ..solvers.separable import Solution, solve_linear, system
+from .instrumental import with_speeds_of
 from .recorded_loop import RECORDED_SHARE, RecordedLoop
 
 FIRST_BANDWIDTH_HZ = 20.0
@@ -103,7 +104,7 @@ def solve(
         consistent = make_consistent(model, matrix, parameters, prior.scale)
         runs = [loop.simulate(consistent, constants) for loop in loops]
         motions, _ = prepare(runs, model.arm.joint_names, cutoff_hz, average=False)
-        return _alike(motions, regression.motions)
+        return with_speeds_of(regression.motions, motions)
 
     for _ in range(MATCHES):
         motions = simulated(regression, solution.parameters)
@@ -127,14 +128,6 @@ def solve(
         least_squares,
         _words(loops, current.motions, regression.motions, cutoff_hz),
     )
-
-
-def _alike(motions: Sequence[Motion], known: Sequence[Motion]) -> list[Motion]:
-    """Simulated motions, told at which speeds the recorded ones stand still."""
-    return [
-        replace(motion, speed_noise=own.speed_noise, resolved_speed=own.resolved_speed)
-        for motion, own in zip(motions, known)
-    ]
 
 
 def _on_rows(regression: Regression, motions: Sequence[Motion], moving: Sequence[np.ndarray]) -> Regression:

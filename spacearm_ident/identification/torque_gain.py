@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..arrays import FloatArray
 from ..estimate.identified import GAIN_DEVIATION, Determination, Estimate
-from ..solvers.solution_columns import all_columns
+from ..solvers.solution_columns import columns_at
 from .fit import Fit
 
 
@@ -41,7 +41,8 @@ def gain_shifts(fit: Fit, matrix: FloatArray) -> FloatArray:
     scaled = matrix[:, free] * scale
     factor = cho_factor(scaled.T @ scaled)
     shifts = np.zeros((len(regression.rows), matrix.shape[1]))
-    for joint, (rows, columns, numbers) in enumerate(zip(regression.rows, *all_columns(regression, fit.solution))):
+    columns_of = columns_at(regression, fit.solution.constants)
+    for joint, (rows, columns, numbers) in enumerate(zip(regression.rows, *columns_of)):
         side = np.zeros(matrix.shape[1])
         np.add.at(side, numbers, columns.T @ (rows.weight**2 * rows.torque))
         shifts[joint, free] = cho_solve(factor, side[free] * scale) * scale

@@ -8,6 +8,7 @@ solved for, and the squares left in a held-out block are a quadratic form (Golub
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -120,8 +121,9 @@ class Trials:
         regression = with_optional_terms(fit.regression, fit.solution, {JointSpring.kind: {"free": True}})
         self._model, self.joints = regression.model, regression.model.arm.joint_names
         prior = make_prior(regression.model, regression.motions)
-        owners = _owners(regression)
-        shared = np.array(sorted(k for k, rows in owners.items() if len(rows) > 1), dtype=int)
+        # Parameters that have a column which no constant shapes in the rows of several joints.
+        owners = Counter(number for rows in regression.rows for number in rows.indices)
+        shared = np.array(sorted(number for number, joints in owners.items() if joints > 1), dtype=int)
         block_of, recording = time_blocks(regression.motions, BLOCKS)
         self.blocks = len(recording)
         folds = folds_of(recording)
@@ -245,15 +247,6 @@ def with_optional_terms(regression: Regression, solution: Solution, beside: Stru
     start = IdentifiedModel(fitted, solution.parameters, solution.constants).carried_to(model).parameters
     full.update_background(start, solution.constants)
     return full
-
-
-def _owners(regression: Regression) -> dict[int, set[int]]:
-    """Parameter number -> joints in whose rows it has a column that no constant shapes."""
-    owners: dict[int, set[int]] = {}
-    for joint, rows in enumerate(regression.rows):
-        for number in rows.indices:
-            owners.setdefault(number, set()).add(joint)
-    return owners
 
 
 def _joint(

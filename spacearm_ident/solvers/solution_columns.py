@@ -1,4 +1,4 @@
-"""A solution's columns and residual on all rows of a regression, uncompressed."""
+"""Columns and a solution's residual on all rows of a regression, uncompressed."""
 
 from __future__ import annotations
 
@@ -16,25 +16,15 @@ def residuals_of(regression: Regression, solution: Solution) -> list[FloatArray]
         regression: With the motions.
         solution: Of its model.
     """
-    columns, numbers = all_columns(regression, solution)
+    columns, numbers = columns_at(regression, solution.constants)
     return [
         rows.torque - block @ solution.parameters[number]
         for rows, block, number in zip(regression.rows, columns, numbers)
     ]
 
 
-def all_columns(regression: Regression, solution: Solution) -> tuple[list[FloatArray], list[list[int]]]:
-    """Per joint, all unweighted columns (M, k) at the solution, and the parameters they belong to.
-
-    Args:
-        regression: With the motions.
-        solution: Whose constants shape columns.
-    """
-    return columns_at(regression, solution.constants)
-
-
 def columns_at(regression: Regression, constants: FloatArray) -> tuple[list[FloatArray], list[list[int]]]:
-    """The same at any constants (c,).
+    """Per joint, all unweighted columns (M, k) at some constants, and the parameters they belong to.
 
     Args:
         regression: With the motions.
