@@ -152,6 +152,5 @@ def _steady(identified: IdentifiedModel, joint: int, speeds: FloatArray, pose: F
     position = np.tile(pose, (len(speeds), 1))
     velocity = np.zeros_like(position)
     velocity[:, joint] = speeds
-    zero = np.zeros(position.shape[1])
-    still = np.zeros_like(position)
-    return Motion(identified.model.arm.joint_names, STEADY_HZ, 0.0, position, velocity, still, still, zero, zero)
+    joints = identified.model.arm.joint_names
+    return Motion.free_of_noise(joints, STEADY_HZ, position, velocity, np.zeros_like(position))

@@ -9,7 +9,7 @@ model is given, its torque without friction is subtracted and every run counts b
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -102,31 +102,15 @@ def _plateau(
     column = recording.joints.index(joint)
     time, position, torque = recording.time[part], recording.position[part], recording.effort[part, column]
     if model is not None:
-        motion = Motion(
-            joints=recording.joints,
-            rate_hz=recording.rate_hz,
-            start_s=float(time[0]),
-            position=position,
-            velocity=velocity,
-            acceleration=np.zeros_like(velocity),
-            torque=recording.effort[part],
-            speed_noise=np.full(len(recording.joints), SLOWEST),
-            resolved_speed=np.zeros(len(recording.joints)),
-        )
+        steady = Motion.free_of_noise(recording.joints, recording.rate_hz, position, velocity, np.zeros_like(velocity))
+        motion = replace(steady, start_s=float(time[0]), speed_noise=np.full(len(recording.joints), SLOWEST))
         rest = [kind for kind in model.model.structure if kind not in model.model.friction_kinds]
         torque = torque - model.torque(motion, rest)[:, column]
     series = recording.temperatures.get(joint)
     known = series is not None and len(series.time) > 0
     warm = float(np.mean(np.interp(time, series.time, series.values))) if known and series is not None else np.nan
-    return Plateau(
-        joint,
-        float(time.mean()),
-        float(velocity[:, column].mean()),
-        position[:, column],
-        position,
-        torque,
-        warm,
-    )
+    speed = float(velocity[:, column].mean())
+    return Plateau(joint, float(time.mean()), speed, position[:, column], position, torque, warm)
 
 
 def friction_points(plateaus: Sequence[Plateau], with_model: bool) -> list[FrictionPoint]:
@@ -135,14 +119,10 @@ def friction_points(plateaus: Sequence[Plateau], with_model: bool) -> list[Frict
     A run back goes with the nearest run forth in time that it fits; each is used once.
     """
     if with_model:
+        ways = [int(np.sign(run.speed)) for run in plateaus]
         return [
-            FrictionPoint(
-                abs(run.speed),
-                int(np.sign(run.speed)),
-                run.temperature,
-                float(np.mean(run.torque) * np.sign(run.speed)),
-            )
-            for run in plateaus
+            FrictionPoint(abs(run.speed), way, run.temperature, float(np.mean(run.torque) * way))
+            for run, way in zip(plateaus, ways)
         ]
     forth = [run for run in plateaus if run.speed > 0]
     back = [run for run in plateaus if run.speed < 0]

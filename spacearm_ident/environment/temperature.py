@@ -209,32 +209,16 @@ def _coulomb(
         still = np.zeros((len(both), len(model.model.arm.joints)))
         velocity = still.copy()
         velocity[:, row] = both
-        known = model.model.friction_kinds
-        names = [kind for kind in known if kind != TemperatureFriction.kind]
-        torque = model.torque(_steady(model, still, velocity), names)[:, row] * np.sign(both)
+        # A second a sample: friction that builds up over a distance has done so.
+        steady = Motion.free_of_noise(model.model.arm.joint_names, 1.0, still, velocity, still)
+        names = [kind for kind in model.model.friction_kinds if kind != TemperatureFriction.kind]
+        torque = model.torque(steady, names)[:, row] * np.sign(both)
         law = 0.5 * (torque[: len(speeds)] + torque[len(speeds) :])
         return model.value("f_c", joint) + float(np.mean(levels - law)), None
     if not several:
         return None, None
     slope, start = np.polyfit(speeds, levels, 1)
     return float(start), float(slope)
-
-
-def _steady(model: IdentifiedModel, position: FloatArray, velocity: FloatArray) -> Motion:
-    """Motion at constant velocities (N, n), each for long."""
-    joints = model.model.arm.joint_names
-    # A second a sample: friction that builds up over a distance has done so.
-    return Motion(
-        joints,
-        1.0,
-        0.0,
-        position,
-        velocity,
-        0.0 * velocity,
-        0.0 * velocity,
-        np.zeros(len(joints)),
-        np.zeros(len(joints)),
-    )
 
 
 def _too_narrow(result: JointTemperature, wanted_share: float) -> str | None:

@@ -254,13 +254,12 @@ def model_torque(identified: IdentifiedModel, motion: Motion, rate_hz: float) ->
         motion: (T, n) each, joints in the arm's order.
         rate_hz: Sampling rate of the motion, Hz.
     """
-    zero = np.zeros(motion.q.shape[1])
     names = identified.model.arm.joint_names
     torque = np.empty_like(motion.q)
     for first in range(0, len(torque), _BLOCK):
         part = slice(first, first + _BLOCK)
-        q, qd, qdd = (values[part] for values in motion)
-        torque[part] = identified.torque(SampledMotion(names, rate_hz, 0.0, q, qd, qdd, 0 * q, zero, zero))
+        sampled = SampledMotion.free_of_noise(names, rate_hz, *(values[part] for values in motion))
+        torque[part] = identified.torque(sampled)
     return torque
 
 

@@ -258,7 +258,7 @@ class Question:
     def _columns(self, motion: Motion, rate_hz: float, present: Sequence[int]) -> FloatArray:
         """(n, T, b) columns of the leading parameters, then of the logarithms of the constants `present`."""
         model = self.identified.model
-        sampled = _sampled(model.arm.joint_names, motion, rate_hz)
+        sampled = SampledMotion.free_of_noise(model.arm.joint_names, rate_hz, *motion)
         parameters, constants = self.identified.parameters, self.identified.constants
         slots = {number: k for k, number in enumerate(self.leads)}
         slot_of = {k: len(self.leads) + i for i, k in enumerate(present)}
@@ -288,8 +288,3 @@ class Question:
                 hidden.add(f"f_b[{constant.joint}]")
         chosen = [k for k, n in enumerate(self.leads) if model.parameters[n].name not in hidden and seen[k]]
         return tuple(chosen)
-
-
-def _sampled(joints: tuple[str, ...], motion: Motion, rate_hz: float) -> SampledMotion:
-    zero = np.zeros(len(joints))
-    return SampledMotion(joints, rate_hz, 0.0, motion.q, motion.qd, motion.qdd, np.zeros_like(motion.q), zero, zero)

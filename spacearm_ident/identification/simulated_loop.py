@@ -21,7 +21,7 @@ that are simulated side by side.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,17 +68,8 @@ def sampled(joints: Sequence[str], rate_hz: float, position: FloatArray) -> Moti
         position: (N, n) rad or m.
     """
     velocity = np.gradient(position, 1.0 / rate_hz, axis=0)
-    return Motion(
-        joints=tuple(joints),
-        rate_hz=rate_hz,
-        start_s=0.0,
-        position=position,
-        velocity=velocity,
-        acceleration=np.gradient(velocity, 1.0 / rate_hz, axis=0),
-        torque=np.zeros_like(position),
-        speed_noise=np.zeros(position.shape[1]),
-        resolved_speed=np.zeros(position.shape[1]),
-    )
+    acceleration = np.gradient(velocity, 1.0 / rate_hz, axis=0)
+    return Motion.free_of_noise(tuple(joints), rate_hz, position, velocity, acceleration)
 
 
 def follow(
@@ -121,14 +112,13 @@ def _dry_friction(model: TorqueModel, parameters: FloatArray, constants: FloatAr
 def _inertia(model: TorqueModel, parameters: FloatArray, constants: FloatArray, position: FloatArray) -> FloatArray:
     """(K, n, n) joint-space inertia, rotors included, at positions (K, n)."""
     joints = position.shape[1]
-    still = sampled(model.arm.joint_names, 1.0, position)
-    still = replace(still, velocity=np.zeros_like(position), acceleration=np.zeros_like(position))
 
     def torque(joint: int | None) -> FloatArray:
         acceleration = np.zeros_like(position)
         if joint is not None:
             acceleration[:, joint] = 1.0
-        return model.torque(replace(still, acceleration=acceleration), parameters, constants, INERTIAL)
+        motion = Motion.free_of_noise(model.arm.joint_names, 1.0, position, np.zeros_like(position), acceleration)
+        return model.torque(motion, parameters, constants, INERTIAL)
 
     at_rest = torque(None)
     return np.stack([torque(joint) - at_rest for joint in range(joints)], axis=2)

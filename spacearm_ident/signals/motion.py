@@ -99,6 +99,27 @@ class Motion:
     void: tuple[tuple[float, float], ...] = ()
     given_moving: BoolArray | None = None
 
+    @classmethod
+    def free_of_noise(
+        cls,
+        joints: tuple[str, ...],
+        rate_hz: float,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+    ) -> Motion:
+        """A motion that was not recorded: it has no torque, and the sign of every velocity is believed.
+
+        Args:
+            joints: Names of the n joints.
+            rate_hz: Of its samples.
+            position: (N, n) rad or m.
+            velocity: (N, n) rad/s or m/s.
+            acceleration: (N, n) rad/s² or m/s².
+        """
+        zero = np.zeros(len(joints))
+        return cls(joints, rate_hz, 0.0, position, velocity, acceleration, np.zeros_like(position), zero, zero)
+
     @property
     def cyclic(self) -> bool:
         """Whether the last sample is followed by the first."""
