@@ -209,15 +209,6 @@ class Layout:
         for number, joint, place in places:
             parameter, known = model.model.parameters[number], float(model.parameters[number])
             departure, spread, told = (part[joint, place] for part in parts)
-            result.append(
-                TrackedValue(
-                    parameter.symbol,
-                    parameter.joint,
-                    parameter.unit,
-                    known + float(departure),
-                    float(spread),
-                    known,
-                    bool(told),
-                )
-            )
+            value_now = known + float(departure), float(spread), known, bool(told)
+            result.append(TrackedValue(parameter.symbol, parameter.joint, parameter.unit, *value_now))
         return tuple(result)

@@ -20,10 +20,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from ..arrays import FloatArray
+from ..dynamics.effects.body import MASS
 from ..dynamics.model import IdentifiedModel
 from .changes import Batch, ChangeWatch, Found
 from .information_filter import InformationFilter, compress
@@ -274,7 +276,6 @@ class Tracker:
         self._watch.replay(found, self.filters, self._layout.loosened((hypothesis, *found.rivals)))
         self._watch.forget()
         self._past.clear()
-        symbols = ("m", "mcx", "mcy", "mcz")
         return Change(
             latest,
             earliest,
@@ -286,33 +287,22 @@ class Tracker:
             UNITS.get(hypothesis.what, "N m"),
             found.significance,
             tuple(rival.what for rival in found.rivals),
-            {s: float(v) for s, v in zip(symbols, found.jump)} if len(found.jump) > 1 else {},
+            {s: float(v) for s, v in zip(MASS, found.jump)} if len(found.jump) > 1 else {},
         )
+
+
+BY_ROW = ("time", "measured", "predicted", "own", "shared", "moving")
+"""What of `Rows` has an entry a row."""
 
 
 def _part(rows: Rows, part: slice) -> Rows:
     """Some of the rows."""
-    return replace(
-        rows,
-        time=rows.time[part],
-        measured=rows.measured[part],
-        predicted=rows.predicted[part],
-        own=rows.own[part],
-        shared=rows.shared[part],
-        moving=rows.moving[part],
-    )
+    return replace(rows, **{name: getattr(rows, name)[part] for name in BY_ROW})
 
 
 def _joined(parts: list[Rows]) -> Rows:
     """Rows one after the other."""
     if len(parts) == 1:
         return parts[0]
-    return replace(
-        parts[-1],
-        time=np.concatenate([part.time for part in parts]),
-        measured=np.concatenate([part.measured for part in parts]),
-        predicted=np.concatenate([part.predicted for part in parts]),
-        own=np.concatenate([part.own for part in parts]),
-        shared=np.concatenate([part.shared for part in parts]),
-        moving=np.concatenate([part.moving for part in parts]),
-    )
+    whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in BY_ROW}
+    return replace(parts[-1], **whole)
