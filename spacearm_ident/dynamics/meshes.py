@@ -53,10 +53,11 @@ def resolve_meshes(urdf: str, folders: Sequence[str]) -> Meshes:
     """
     robot = parse_xml(urdf, "the URDF")
     places: dict[str, Path | None] = {}
+    around = [str(folder) for folder in _around(folders)]
     for mesh in robot.iter("mesh"):
         name = mesh.get("filename", "")
         if name not in places:
-            places[name] = next((path for path in _candidates(name, folders) if path.is_file()), None)
+            places[name] = next((path for path in _exact(name, around) if path.is_file()), None)
         found = places[name]
         if found is not None:
             mesh.set("filename", str(found.resolve()))
@@ -78,10 +79,6 @@ def package_folders(urdf: str, folders: Sequence[str]) -> list[str]:
         if folder is not None:
             needed.append(str(folder.resolve()))
     return needed
-
-
-def _candidates(name: str, folders: Sequence[str]) -> Iterator[Path]:
-    yield from _exact(name, [str(folder) for folder in _around(folders)])
 
 
 def _exact(name: str, folders: Sequence[str], loose: bool = True) -> Iterator[Path]:

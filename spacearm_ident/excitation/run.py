@@ -21,6 +21,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..errors import UserError
+from .segments import still
 from .trajectory import FourierTrajectory, Motion, MotionLimits, Quintic, Trajectory
 
 State = Literal["approach", "running", "returning", "stopping", "done"]
@@ -126,9 +127,9 @@ def plan_run(excitation: Trajectory, limits: MotionLimits, start: FloatArray) ->
         case segments:
             first = segments[0].evaluate(0.0).at(0)
             last = segments[-1].evaluate(segments[-1].duration_s).at(0)
-            still = Motion(start, np.zeros_like(start), np.zeros_like(start))
-            approach = Quintic.within(limits, still, first)
-            whole = Trajectory(names, (approach, *segments, Quintic.within(limits, last, still)))
+            home = still(start)
+            approach = Quintic.within(limits, home, first)
+            whole = Trajectory(names, (approach, *segments, Quintic.within(limits, last, home)))
     if whole.duration_s > LONGEST_RUN_S:
         raise UserError(f"the run would take {whole.duration_s:.0f} s, over an hour; use fewer periods")
     return Run(whole, *_periodic_part(whole))

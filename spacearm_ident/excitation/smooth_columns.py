@@ -43,7 +43,6 @@ class SmoothColumns:
 
     def __init__(self, question: Question, softness: FloatArray) -> None:
         """Args: `softness` (n,) is the speed over which the direction of motion turns, rad/s."""
-        self._question = question
         model = question.identified.model
         self._arm = model.arm
         links = range(len(model.arm.joints))

@@ -10,7 +10,7 @@ from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from .competition import Outcome
 from .constants import recorded_span
-from .evidence import Evidence
+from .evidence import Evidence, with_own
 from .finding import Alternative, Finding, Quantity
 from .intervals import Intervals, step_of
 from .residuals import Residuals, unwhitened
@@ -37,8 +37,7 @@ class Cards:
         self.outcome = outcome
         self.floor = floor
         self.accepted = list(outcome.accepted)
-        counts = [len(candidate.effect.parameters) for candidate in self.accepted]
-        self._starts = np.concatenate([[0], np.cumsum(counts)]).astype(int)
+        self._own = [own for _, own in with_own(self.accepted, outcome.refit.values)]
         self._field = unwhitened(evidence.base, evidence.field)
         self._intervals = Intervals(on_a_day, on_a_day.again(self.accepted), outcome.refit.values)
 
@@ -109,18 +108,16 @@ class Cards:
 
     def _values(self, number: int) -> FloatArray:
         """Parameters, then constants of one effect."""
-        own = slice(self._starts[number], self._starts[number + 1])
         candidate = self.accepted[number]
         constants = candidate.effect.clipped(candidate.constants, self._span(candidate.effect))
-        return np.concatenate([self.outcome.refit.values[own], constants])
+        return np.concatenate([self._own[number], constants])
 
     def _span(self, effect: Effect) -> tuple[float, float]:
         """Start and end, s, of what was fitted of the recordings that an effect may act in."""
         return recorded_span(effect, self.evidence.field.motions)
 
     def _visibility(self, number: int) -> float:
-        gram, columns = self.accepted[number].gram, self.accepted[number].stacked.columns
-        values = self.outcome.refit.values[self._starts[number] : self._starts[number + 1]]
+        gram, columns, values = self.accepted[number].gram, self.accepted[number].stacked.columns, self._own[number]
         whole = float(np.sum((columns @ values) ** 2))
         return float(values @ gram @ values) / whole if whole > 0 else float("nan")
 
@@ -133,7 +130,7 @@ class Cards:
         """
         values = self.outcome.refit.values
         others = [c for k, c in enumerate(self.accepted) if k != number]
-        kept = np.delete(values, np.arange(self._starts[number], self._starts[number + 1]))
+        kept = np.concatenate([np.zeros(0), *(own for k, own in enumerate(self._own) if k != number)])
         whole = self.evidence.base_parameters(self.accepted, values)
         with_it = self.residuals.of(whole, self.accepted, values)
         if self.evidence.reference is None:
@@ -190,17 +187,15 @@ class Cards:
 
     def _felt_at(self, number: int) -> list[int]:
         """The rows in which an effect moves torque, the strongest first."""
-        values = self.outcome.refit.values[self._starts[number] : self._starts[number + 1]]
-        energy = self.evidence.field.by_joint(self.evidence.added([self.accepted[number]], values) ** 2)
+        energy = self.evidence.field.by_joint(self.evidence.added([self.accepted[number]], self._own[number]) ** 2)
         felt = feels(energy)
         return [int(j) for j in np.argsort(-energy) if felt[j]]
 
     def _felt_in_field(self, number: int) -> dict[str, float]:
         """By joint, RMS of what one effect adds to the torque where it acts in the field, N·m."""
         candidate = self.accepted[number]
-        values = self.outcome.refit.values[self._starts[number] : self._starts[number + 1]]
         stacked = stacked_effect(self._field, candidate.effect, candidate.constants)
-        torque, joint = stacked.columns @ values, self._field.joint[stacked.rows]
+        torque, joint = stacked.columns @ self._own[number], self._field.joint[stacked.rows]
         names = self.evidence.base.model.arm.joint_names
         acts = {row: torque[(joint == row) & (torque != 0.0)] for row in self._felt_at(number)}
         return {names[row]: float(np.sqrt(np.mean(own**2))) for row, own in acts.items() if len(own)}

@@ -264,10 +264,7 @@ class Competition:
 
     def _is_possible(self, number: int) -> bool:
         """Whether one accepted effect has values that its physics has, fitted with all others."""
-        values = self.evidence.refit(self.accepted).values
-        first = sum(len(candidate.effect.parameters) for candidate in self.accepted[:number])
-        own = values[first : first + len(self.accepted[number].effect.parameters)]
-        return self._is_plausible(self.accepted[number], own)
+        return self._is_plausible(*[*with_own(self.accepted, self.evidence.refit(self.accepted).values)][number])
 
     def _leave_out_events(self) -> None:
         """Judge nothing on held-out rows during an event like one that was found."""

@@ -12,7 +12,7 @@ from ..dynamics.effects.friction import VacuumFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..estimate.consistency import make_consistent
 from ..regression.prior import make_prior
-from .evidence import Candidate, Evidence
+from .evidence import Candidate, Evidence, with_own
 from .rivals import UNKNOWN
 
 
@@ -39,10 +39,7 @@ def extended_model(
     parameters = make_consistent(base.model, evidence.base_triangle, parameters, scale)
     structure: Structure = {kind: dict(options) for kind, options in base.model.structure.items()}
     found: list[tuple[Effect, FloatArray, tuple[float, ...]]] = []
-    first = 0
-    for candidate in accepted:
-        own = values[first : first + len(candidate.effect.parameters)]
-        first += len(candidate.effect.parameters)
+    for candidate, own in with_own(accepted, values):
         if candidate.effect.kind != UNKNOWN and is_term(candidate.effect):
             found.append((candidate.effect, own, candidate.constants))
     first = count + evidence.nuisance

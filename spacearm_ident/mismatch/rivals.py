@@ -107,27 +107,27 @@ def rivals(motions: Sequence[Motion]) -> Iterator[Options]:
 
 def _dependences(motions: Sequence[Motion]) -> Iterator[Options]:
     joints = motions[0].joints
-    position = np.concatenate([motion.position for motion in motions])
-    velocity = np.concatenate([motion.velocity for motion in motions])
     length = max(len(motion.position) / motion.rate_hz for motion in motions)
-    torque = np.concatenate([motion.torque for motion in motions])
-    low, high = np.percentile(position, INNER, axis=0)
-    slow, fast = np.percentile(velocity, INNER, axis=0)
-    least, most = np.percentile(torque, INNER, axis=0)
+    ends = {
+        of: np.percentile(np.concatenate([getattr(motion, of) for motion in motions]), INNER, axis=0)
+        for of in ("position", "velocity", "torque")
+    }
+
+    def between(of: str, row: int) -> dict[str, float]:
+        return dict(zip(("low", "high"), ends[of][:, row].tolist()))
+
     for row, joint in enumerate(joints):
-        bounds = {"low": float(low[row]), "high": float(high[row])}
-        yield {"joint": joint, "of": "position", "count": 9, **bounds}
-        yield {"joint": joint, "of": "friction_position", "count": 9, **bounds}
-        yield {"joint": joint, "of": "velocity", "count": 8, "low": float(slow[row]), "high": float(fast[row])}
-        yield {"joint": joint, "of": "torque", "count": 8, "low": float(least[row]), "high": float(most[row])}
+        yield {"joint": joint, "of": "position", "count": 9, **between("position", row)}
+        yield {"joint": joint, "of": "friction_position", "count": 9, **between("position", row)}
+        yield {"joint": joint, "of": "velocity", "count": 8, **between("velocity", row)}
+        yield {"joint": joint, "of": "torque", "count": 8, **between("torque", row)}
         yield {"joint": joint, "of": "time_periodic"}
         yield {"joint": joint, "of": "time_window"}
         yield {"joint": joint, "of": "time_drift", "length": length}
         for k, name in enumerate(joints):
             if k != row:
-                both = {"joint": joint, "with": name, "count": 6}
-                yield {**both, "of": "position", "low": float(low[k]), "high": float(high[k])}
-                yield {**both, "of": "velocity", "low": float(slow[k]), "high": float(fast[k])}
+                for of in ("position", "velocity"):
+                    yield {"joint": joint, "with": name, "count": 6, "of": of, **between(of, k)}
 
 
 def _splines(signal: FloatArray, low: float, high: float, count: int) -> FloatArray:
