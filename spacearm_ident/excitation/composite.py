@@ -58,28 +58,22 @@ PURPOSES = {
 }
 """Purpose -> its motion, with the spectrum, in words."""
 
-EXPERIMENT_OF = {
-    "friction_drift": "temperature",
-    "temperature_friction": "temperature",
-    "load_friction": "ripple",
-    "gear_efficiency": "ripple",
-    "presliding_hysteresis": "presliding",
-    "position_friction": "ripple",
-    "stribeck": "stribeck",
-    "torque_ripple": "ripple",
-    "encoder_eccentricity": "ripple",
-    "harness_spring": "ripple",
-    "wrist_coupling": "ripple",
-    "joint_elasticity": "elasticity",
-    "link_flexibility": "elasticity",
-    "rotor_coupling": "elasticity",
-    "floating_base": "elasticity",
-    "time_delay": "elasticity",
-    "filter_lag": "elasticity",
+_SHOWS = {
+    "temperature": ("friction_drift", "temperature_friction"),
+    "ripple": (
+        *("load_friction", "gear_efficiency", "position_friction", "torque_ripple"),
+        *("encoder_eccentricity", "harness_spring", "wrist_coupling"),
+    ),
+    "presliding": ("presliding_hysteresis",),
+    "stribeck": ("stribeck",),
+    "elasticity": (
+        *("joint_elasticity", "link_flexibility", "rotor_coupling", "floating_base"),
+        *("time_delay", "filter_lag"),
+    ),
 }
+EXPERIMENT_OF = {effect: purpose for purpose, effects in _SHOWS.items() for effect in effects}
 """Effect of the contract -> the composite run that is the experiment which it asks for (`Effect.experiment`); what the
 others ask for is none."""
-
 
 LEAST_RANGE = 2 * max(AMPLITUDES_RAD)
 """rad (m): of a joint that may move over less, the largest of the slow sines has no room: in less, a joint does little

@@ -27,7 +27,6 @@ from ..dynamics.model import (
     structure_of,
 )
 from ..environment.gravity import require_gravity_choice
-from ..environment.gravity_loop import GravityLoop
 from ..environment.momentum import base_body
 from ..errors import UnfitDataError, UserError
 from ..estimate.consistency import make_consistent
@@ -48,6 +47,7 @@ from .cad_scale import prior_note
 from .coupled_wrist import try_coupling
 from .cross_check import fit_instrumental, fit_output_error
 from .fit import Fit, covariance_of, fit_as_published, fit_model, freedom, revealed, with_hidden_speeds
+from .gravity_loop import GravityLoop
 from .own_recordings import own_recordings, parts_left_out
 from .structure import choose_structure
 from .torque_gain import assumed_covariance, gain_shifts, with_gain
@@ -166,7 +166,7 @@ def _with_own_recordings(result: Identified, fit: Fit, settings: Settings) -> Id
 
 
 def _fitted(
-    model: TorqueModel, motions: list[Motion], settings: Settings, gravity_loop: GravityLoop[Fit], report: Progress
+    model: TorqueModel, motions: list[Motion], settings: Settings, gravity_loop: GravityLoop, report: Progress
 ) -> tuple[Fit, tuple[Choice, ...], CouplingTrial | None]:
     """The fit by least squares in the torque, and what was decided about the structure unless the user had."""
     if settings.solver == PSO_LM:
@@ -189,7 +189,7 @@ def _fitted(
     return fit, choices, coupling
 
 
-def _gravity_loop(settings: Settings, arm: Arm, motions: list[Motion]) -> GravityLoop[Fit]:
+def _gravity_loop(settings: Settings, arm: Arm, motions: list[Motion]) -> GravityLoop:
     """How gravity is estimated, if it is.
 
     Raises:
@@ -203,13 +203,7 @@ def _gravity_loop(settings: Settings, arm: Arm, motions: list[Motion]) -> Gravit
             raise UserError("gravity cannot be estimated under a moving base: its IMU measures what is felt of it")
         if settings.solver == CLOE:
             raise UserError(f"the solver {CLOE} simulates a fixed base, and this one moves: take {SEPARABLE}")
-    return GravityLoop(
-        require_gravity_choice(settings.gravity, arm.gravity),
-        arm.gravity,
-        lambda model, start: fit_model(model, motions, start),
-        covariance_of,
-        lambda fit: max(sum(freedom(fit).values()), 1.0),
-    )
+    return GravityLoop(require_gravity_choice(settings.gravity, arm.gravity), arm.gravity, motions)
 
 
 def _check(recordings: Sequence[Recording], arm: Arm) -> None:

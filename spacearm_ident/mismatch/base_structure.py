@@ -91,37 +91,18 @@ def choose_base(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
 
 def _options(model: TorqueModel) -> list[_Option]:
     joints = model.arm.joint_names
-    options = [
-        _Option(
-            OptionalTerm.LOAD,
-            joint,
-            frozenset({f"mu[{joint}]"}),
-            frozenset(),
-            _joint_adder("stribeck_friction", "load", joint),
-        )
-        for joint in joints
-    ]
-    options += [
-        _Option(
-            OptionalTerm.OFFSET,
-            joint,
-            frozenset({f"offset[{joint}]"}),
-            frozenset(),
-            _joint_adder("torque_offset", "joints", joint),
-        )
-        for joint in joints
-    ]
-    even, odd = ({f"{symbol}[{joint}]" for joint in joints} for symbol in ("k_v2", ViscousFriction.ODD))
-    options.append(
-        _Option(
-            OptionalTerm.ODD,
-            "",
-            frozenset(odd),
-            frozenset(even),
-            lambda structure: {**structure, "viscous_friction": {"quadratic": "odd"}},
-        )
+    listed = (
+        (OptionalTerm.LOAD, "mu", "stribeck_friction", "load"),
+        (OptionalTerm.OFFSET, "offset", "torque_offset", "joints"),
     )
-    return options
+    options = [
+        _Option(kind, joint, frozenset({f"{symbol}[{joint}]"}), frozenset(), _joint_adder(term, option, joint))
+        for kind, symbol, term, option in listed
+        for joint in joints
+    ]
+    even, odd = (frozenset(f"{symbol}[{joint}]" for joint in joints) for symbol in ("k_v2", ViscousFriction.ODD))
+    quadratic: Structure = {"viscous_friction": {"quadratic": "odd"}}
+    return [*options, _Option(OptionalTerm.ODD, "", odd, even, lambda structure: {**structure, **quadratic})]
 
 
 def _joint_adder(kind: str, option: str, joint: str) -> Callable[[Structure], Structure]:

@@ -372,18 +372,3 @@ def known_axis(place: Options) -> None:
     axis = np.array(place["axis"], dtype=float)
     if axis.shape != (3,) or not np.any(axis):
         raise ValueError("axis is three numbers, not all zero")
-
-
-__all__ = [
-    "Background",
-    "Effect",
-    "Options",
-    "Shown",
-    "direction",
-    "each",
-    "known_axis",
-    "known_joint",
-    "known_joints",
-    "nothing",
-    "own",
-]
