@@ -17,7 +17,6 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.base_parameters import base_parameters
 from ..dynamics.model import TorqueModel
-from ..dynamics.term import Constant, Parameter
 from ..estimate.consistency import link_parameters, make_consistent
 from ..estimate.environment import SEEN_SHARE, Environment, judge_vacuum, without_temperature
 from ..estimate.identified import Determination, Estimate, Identified, Move
@@ -118,7 +117,7 @@ def _estimates(result: Updated, values: FloatArray) -> tuple[Estimate, ...]:
     centre = np.concatenate([values, result.model.constants])
     errors, factors = result.standard_errors, result.factors
     estimates = []
-    for k, item in enumerate(_unknowns(model)):
+    for k, item in enumerate(model.unknowns):
         value, error = float(centre[k]), float(errors[k])
         if result.before[k] <= 0:
             note = "held at the prior's value" if value else "not in the prior"
@@ -133,10 +132,6 @@ def _estimates(result: Updated, values: FloatArray) -> tuple[Estimate, ...]:
     return tuple(estimates)
 
 
-def _unknowns(model: TorqueModel) -> tuple[Parameter | Constant, ...]:
-    return (*model.parameters, *model.constants)
-
-
 def _moves(ground: GroundPrior, result: Updated, values: FloatArray) -> tuple[Move, ...]:
     """Every parameter and constant that could move, in the model's order."""
     model = result.model.model
@@ -145,7 +140,7 @@ def _moves(ground: GroundPrior, result: Updated, values: FloatArray) -> tuple[Mo
     columns = np.column_stack([was, result.before, now, result.standard_errors, result.variance_reduction])
     return tuple(
         Move(item.name, item.unit, *columns[k].tolist())
-        for k, item in enumerate(_unknowns(model))
+        for k, item in enumerate(model.unknowns)
         if result.before[k] > 0
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from .arm import Arm
-from .regressor import joint_rotation
+from .regressor import joint_placement
 
 Frames = list[tuple[FloatArray, FloatArray]]
 """The base's and every joint's rotation (3, 3, T) and origin (3, T) in the base frame."""
@@ -18,10 +18,6 @@ def frames_of(arm: Arm, postures: FloatArray) -> Frames:
     frames = [(np.tile(np.eye(3)[..., None], samples), np.zeros((3, samples)))]
     for joint, q in zip(arm.joints, postures.T):
         turn, origin = frames[joint.parent + 1]
-        if joint.revolute:
-            own, moved = joint_rotation(joint, q), joint.translation[:, None]
-        else:
-            own = joint.rotation[..., None]
-            moved = joint.translation[:, None] + (joint.rotation @ joint.axis)[:, None] * q
+        own, moved = joint_placement(joint, q)
         frames.append((np.einsum("ijt,jkt->ikt", turn, own), origin + (turn * moved).sum(axis=1)))
     return frames

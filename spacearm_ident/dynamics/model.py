@@ -176,6 +176,16 @@ class TorqueModel:
         """All nonlinear constants."""
         return tuple(constant for term in self.terms for constant in term.constants)
 
+    @property
+    def unknowns(self) -> tuple[Parameter | Constant, ...]:
+        """Parameters, then constants."""
+        return (*self.parameters, *self.constants)
+
+    @property
+    def first_inertial(self) -> int | None:
+        """Number of the first link's mass; None without rigid links."""
+        return next((first for term, first, _ in self.numbered() if isinstance(term, RigidBody)), None)
+
     def numbered(self) -> Iterator[tuple[Term, int, int]]:
         """Each term with the numbers of its first parameter and first constant."""
         parameter = constant = 0
@@ -222,7 +232,7 @@ class TorqueModel:
             constants: (c,) in the order of `self.constants`.
         """
         count = 10 * len(self.arm.joints)
-        first = next((first for term, first, _ in self.numbered() if isinstance(term, RigidBody)), None)
+        first = self.first_inertial
         inertials = None if first is None else parameters[first : first + count].reshape(-1, 10)
         healthy = tuple(kind for kind in self.structure if kind not in EFFECTS)
         return Background(
@@ -465,8 +475,7 @@ class IdentifiedModel:
             KeyError: The model has none of that name.
         """
         name = f"{symbol}[{joint}]"
-        known: tuple[Parameter | Constant, ...] = (*self.model.parameters, *self.model.constants)
-        for item, value in zip(known, (*self.parameters, *self.constants)):
+        for item, value in zip(self.model.unknowns, (*self.parameters, *self.constants)):
             if item.name == name:
                 return float(value)
         raise KeyError(name)

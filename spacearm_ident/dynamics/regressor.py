@@ -191,12 +191,7 @@ def regressor(arm: Arm, position: FloatArray, velocity: FloatArray, acceleration
 def _child_motion(joint: Joint, carrier: _LinkMotion, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> _LinkMotion:
     """Forward recursion over one joint, velocities and accelerations expressed in the child's frame."""
     axis = joint.axis[:, None]
-    if joint.revolute:
-        rotation = joint_rotation(joint, q)
-        origin = joint.translation[:, None]
-    else:
-        rotation = joint.rotation[:, :, None]
-        origin = joint.translation[:, None] + (joint.rotation @ joint.axis)[:, None] * q
+    rotation, origin = joint_placement(joint, q)
     omega = times_transposed(rotation, carrier.omega)
     epsilon = times_transposed(rotation, carrier.epsilon)
     accel = times_transposed(
@@ -211,18 +206,22 @@ def _child_motion(joint: Joint, carrier: _LinkMotion, q: FloatArray, qd: FloatAr
     return _LinkMotion(omega, epsilon, accel, rotation, origin)
 
 
-def joint_rotation(joint: Joint, q: FloatArray) -> FloatArray:
-    """(3, 3, N) child to parent: the fixed placement, then Rodrigues' formula about the axis.
+def joint_placement(joint: Joint, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(3, 3, N or 1) child to parent, and (3, N or 1) its origin there, m; turned by Rodrigues' formula about the axis.
 
     Args:
-        joint: A revolute joint.
-        q: (N,) rad.
+        joint: With its fixed placement.
+        q: (N,) rad or m.
     """
+    origin = joint.translation[:, None]
+    if not joint.revolute:
+        return joint.rotation[:, :, None], origin + (joint.rotation @ joint.axis)[:, None] * q
     x, y, z = joint.axis
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     along = joint.rotation @ np.outer(joint.axis, joint.axis)
     parts = np.stack([joint.rotation - along, joint.rotation @ skew, along], axis=2)
-    return np.asarray((parts.reshape(9, 3) @ np.stack([np.cos(q), np.sin(q), np.ones_like(q)])).reshape(3, 3, -1))
+    turned = parts.reshape(9, 3) @ np.stack([np.cos(q), np.sin(q), np.ones_like(q)])
+    return turned.reshape(3, 3, -1), origin
 
 
 def times_transposed(matrix: FloatArray, vector: FloatArray) -> FloatArray:

@@ -26,7 +26,6 @@ from ..arrays import FloatArray
 from ..dynamics.arm import EARTH
 from ..dynamics.model import TorqueModel
 from ..dynamics.regressor import rigid_body_blocks
-from ..dynamics.rigid_body import RigidBody
 from ..errors import UserError
 from ..estimate.environment import GRAVITY_SCALE, LEVEL, ZERO_ERROR, GravityEstimate, wald
 from ..regression.prior import Prior
@@ -90,10 +89,9 @@ def first_inertial(model: TorqueModel) -> int:
     Raises:
         UserError: The model has no rigid links.
     """
-    for term, first, _ in model.numbered():
-        if isinstance(term, RigidBody):
-            return first
-    raise UserError("gravity can be estimated with rigid_body in the structure only: add it")
+    if model.first_inertial is None:
+        raise UserError("gravity can be estimated with rigid_body in the structure only: add it")
+    return model.first_inertial
 
 
 def weight_columns(

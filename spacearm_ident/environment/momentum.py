@@ -27,7 +27,7 @@ from ..dynamics.base_link import base_inertial, base_link
 from ..dynamics.base_parameters import ORDER, BaseParameters, random_base, regroup
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import BASE_LINK, BASE_ROWS, INERTIAL_SYMBOLS, rigid_body_blocks
-from ..dynamics.rigid_body import INERTIAL_UNITS, RigidBody
+from ..dynamics.rigid_body import INERTIAL_UNITS
 from ..dynamics.term import Parameter
 from ..estimate.determination import KNOWN_SHARE
 from ..estimate.identified import BaseBody, Determination, Estimate
@@ -82,7 +82,7 @@ def base_body(
     """
     model = identified.model
     carried = [motion for motion in motions if motion.base is not None]
-    first = next((first for term, first, _ in model.numbered() if isinstance(term, RigidBody)), None)
+    first = model.first_inertial
     if not carried or first is None:
         return None, []
     mine = slice(first, first + 10 * len(model.arm.joints))

@@ -15,7 +15,6 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.friction import ViscousFriction
-from ..dynamics.rigid_body import RigidBody
 from .criteria import Question
 from .regressor_gradient import DifferentiableRegressor
 from .segments import Motion
@@ -47,7 +46,7 @@ class SmoothColumns:
         self._arm = model.arm
         links = range(len(model.arm.joints))
         self._placed: tuple[np.ndarray, np.ndarray] | None = None
-        first = next((first for term, first, _ in model.numbered() if isinstance(term, RigidBody)), None)
+        first = model.first_inertial
         numbers = np.empty((0, 10), int) if first is None else first + np.arange(10 * len(links)).reshape(-1, 10)
         self._leading = [int(k) for k in numbers.ravel() if k in question.leads]
         self.inertials = np.zeros((len(links), 10)) if first is None else question.identified.parameters[numbers]

@@ -247,7 +247,8 @@ def _suited(found: _WithNoise, by_prediction: _Start, motions: Sequence[Motion])
     other = _with_noise(by_prediction, motions, weighted)
     if as_error.inflation < MODEL_ERROR and not _predicts_better(other.left_out, found.left_out):
         return found
-    return _widened(replace(other, weighted=True))
+    # The noise is as large as what is left of parts that a fit left out, where that is more.
+    return replace(other, weighted=True, noise=_at_least(other.noise, other.left_out.rms_Nm))
 
 
 def _predicts_better(other: LeftOut, first: LeftOut) -> bool:
@@ -255,11 +256,6 @@ def _predicts_better(other: LeftOut, first: LeftOut) -> bool:
     with np.errstate(divide="ignore", invalid="ignore"):
         cost = np.nanmean(2.0 * np.log(first.rms_Nm / other.rms_Nm))
     return bool(t_of_all(first.squares, other.squares) > bound(LEVEL, len(first.squares)) and cost > COST)
-
-
-def _widened(found: _WithNoise) -> _WithNoise:
-    """With the noise as large as what is left of parts that a fit left out, where that is more."""
-    return replace(found, noise=_at_least(found.noise, found.left_out.rms_Nm))
 
 
 def _at_least(noise: Noise, rms_Nm: FloatArray) -> Noise:

@@ -78,7 +78,9 @@ class Residuals:
     def rms(self, residual: FloatArray) -> FloatArray:
         """(n,) weighted RMS by joint; NaN where a joint has fewer than `FEWEST_ROWS`."""
         squares = self.scene.by_joint(self.information * residual**2)
-        information = self.scene.by_joint(self.information)
+        return self._root_mean(squares, self.scene.by_joint(self.information))
+
+    def _root_mean(self, squares: FloatArray, information: FloatArray) -> FloatArray:
         squares[self._few] = np.nan
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(squares / information))
@@ -114,10 +116,7 @@ class Residuals:
         np.add.at(information, (self.scene.joint, parts), self.information)
         mean = np.divide(squares, information, out=np.zeros(shape), where=information > 0.0)
         kept = np.argsort(mean, axis=1)[:, :-BEST]
-        squares, information = (np.take_along_axis(x, kept, axis=1).sum(axis=1) for x in (squares, information))
-        squares[self._few] = np.nan
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.sqrt(squares / information))
+        return self._root_mean(*(np.take_along_axis(x, kept, axis=1).sum(axis=1) for x in (squares, information)))
 
     def without_band(self, residual: FloatArray, bands: Sequence[tuple[float, float] | None]) -> FloatArray:
         """(V,) the residual less what it has between two frequencies, Hz, of each motion.
