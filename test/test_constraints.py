@@ -41,7 +41,8 @@ BALLS = """<robot name="balls"><link name="base">
 
 
 def needs(**changes):
-    return replace(Requirements.of(nominal_model(ARM), LIMITS, torque_share=1.0), **changes)
+    whole = np.array([joint.effort_limit for joint in ARM.joints])
+    return replace(Requirements(LIMITS, whole, nominal_model(ARM)), **changes)
 
 
 def series(a, hz=0.5):

@@ -18,7 +18,7 @@ from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf, load_arm
 from spacearm_ident.dynamics.urdf_chain import bounded, choose_joints, locked
 from spacearm_ident.excitation.clearance import Clearance
-from spacearm_ident.excitation.constraints import Requirements, check, limits_for_excitation, require
+from spacearm_ident.excitation.constraints import Requirements, allowed_torque, check, limits_for_excitation, require
 from spacearm_ident.excitation.nominal import nominal_model
 from spacearm_ident.excitation.segments import Rest
 from spacearm_ident.excitation.trajectory import Trajectory
@@ -133,7 +133,7 @@ def test_arms_of_others_are_found_in_their_urdf_with_meshes_and_a_posture_to_res
     limits, _ = limits_for_excitation(arm, arm.start)
     clearance = Clearance(arm, 0.0, limits.lower, limits.upper)
     assert clearance.source == "the URDF's collision geometry"
-    needs = Requirements.of(nominal_model(arm), limits, clearance=clearance)
+    needs = Requirements(limits, allowed_torque(arm), nominal_model(arm), clearance=clearance)
     require(check(Trajectory(arm.joint_names, (Rest(arm.start, 0.1),)), needs))
 
 

@@ -23,7 +23,7 @@ from spacearm_ident.excitation.composite import (
     experiment_for,
     with_slow_segment,
 )
-from spacearm_ident.excitation.constraints import Requirements, check, limits_for_excitation
+from spacearm_ident.excitation.constraints import Requirements, allowed_torque, check, limits_for_excitation
 from spacearm_ident.excitation.nominal import nominal_model
 from spacearm_ident.excitation.run import check_limits, plan_run
 from spacearm_ident.excitation.segments import Chirp, Cruise, Motion, MotionLimits, Quintic, Rest, still
@@ -39,7 +39,8 @@ JOINTS = ("shoulder", "elbow")
 ARM = arm_from_urdf(small_arm.URDF)
 START = np.array([0.2, -0.3])
 LIMITS, _ = limits_for_excitation(ARM, START, np.array([40.0, 40.0]))
-NEEDS = Requirements.of(nominal_model(ARM), LIMITS, clearance=Clearance(ARM, 0.0, np.full(2, -3.0), np.full(2, 3.0)))
+CLEARANCE = Clearance(ARM, 0.0, np.full(2, -3.0), np.full(2, 3.0))
+NEEDS = Requirements(LIMITS, allowed_torque(ARM), nominal_model(ARM), clearance=CLEARANCE)
 
 
 @given(st.floats(0.5, 3.0), st.floats(0.1, 2.0), st.floats(2.5, 6.0))

@@ -22,7 +22,7 @@ from ..dynamics.model_file import load_model
 from ..errors import UserError
 from ..excitation.clearance import NEEDED_M, Clearance
 from ..excitation.composite import PURPOSES, compose, with_slow_segment
-from ..excitation.constraints import Margin, Requirements, check, limits_for_excitation
+from ..excitation.constraints import Margin, Requirements, allowed_torque, check, limits_for_excitation
 from ..excitation.criteria import CRITERIA, CRITERION_WORDS, DEFAULT_CRITERION, Question
 from ..excitation.genetic import evolve
 from ..excitation.joint_trajectory import PATH_RATE_HZ, save_joint_trajectory
@@ -274,10 +274,8 @@ def requirements(
         notes.append(f"clearance not checked for pairs that overlap in nearly every posture: {pairs}")
     if options.model is None:
         notes.append("torque from CAD inertials alone; --model adds identified friction and rotor inertias")
-    structural = options.structural_frequency
-    needs = Requirements.of(
-        identified, limits, structural_hz=structural, clearance=clearance, accelerations=accelerations
-    )
+    structural_hz = options.structural_frequency
+    needs = Requirements(limits, allowed_torque(arm), identified, structural_hz, clearance, accelerations)
     return needs, notes
 
 

@@ -19,7 +19,7 @@ from ..dynamics.mimics import follower_words, refuse_coupled
 from ..dynamics.urdf_chain import Selection, choose_joints, locked
 from ..errors import UserError
 from ..excitation.clearance import Clearance
-from ..excitation.constraints import Requirements, limits_for_excitation
+from ..excitation.constraints import Requirements, allowed_torque, limits_for_excitation
 from ..excitation.nominal import nominal_model
 from ..excitation.start_posture import possible_start
 from ..recording.intake import listing as listed
@@ -159,7 +159,7 @@ def _start(arm: Arm) -> tuple[FloatArray | None, str]:
         return None, ""
     ground = 0.0 if full.gravity[2] < 0 else None
     clearance = Clearance(full, ground, limits.lower, limits.upper)
-    needs = Requirements.of(nominal_model(full), limits, clearance=clearance)
+    needs = Requirements(limits, allowed_torque(full), nominal_model(full), clearance=clearance)
     return possible_start(full, needs), clearance.lacking
 
 

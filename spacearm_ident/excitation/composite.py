@@ -22,7 +22,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..errors import UserError
-from .constraints import Requirements, check, model_torque, require
+from .constraints import Requirements, allowed_torque, check, model_torque, require
 from .nominal import nominal_model
 from .segments import Chirp, Cruise, Motion, MotionLimits, Quintic, Rest, Segment, still
 from .trajectory import FourierTrajectory, Trajectory, random_feasible
@@ -348,7 +348,7 @@ def experiment_for(
         UserError: No such experiment within the limits: which one, and by how much.
     """
     home = np.zeros(len(arm.joints)) if start is None else np.asarray(start, dtype=float)
-    needs = needs or Requirements.of(nominal_model(arm), limits)
+    needs = needs or Requirements(limits, allowed_torque(arm), nominal_model(arm))
     needs = replace(needs, motion=limits)
     purpose = EXPERIMENT_OF.get(effect, effect)
     if purpose in PURPOSES:

@@ -66,34 +66,15 @@ class Requirements:
     clearance: Clearance | None = None
     accelerations: tuple[float, ...] = (1.0,)
 
-    @classmethod
-    def of(
-        cls,
-        identified: IdentifiedModel,
-        motion: MotionLimits,
-        *,
-        torque_share: float = TORQUE_SHARE,
-        structural_hz: float | None = None,
-        clearance: Clearance | None = None,
-        accelerations: tuple[float, ...] = (1.0,),
-    ) -> Requirements:
-        """The requirements of a model's arm, with a share of its torque limits allowed.
-
-        Args:
-            identified: The model that predicts torque; its arm states the torque limits.
-            motion: Limits of position, velocity, acceleration and, where given, jerk, in the arm's order.
-            torque_share: Allowed torque over the arm's torque limit.
-            structural_hz: The structure's first resonance, Hz; None: not stated.
-            clearance: Distances to keep; None: not checked.
-            accelerations: Multiples of the planned acceleration with which torque must be kept, 1 among them.
-        """
-        torque = torque_share * np.array([joint.effort_limit for joint in identified.model.arm.joints])
-        return cls(motion, torque, identified, structural_hz, clearance, accelerations)
-
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the n joints."""
         return self.identified.model.arm.joint_names
+
+
+def allowed_torque(arm: Arm) -> FloatArray:
+    """(n,) N·m that a run may ask for: `TORQUE_SHARE` of each torque limit of an arm."""
+    return TORQUE_SHARE * np.array([joint.effort_limit for joint in arm.joints])
 
 
 def limits_for_excitation(
