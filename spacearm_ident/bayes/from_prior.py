@@ -70,8 +70,7 @@ class GroundPrior:
     @property
     def names(self) -> tuple[str, ...]:
         """Of the rows of the covariance."""
-        model = self.model.model
-        return (*(item.name for item in model.parameters), *(item.name for item in model.constants))
+        return tuple(item.name for item in self.model.model.unknowns)
 
     @property
     def factor(self) -> FloatArray:
@@ -153,9 +152,7 @@ class Updated:
     def factors(self) -> FloatArray:
         """(p + c,) half widths of the 95 % intervals in standard errors: Student's as far as the data decided."""
         joints = self.model.model.arm.joint_names
-        model = self.model.model
-        places = [*(item.joint for item in model.parameters), *(item.joint for item in model.constants)]
-        least = self.freedom.min()
+        places, least = [item.joint for item in self.model.model.unknowns], self.freedom.min()
         freedom = [self.freedom[joints.index(joint)] if joint in joints else least for joint in places]
         normal = float(student.ppf(0.975, np.inf))
         return np.asarray(normal + self.variance_reduction * (student.ppf(0.975, np.array(freedom)) - normal))
