@@ -20,6 +20,7 @@ from spacearm_ident.commissioning.can_check import check_can
 from spacearm_ident.commissioning.machine_check import check_machine
 from spacearm_ident.commissioning.params_check import check_params, declared_parameters
 from spacearm_ident.commissioning.result import CheckResult, Level
+from spacearm_ident.driver import arm_can
 from spacearm_ident.nodes.main import NODES
 
 CONFIG = Path(__file__).parent.parent / "config"
@@ -216,6 +217,19 @@ def test_without_a_data_sheet_of_ones_own_it_is_said(tmp_path):
     path = edited(CAN, tmp_path, lambda data: None)
     (tmp_path / "spacearm_drive.eds").unlink()
     assert any("is not beside the CAN file" in line for line in found(check_can(path), Level.WARN))
+
+
+def test_a_bus_is_opened_at_the_bit_rates_of_the_file(tmp_path, monkeypatch):
+    asked = []
+
+    def opened(interface, channel, **options):
+        asked.append(options)
+        return LocalBus(channel)
+
+    monkeypatch.setattr(arm_can, "open_bus", opened)
+    path = edited(CAN, tmp_path, lambda data: data.update(bitrate=500_000, data_bitrate=2_000_000))
+    check_can(path)
+    assert asked and all(one == {"bitrate": 500_000, "fd": True, "data_bitrate": 2_000_000} for one in asked)
 
 
 def test_who_is_on_a_bus_is_heard(monkeypatch):

@@ -50,7 +50,6 @@ def test_every_name_of_the_contract_is_there():
     assert set(CONTRACT) <= set(EFFECTS)
     assert "unknown" not in EFFECTS
     assert all(kind == effect.kind for kind, effect in EFFECTS.items())
-    assert all(set(effect.confused_with) <= set(EFFECTS) for effect in EFFECTS.values())
 
 
 NEEDS_NO_BACKGROUND = {

@@ -14,7 +14,6 @@ from canopen.objectdictionary import ODVariable
 from ..canbus.arm_bus import ArmBus, optional_writes, required_writes
 from ..canbus.cycle import HEARTBEAT
 from ..canbus.eds import eds_path
-from ..canbus.open_bus import open_bus
 from ..canbus.pdo import SYNC, Field, SdoWrite
 from ..driver.arm_can import ArmCan, load_arm_can
 from ..dynamics.arm import Arm, load_arm
@@ -182,10 +181,8 @@ def _reach(config: ArmCan, number: int) -> Iterator[CheckResult]:
     """Open a bus and listen; nothing is sent."""
     address, subject = config.buses[number], f"bus {number}"
     where = f"{address.interface} '{address.channel}'"
-    rate = config.bus.bit_rate
-    options: dict[str, Any] = {"bitrate": round(rate.nominal), "fd": rate.data is not None}
     try:
-        bus = open_bus(address.interface, address.channel, **options)
+        bus = config.open_one(address)
     except UserError as error:
         message, _, hint = str(error).rpartition(": ")
         yield fail(subject, message or str(error), hint)

@@ -71,20 +71,28 @@ class ArmCan:
     limits: Limits
     eds: str = "spacearm_drive.eds"
 
+    def open_one(self, address: BusAddress) -> can.BusABC:
+        """Open one of the buses at the arm's bit rates.
+
+        Raises:
+            UserError: It cannot be opened.
+        """
+        rate = self.bus.bit_rate
+        options: dict[str, Any] = {"bitrate": round(rate.nominal), "fd": rate.data is not None}
+        if rate.data is not None:
+            options["data_bitrate"] = round(rate.data)
+        return open_bus(address.interface, address.channel, **options)
+
     def open(self) -> list[can.BusABC]:
         """Open all buses.
 
         Raises:
             UserError: One cannot be opened.
         """
-        rate = self.bus.bit_rate
-        options: dict[str, Any] = {"bitrate": round(rate.nominal), "fd": rate.data is not None}
-        if rate.data is not None:
-            options["data_bitrate"] = round(rate.data)
         opened: list[can.BusABC] = []
         try:
             for address in self.buses:
-                opened.append(open_bus(address.interface, address.channel, **options))
+                opened.append(self.open_one(address))
         except UserError:
             for bus in opened:
                 bus.shutdown()

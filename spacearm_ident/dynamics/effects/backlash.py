@@ -163,7 +163,6 @@ class Backlash(Compliance):
     words: ClassVar[str] = "play in the gear"
     equation: ClassVar[str] = "-(M d'' + C d' + G d), d free within the gap, on a spring beyond"
     source: ClassVar[str] = "Nordin and Gutman 2002"
-    confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "presliding_hysteresis", "time_delay")
     experiment: ClassVar[str] = "slow reversals of the load (not only of the speed): gravity from either side"
     remedy: ClassVar[str] = (
         "look at the gear and the coupling of motor and link: play grows; until then use the model that has it"

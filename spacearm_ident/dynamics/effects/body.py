@@ -32,7 +32,6 @@ class Payload(Effect):
     words: ClassVar[str] = "an unknown payload"
     equation: ClassVar[str] = "Y_k [m, m c]"
     source: ClassVar[str] = "Khalil, Gautier and Lemoine 2007"
-    confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "base_tilt", "harness_spring")
     experiment: ClassVar[str] = "the same motion with the gripper turned by a right angle"
     remedy: ClassVar[str] = (
         "take it off if it should not be there; else enter its mass and centre as the payload of controller and model"
@@ -127,7 +126,6 @@ class HeldObject(Payload):
 
     words: ClassVar[str] = "an object was picked up and put down again"
     equation: ClassVar[str] = "Y_k [m, m c] between t_0 and t_1"
-    confused_with: ClassVar[tuple[str, ...]] = ("external_contact",)
     experiment: ClassVar[str] = "the same motion with an empty gripper"
     remedy: ClassVar[str] = (
         "enter its mass and centre as the payload while it is held, or leave that time out of what is fitted"
@@ -195,7 +193,6 @@ class BaseTilt(Effect):
     words: ClassVar[str] = "the base is tilted"
     equation: ClassVar[str] = "G(q; tilt x g)"
     source: ClassVar[str] = "gravity as a prior, paper §2.2.2"
-    confused_with: ClassVar[tuple[str, ...]] = ("payload", "current_offset", "harness_spring")
     sizes: ClassVar[tuple[str, ...]] = ("tilt",)
     experiment: ClassVar[str] = "a level on the base; or the same motion with joint 1 turned by a right angle"
     remedy: ClassVar[str] = "level the base, or enter the direction of gravity (--gravity)"
@@ -257,7 +254,6 @@ class FloatingBase(Effect):
     words: ClassVar[str] = "the base floats and reacts"
     equation: ClassVar[str] = "-M_mb M_bb^-1 (M_bm qdd + c_b)"
     source: ClassVar[str] = "Umetani and Yoshida 1989"
-    confused_with: ClassVar[tuple[str, ...]] = ("base_flexibility", "joint_elasticity", "payload")
     experiment: ClassVar[str] = (
         "record /base_imu; move one joint alone, then the next (spacearm excite --for elasticity)"
     )
@@ -373,7 +369,6 @@ class ExternalContact(Effect):
     words: ClassVar[str] = "something touched the arm for a while"
     equation: ClassVar[str] = "J(q, p)^T F between t_0 and t_1, with soft edges"
     source: ClassVar[str] = "De Luca and Mattone 2005"
-    confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
     sizes: ClassVar[tuple[str, ...]] = ("force",)
     experiment: ClassVar[str] = "the same motion again: a contact does not come back at the same place by itself"
     remedy: ClassVar[str] = "find out what touched the arm then, and leave that time out of what is fitted"

@@ -293,7 +293,6 @@ class JointElasticity(Compliance):
     words: ClassVar[str] = "the gear gives way like a spring"
     equation: ClassVar[str] = "-(M d'' + C d' + G d), M d'' + C d' + G d + K d (1 + (d/d_2)^2) = tau_load"
     source: ClassVar[str] = "Spong 1987; hardening: Tuttle 1992"
-    confused_with: ClassVar[tuple[str, ...]] = ("link_flexibility", "base_flexibility", "backlash", "payload")
     experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
     remedy: ClassVar[str] = (
         "keep the motion below its resonance, or use the model that has it; if it is new, look at the gear"
@@ -340,7 +339,6 @@ class LinkFlexibility(Compliance):
     words: ClassVar[str] = "the link bends"
     equation: ClassVar[str] = "-(M d'' + C d' + G d) about a hinge square to the link's length"
     source: ClassVar[str] = "lumped first mode; De Luca and Siciliano 1991"
-    confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "base_flexibility", "backlash")
     experiment: ClassVar[str] = "a chirp past the resonance of one joint at a time (spacearm excite --for elasticity)"
     remedy: ClassVar[str] = (
         "keep the motion below its resonance, or use the model that has it; if it is new, look at the link's joints"
@@ -379,7 +377,6 @@ class BaseFlexibility(Compliance):
     words: ClassVar[str] = "the base rocks"
     equation: ClassVar[str] = "-(M d'' + C d' + G d) about a horizontal axis at the base, or about both alike"
     source: ClassVar[str] = "lumped first mode of the mounting"
-    confused_with: ClassVar[tuple[str, ...]] = ("joint_elasticity", "link_flexibility", "floating_base", "base_tilt")
     experiment: ClassVar[str] = "a step of joint 1 with the arm stretched: an accelerometer at the base sees it rock"
     remedy: ClassVar[str] = "tighten the base's mount, or keep the motion below its resonance"
 

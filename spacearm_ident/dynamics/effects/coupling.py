@@ -35,7 +35,6 @@ class RotorCoupling(Effect):
     words: ClassVar[str] = "the spinning rotor couples joints"
     equation: ClassVar[str] = "J (z_i . z_j) qdd_j at joint i, and i, j exchanged; J qdd_j by bevel gears"
     source: ClassVar[str] = "Murphy, Wen and Saridis 1991"
-    confused_with: ClassVar[tuple[str, ...]] = ("wrist_coupling", "joint_elasticity", "payload")
     experiment: ClassVar[str] = "quick moves of each of the two joints alone, with the other held (--for elasticity)"
     remedy: ClassVar[str] = "use the model that has it: it is a property of the drives' arrangement"
 
@@ -108,7 +107,6 @@ class WristCoupling(Effect):
         "less that of its own at the joint"
     )
     source: ClassVar[str] = "Stäubli TX wrist; Gautier and Briot 2014"
-    confused_with: ClassVar[tuple[str, ...]] = ("rotor_coupling", "position_friction", "load_friction")
     experiment: ClassVar[str] = "each joint of the wrist alone at constant speed, the others still (--for ripple)"
     remedy: ClassVar[str] = (
         "check the wrist's coupling ratio in the conversion of motor to joint positions; else use the model that has it"

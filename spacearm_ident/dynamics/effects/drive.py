@@ -31,7 +31,6 @@ class TorqueConstant(Effect):
     words: ClassVar[str] = "the torque constant is off"
     equation: ClassVar[str] = "e tau (with temperature: e tau (T - T_0))"
     source: ClassVar[str] = "demagnetisation, calibration; Gautier and Briot 2014"
-    confused_with: ClassVar[tuple[str, ...]] = ("payload", "friction_drift", "load_friction")
     experiment: ClassVar[str] = "the same motion with a known mass at the flange"
     remedy: ClassVar[str] = (
         "correct the joint's torque constant by it, or calibrate the torque sensor against a known mass"
@@ -93,7 +92,6 @@ class MotorSaturation(Effect):
     words: ClassVar[str] = "the motor saturates: more current than torque at high load"
     equation: ClassVar[str] = "s tau^3 (deep in saturation: + s_5 tau^5)"
     source: ClassVar[str] = "first terms of the odd series of a saturating torque-current curve"
-    confused_with: ClassVar[tuple[str, ...]] = ("torque_constant", "load_friction", "vacuum_friction")
     experiment: ClassVar[str] = "high torque at low speed and low torque at high speed"
     remedy: ClassVar[str] = (
         "keep the joint's torque below where the current bends, or convert current to torque by that curve"
@@ -127,7 +125,6 @@ class CurrentOffset(Effect):
     words: ClassVar[str] = "constant offset of the current sensor"
     equation: ClassVar[str] = "offset"
     source: ClassVar[str] = "current sensor data sheets"
-    confused_with: ClassVar[tuple[str, ...]] = ("asymmetric_friction", "harness_spring", "base_tilt")
     same_torque: ClassVar[tuple[str, ...]] = ("asymmetric_friction",)
     experiment: ClassVar[str] = "read the currents with the brakes on: an offset of the sensor stays, friction goes"
     remedy: ClassVar[str] = "set the current sensor's zero again, or take the offset off the recorded torque"
@@ -171,7 +168,6 @@ class TimeDelay(_Late):
     words: ClassVar[str] = "the recorded torque is late, or early, by a fixed time"
     equation: ClassVar[str] = "tau(t - d) - tau(t), d < 0 where the motion is late"
     source: ClassVar[str] = "fieldbus and filter delays; MuJoCo and PACE identification reports"
-    confused_with: ClassVar[tuple[str, ...]] = ("filter_lag", "joint_elasticity", "presliding_hysteresis")
     experiment: ClassVar[str] = (
         "a chirp to the drive's bandwidth (--for elasticity): delay turns phase in proportion to it"
     )
@@ -232,7 +228,6 @@ class FilterLag(_Late):
     words: ClassVar[str] = "the recorded torque went through a low-pass"
     equation: ClassVar[str] = "tau filtered by 1/(1 + T s), or by 1/(1 + T s + (T s)^2/2), minus tau"
     source: ClassVar[str] = "current filters of drives"
-    confused_with: ClassVar[tuple[str, ...]] = ("time_delay", "joint_elasticity", "presliding_hysteresis")
     experiment: ClassVar[str] = (
         "a chirp to the drive's bandwidth (--for elasticity): a filter also takes amplitude away"
     )

@@ -29,14 +29,13 @@ Shown = dict[str, tuple[float, str]]
 class Effect(Term):
     """One effect at one place.
 
-    Subclasses set `kind` (its name in the contract), `words`, `equation`, `source`, `confused_with` (kinds), what
-    `experiment` would separate them, and implement `at` (the effect at one place) and `columns`.
+    Subclasses set `kind` (its name in the contract), `words`, `equation`, `source`, `experiment` (what tells it from
+    others), and implement `at` (the effect at one place) and `columns`.
     In a model's structure the options are `{"at": [place, ...]}`, one a term.
     """
 
     equation: ClassVar[str]
     source: ClassVar[str]
-    confused_with: ClassVar[tuple[str, ...]] = ()
     experiment: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
     """What to do about it once it is beyond doubt, in words."""

@@ -50,7 +50,6 @@ class FrictionDrift(_Friction):
     words: ClassVar[str] = "friction level changed"
     equation: ClassVar[str] = "(df_c + creep t) sgn(qd) + dk_v1 qd, t since the recording began"
     source: ClassVar[str] = "paper eq. 2; wear and lubrication"
-    confused_with: ClassVar[tuple[str, ...]] = ("temperature_friction", "torque_constant", "load_friction")
     experiment: ClassVar[str] = (
         "constant speeds there and back after a rest, with the joint temperatures recorded (--for temperature)"
     )
@@ -155,7 +154,6 @@ class TemperatureFriction(_Friction):
     words: ClassVar[str] = "friction follows temperature"
     equation: ClassVar[str] = "[alpha_c sgn(qd) + alpha_v qd] (T - T_0)"
     source: ClassVar[str] = "paper §2.2.2"
-    confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "torque_constant")
     experiment: ClassVar[str] = "constant-velocity runs over a temperature sweep (spacearm excite --for temperature)"
     remedy: ClassVar[str] = "record the temperatures and identify with them (--temperature), or warm the arm up first"
     forms: ClassVar[tuple[Options, ...]] = ({"of": ["f_c"]}, {"of": ["k_v1"]}, {"of": ["f_c", "k_v1"]})
@@ -189,7 +187,6 @@ class LoadFriction(_Friction):
     words: ClassVar[str] = "friction grows with the load on the gear"
     equation: ClassVar[str] = "mu |tau_load| sgn(qd); by the input: tau_load = load + all friction, this one included"
     source: ClassVar[str] = "Hamon, Gautier and Garrec 2010"
-    confused_with: ClassVar[tuple[str, ...]] = ("gear_efficiency", "torque_constant", "friction_drift")
     experiment: ClassVar[str] = (
         "with a known load at the flange, slow constant speed in both directions: up and down (--for ripple)"
     )
@@ -232,7 +229,6 @@ class GearEfficiency(_Friction):
     words: ClassVar[str] = "the gear loses a share of the power it transmits"
     equation: ClassVar[str] = "tau_load (1/eta - 1) driving, tau_load (eta - 1) driven"
     source: ClassVar[str] = "Chevallereau and Khalil 1987"
-    confused_with: ClassVar[tuple[str, ...]] = ("load_friction", "torque_constant")
     experiment: ClassVar[str] = (
         "with a known load at the flange, slow constant speed in both directions: up and down (--for ripple)"
     )
@@ -266,7 +262,6 @@ class PreslidingHysteresis(_Friction):
     words: ClassVar[str] = "friction builds up over a distance after each reversal"
     equation: ClassVar[str] = "f (z - sgn(qd)), dz/ds = (sgn(qd) - z)/d_s"
     source: ClassVar[str] = "Dahl 1968; Canudas de Wit et al. 1995"
-    confused_with: ClassVar[tuple[str, ...]] = ("backlash", "stribeck", "time_delay", "filter_lag")
     experiment: ClassVar[str] = "slow reversals at several amplitudes (spacearm excite --for presliding)"
     remedy: ClassVar[str] = (
         "use the model that has it where the joint reverses slowly, or leave reversals out of what is fitted"
@@ -302,7 +297,6 @@ class PositionFriction(_Friction):
     words: ClassVar[str] = "friction depends on the joint's position"
     equation: ClassVar[str] = "[a sin(n q) + b cos(n q)] sgn(qd), or a exp(-((q - q_0)/w)^2) sgn(qd)"
     source: ClassVar[str] = "Simoni et al. 2017"
-    confused_with: ClassVar[tuple[str, ...]] = ("torque_ripple", "harness_spring", "load_friction")
     experiment: ClassVar[str] = "slow constant speed over its range in both directions (--for ripple)"
     remedy: ClassVar[str] = (
         "look at the joint there (bearing, seal, cable); if the arm stays so, use the model that has it"
@@ -355,7 +349,6 @@ class AsymmetricFriction(_Friction):
     words: ClassVar[str] = "more friction in one direction"
     equation: ClassVar[str] = "a + b |qd|"
     source: ClassVar[str] = "Armstrong-Hélouvry, Dupont and Canudas de Wit 1994"
-    confused_with: ClassVar[tuple[str, ...]] = ("current_offset", "harness_spring", "base_tilt")
     experiment: ClassVar[str] = "read the currents with the brakes on: an offset of the sensor stays, friction goes"
     remedy: ClassVar[str] = (
         "look at what drags in one direction (cable, seal, sensor offset); if the arm stays so, identify it again"
@@ -395,7 +388,6 @@ class Stribeck(_Friction):
     words: ClassVar[str] = "friction is higher at low speeds"
     equation: ClassVar[str] = "f exp(-(qd/v)^2) sgn(qd), or f exp(-|qd/v|) sgn(qd)"
     source: ClassVar[str] = "paper eq. 2; Tustin 1947; Bo and Pavelescu 1982"
-    confused_with: ClassVar[tuple[str, ...]] = ("presliding_hysteresis", "friction_drift", "time_delay")
     experiment: ClassVar[str] = "constant speeds from a thousandth to a tenth of a radian a second (--for stribeck)"
     remedy: ClassVar[str] = "use the model that has it at low speeds; if it is new, look at the lubricant"
     forms: ClassVar[tuple[Options, ...]] = ({}, {"law": EXPONENTIAL})
@@ -432,7 +424,6 @@ class VacuumFriction(_Friction):
     in_vacuum: ClassVar[bool] = True
     equation: ClassVar[str] = "-share (k_v2 qd^2 + k_v3 qd^3)"
     source: ClassVar[str] = "paper §2.2.2"
-    confused_with: ClassVar[tuple[str, ...]] = ("friction_drift", "motor_saturation")
     experiment: ClassVar[str] = "faster motion: the terms grow with the square and the cube of speed"
     remedy: ClassVar[str] = "use the model without these terms as long as the arm is in vacuum"
     of_all: ClassVar[bool] = True

@@ -26,7 +26,6 @@ class TorqueRipple(Effect):
     words: ClassVar[str] = "torque ripple over the joint's position"
     equation: ClassVar[str] = "a sin(N q) + b cos(N q)"
     source: ClassVar[str] = "cogging and gear mesh; Olsen and Petersen 2001"
-    confused_with: ClassVar[tuple[str, ...]] = ("position_friction", "encoder_eccentricity", "harness_spring")
     experiment: ClassVar[str] = "slow constant speed over its range in both directions (--for ripple)"
     remedy: ClassVar[str] = "use the model that has it as feed-forward; if it is new, look at the motor and the gear"
 
@@ -91,7 +90,6 @@ class HarnessSpring(Effect):
     source: ClassVar[str] = (
         "cable harnesses of space manipulators; one-sided: the spring of a unilateral contact, Hunt and Crossley 1975"
     )
-    confused_with: ClassVar[tuple[str, ...]] = ("payload", "base_tilt", "current_offset", "position_friction")
     experiment: ClassVar[str] = (
         "slow constant speed over its range, then once more with the next joints folded (--for ripple)"
     )
@@ -165,7 +163,6 @@ class EncoderEccentricity(Effect):
     words: ClassVar[str] = "the encoder is off its centre: its reading errs once a turn"
     equation: ClassVar[str] = "q_read = q + a sin(n q) + b cos(n q), through inertia, gravity and viscosity"
     source: ClassVar[str] = "encoder data sheets"
-    confused_with: ClassVar[tuple[str, ...]] = ("torque_ripple", "position_friction", "harness_spring")
     experiment: ClassVar[str] = (
         "constant speed over its range: eccentricity shows in velocity, ripple in torque (--for ripple)"
     )
@@ -222,7 +219,6 @@ class EncoderZero(Effect):
     words: ClassVar[str] = "the encoder's zero has moved"
     equation: ClassVar[str] = "q_read = q + e, through inertia and gravity"
     source: ClassVar[str] = "the model's gradient by position"
-    confused_with: ClassVar[tuple[str, ...]] = ("payload", "base_tilt", "encoder_eccentricity", "current_offset")
     experiment: ClassVar[str] = "move the joint to its reference mark and read the encoder"
     remedy: ClassVar[str] = (
         "set the encoder's zero again at the joint's reference mark, or correct it (position_offset_rad)"
