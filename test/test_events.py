@@ -181,7 +181,7 @@ def test_a_joint_that_drags_twice_is_one_finding_and_nothing_is_judged_while_it_
 
 
 def test_joints_that_drag_at_the_same_time_are_one_finding_that_no_temperature_explains(monkeypatch):
-    monkeypatch.setattr("spacearm_ident.mismatch.explain.CLOSE", 0.0)
+    monkeypatch.setattr("spacearm_ident.mismatch.next_step.CLOSE", 0.0)
 
     def both(planted):
         return sum(dragging(joint, torque_Nm, (5.0, 10.0))(planted) for joint, torque_Nm in ((0, 3.0), (1, 1.5)))

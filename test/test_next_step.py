@@ -203,7 +203,7 @@ def test_an_event_is_said_to_be_outside_the_held_out_data_and_these_are_no_all_c
     for text in (console, html):
         assert words in text and "nan %" not in text and "not testable" not in text
     assert "residual RMS" not in console and "Residual RMS over the noise floor" not in html
-    assert to_document(whole)["findings"][0]["validation"]["unchecked"] == words
+    assert to_document(whole)["findings"][0]["unchecked"] == words
     # Beside a finding that the held-out data do have, they say something.
     assert "residual RMS" in summary(explanation(finding(), told, before_Nm=NOISE), Path("page"), "N m")
     assert "residual RMS" in summary(explanation(told), Path("page"), "N m")

@@ -107,7 +107,9 @@ def refine(effect: Effect, constants: Values, gain: Gain, best: float) -> Values
             return -gain((*at[:k], value, *at[k + 1 :]))
 
         trials = REACHES if constant.reach else REFINEMENTS
-        found = minimize_scalar(loss, bounds=bounds, method="bounded", options={"maxiter": trials})
+        # Values that the physics has not gain minus infinity; the parabola through such a point is none.
+        with np.errstate(invalid="ignore"):
+            found = minimize_scalar(loss, bounds=bounds, method="bounded", options={"maxiter": trials})
         if -found.fun > best:
             best, constants = -found.fun, (*constants[:k], float(found.x), *constants[k + 1 :])
     return constants

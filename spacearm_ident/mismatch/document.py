@@ -64,6 +64,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
         },
         "confidence": finding.confidence,
         "visibility": finite(finding.visibility),
+        "unchecked": finding.unchecked or None,
         "remedy": finding.remedy or None,
         "alternatives": [
             {"effect": a.effect, "joints": list(a.joints), "score": finite(a.score), "why_not": a.why_not}
@@ -73,6 +74,5 @@ def _finding(finding: Finding) -> dict[str, Any]:
             "rms_before_Nm": {joint: finite(value) for joint, value in finding.before_Nm.items()},
             "rms_after_Nm": {joint: finite(value) for joint, value in finding.after_Nm.items()},
             "explained_fraction": finite(finding.explained),
-            "unchecked": finding.unchecked or None,
         },
     }
