@@ -93,7 +93,7 @@ class HarnessSpring(Effect):
     experiment: ClassVar[str] = (
         "slow constant speed over its range, then once more with the next joints folded (--for ripple)"
     )
-    remedy: ClassVar[str] = "look at the cables and hoses along the joint; if they stay so, use the model that has it"
+    remedy: ClassVar[str] = "look at cables, hoses and stops of the joint; if they stay so, use the model that has it"
     forms: ClassVar[tuple[Options, ...]] = ({}, *({"side": side} for side in SIDES))
 
     @classmethod
