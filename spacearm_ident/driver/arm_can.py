@@ -74,6 +74,9 @@ class ArmCan:
     def open_one(self, address: BusAddress) -> can.BusABC:
         """Open one of the buses at the arm's bit rates.
 
+        Args:
+            address: One of `buses`.
+
         Raises:
             UserError: It cannot be opened.
         """

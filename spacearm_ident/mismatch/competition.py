@@ -264,7 +264,8 @@ class Competition:
 
     def _is_possible(self, number: int) -> bool:
         """Whether one accepted effect has values that its physics has, fitted with all others."""
-        return self._is_plausible(*[*with_own(self.accepted, self.evidence.refit(self.accepted).values)][number])
+        candidate, own = [*with_own(self.accepted, self.evidence.refit(self.accepted).values)][number]
+        return self._is_plausible(candidate, own)
 
     def _leave_out_events(self) -> None:
         """Judge nothing on held-out rows during an event like one that was found."""

@@ -17,7 +17,7 @@ from ..regressor import cross, rigid_body_blocks
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, nothing, share_of
 from .linearised import COARSE_HZ, interpolate, rigid_torque
-from .window import LENGTHS_S, LONG_STARTS_S, STARTS_S, shares_within
+from .window import STARTS_S, long_window, shares_within, while_it_lasts
 
 MASS = ("m", "mcx", "mcy", "mcz")
 HEAVIEST_KG, LONGEST_M = 50.0, 2.0
@@ -69,12 +69,7 @@ class Payload(Effect):
         ]
         if place.get("inertia"):
             parameters += [Parameter(f"dI{axis}{axis}", joint, "kg m^2", scale=0.2) for axis in "xyz"]
-        return cls(tuple(parameters), cls.window_of(joint), place=place)
-
-    @classmethod
-    def window_of(cls, joint: str) -> tuple[Constant, ...]:
-        """Constants of when it is held: none, for it always is."""
-        return ()
+        return cls(tuple(parameters), long_window(joint) if place.get("for_a_while") else (), place=place)
 
     @property
     def per_recording(self) -> tuple[int, ...]:
@@ -132,11 +127,6 @@ class HeldObject(Payload):
     )
     one_cause: ClassVar[bool] = True
 
-    @classmethod
-    def window_of(cls, joint: str) -> tuple[Constant, ...]:
-        """When it is picked up, and how long it is held."""
-        return Constant("start", joint, "s", LONG_STARTS_S, begins=True), Constant("length", joint, "s", LENGTHS_S)
-
     def again(self, arm: Arm) -> Effect:
         """The next one."""
         return replace(self)
@@ -147,16 +137,7 @@ class HeldObject(Payload):
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Those of a payload, while it is held."""
-        always = super().columns(motion, constants, background)
-        if self.elsewhere(motion):
-            return nothing(motion, list(always), len(self.parameters))
-        start, length = constants
-        at, shares = shares_within(motion, start, length, rise=0.0)
-        held: Columns = {}
-        for row, (indices, columns) in always.items():
-            held[row] = indices, np.zeros_like(columns)
-            held[row][1][at] = shares[:, None] * columns[at]
-        return held
+        return while_it_lasts(self, super().columns(motion, constants, background), motion, constants)
 
     def shown(self, values: FloatArray) -> Shown:
         """Mass, where it is, and when."""

@@ -15,7 +15,7 @@ from ..background import Background
 from ..friction import bristle_state, excess_temperature
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own, share_of
-from .window import LENGTHS_S, LONG_STARTS_S, shares_within
+from .window import long_window, while_it_lasts
 
 BETWEEN = 1.05
 """A constant nearer to the end of its grid than this ratio is at its end."""
@@ -72,12 +72,8 @@ class FrictionDrift(_Friction):
             "k_v1": Parameter("dk_v1", joint, "N m s/rad", dimension=(0, 1, 0)),
             "creep": Parameter("creep", joint, "N m/s", scale=1.0),
         }
-        return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), cls.window_of(joint), place=place)
-
-    @classmethod
-    def window_of(cls, joint: str) -> tuple[Constant, ...]:
-        """Constants of when it is so: none, for it always is."""
-        return ()
+        window = long_window(joint) if place.get("for_a_while") else ()
+        return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), window, place=place)
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Direction, velocity, and direction times time."""
@@ -112,11 +108,6 @@ class PassingFriction(FrictionDrift):
     )
     one_cause: ClassVar[bool] = True
 
-    @classmethod
-    def window_of(cls, joint: str) -> tuple[Constant, ...]:
-        """When it begins to drag, and for how long."""
-        return Constant("start", joint, "s", LONG_STARTS_S, begins=True), Constant("length", joint, "s", LENGTHS_S)
-
     def again(self, arm: Arm) -> Effect:
         """The next time."""
         return replace(self)
@@ -127,16 +118,7 @@ class PassingFriction(FrictionDrift):
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Those of a level that changed, while it is so."""
-        always = super().columns(motion, constants, background)
-        if self.elsewhere(motion):
-            return nothing(motion, list(always), len(self.parameters))
-        start, length = constants
-        at, shares = shares_within(motion, start, length, rise=0.0)
-        passing: Columns = {}
-        for row, (indices, columns) in always.items():
-            passing[row] = indices, np.zeros_like(columns)
-            passing[row][1][at] = shares[:, None] * columns[at]
-        return passing
+        return while_it_lasts(self, super().columns(motion, constants, background), motion, constants)
 
     def where(self, values: FloatArray) -> str:
         """Its window, and how much more or less there was."""

@@ -6,6 +6,8 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...signals.motion import Motion
+from ..term import Columns, Constant, Values
+from .effect import Effect, nothing
 
 STARTS_S = tuple(float(t) for t in np.arange(0.0, 600.0, 0.5))
 """When an event may begin; those of them within the recording are looked at."""
@@ -34,3 +36,28 @@ def shares_within(motion: Motion, start: float, length: float, rise: float) -> t
         return at, np.ones(at.stop - at.start)
     come = np.minimum(time[at] - start, start + length - time[at]) / min(rise, 0.5 * length)
     return at, 0.5 - 0.5 * np.cos(np.pi * np.clip(come, 0.0, 1.0))
+
+
+def long_window(joint: str) -> tuple[Constant, ...]:
+    """Constants of what lasts longer than a touch at a joint: when it begins, and how long it lasts."""
+    return Constant("start", joint, "s", LONG_STARTS_S, begins=True), Constant("length", joint, "s", LENGTHS_S)
+
+
+def while_it_lasts(effect: Effect, always: Columns, motion: Motion, constants: Values) -> Columns:
+    """Columns of what an arm else has all the time, in the window of an event.
+
+    Args:
+        effect: The event, of which there is nothing in other recordings.
+        always: Its columns if it lasted throughout.
+        motion: N samples.
+        constants: Start and length, s, as of `long_window`.
+    """
+    if effect.elsewhere(motion):
+        return nothing(motion, list(always), len(effect.parameters))
+    start, length = constants
+    at, shares = shares_within(motion, start, length, rise=0.0)
+    passing: Columns = {}
+    for row, (indices, columns) in always.items():
+        passing[row] = indices, np.zeros_like(columns)
+        passing[row][1][at] = shares[:, None] * columns[at]
+    return passing
