@@ -17,7 +17,7 @@ from spacearm_ident.excitation.trajectory_file import load_trajectory
 from spacearm_ident.mismatch.document import to_document
 from spacearm_ident.mismatch.finding import MISMATCH, Alternative, Explanation, Finding, Quantity, joined, unfit
 from spacearm_ident.mismatch.judgement import doubted
-from spacearm_ident.mismatch.next_step import next_experiment, outside_held_out, with_remedy
+from spacearm_ident.mismatch.next_step import next_experiment, outside_held_out, sure_of_remedy
 from spacearm_ident.mismatch.run_set import RunSet
 from spacearm_ident.recording.recording import Source
 from spacearm_ident.report.mismatch_folder import write_mismatch
@@ -30,6 +30,7 @@ NOISE = np.array([0.1, 0.05])
 
 def finding(effect="payload", joint="elbow", *, close=(), **changes):
     """A finding, and which effects explain as much."""
+    named = EFFECTS.get(effect)
     made = Finding(
         effect=effect,
         joints=(joint,),
@@ -45,6 +46,8 @@ def finding(effect="payload", joint="elbow", *, close=(), **changes):
         before_Nm={joint: 0.71},
         after_Nm={joint: 0.1},
         explained=0.96,
+        experiment=named.experiment if named else "",
+        remedy=named.remedy if named else "",
     )
     return replace(made, **changes)
 
@@ -178,12 +181,12 @@ def test_a_dependence_that_leaves_most_is_said_to_be_weak(explained, left, weakl
 def test_every_effect_has_a_remedy_and_a_sure_finding_shows_it():
     for kind, effect in EFFECTS.items():
         assert effect.remedy, kind
-    sure = with_remedy(finding(), in_air=True)
+    sure = sure_of_remedy(finding(), in_air=True)
     told = explanation(sure)
     assert f"next: {EFFECTS['payload'].remedy}" in summary(told, Path("page"), "N m")
     assert EFFECTS["payload"].remedy in page(told)
     assert to_document(told)["findings"][0]["remedy"] == EFFECTS["payload"].remedy
-    assert not with_remedy(finding(close=["base_tilt"]), in_air=True).remedy
+    assert not sure_of_remedy(finding(close=["base_tilt"]), in_air=True).remedy
 
 
 # --- what was not checked -----------------------------------------------------------------------------------------

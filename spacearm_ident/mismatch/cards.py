@@ -77,6 +77,7 @@ class Cards:
             felt_Nm=felt,
             event=event,
             experiment=effect.experiment,
+            remedy=effect.remedy,
             windows=self._windows(effect, values),
             driver=str(effect.place.get("with", "")) if effect.kind == UNKNOWN else "",
         )

@@ -29,7 +29,7 @@ from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Happened, Unex
 from .healthy import Healthy, healthy_levels
 from .integrity import faults
 from .judgement import BEYOND_A_DAY, WEAKLY, beyond_healthy, clears_up, contradicted, doubted, harms, shows
-from .next_step import next_experiment, outside_held_out, with_remedy
+from .next_step import next_experiment, outside_held_out, sure_of_remedy
 from .null import exceeds_null
 from .power import would_have_seen
 from .preparation import ChooseStructure, Prepared, prepare_evidence
@@ -150,7 +150,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
     if evidence.reference is not None:
         findings = calibrated(findings)
     in_air = bool(np.any(evidence.base.model.arm.gravity))
-    findings = tuple(with_remedy(finding, in_air) for finding in findings)
+    findings = tuple(sure_of_remedy(finding, in_air) for finding in findings)
     words, next_effect, next_joints = next_experiment(findings, in_air)
     # Without a finding nothing was added to the reference's model, whatever a refit to the field would leave.
     added, rms_added = (after, rms_after) if findings else (before, rms_before)

@@ -32,8 +32,7 @@ def next_experiment(findings: Sequence[Finding], in_air: bool) -> tuple[str | No
             return _of_unknown(finding)
         close = _close(finding, in_air)
         if close:
-            experiment = finding.experiment or EFFECTS[finding.effect].experiment
-            words = f"{experiment}: separates {finding.effect} from {close[0].effect}"
+            words = f"{finding.experiment}: separates {finding.effect} from {close[0].effect}"
             # Of an event that is the motion that was recorded, and no other.
             return words, "" if finding.event else finding.effect, finding.joints
     return None, "", ()
@@ -70,16 +69,16 @@ def _of_unknown(finding: Finding) -> tuple[str, str, tuple[str, ...]]:
     return words, "ripple", (joint,)
 
 
-def with_remedy(finding: Finding, in_air: bool) -> Finding:
-    """A finding with what to do about it; as it is where another explanation is as good.
+def sure_of_remedy(finding: Finding, in_air: bool) -> Finding:
+    """A finding without what to do about it where it has no name, or another explanation is as good.
 
     Args:
         finding: As named.
         in_air: As of `next_experiment`.
     """
     if finding.effect not in EFFECTS or _close(finding, in_air):
-        return finding
-    return replace(finding, remedy=EFFECTS[finding.effect].remedy)
+        return replace(finding, remedy="")
+    return finding
 
 
 def outside_held_out(findings: Sequence[Finding], field: Sequence[Recording], judged_on: str) -> tuple[Finding, ...]:
