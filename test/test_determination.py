@@ -100,6 +100,22 @@ def test_of_a_peak_much_narrower_than_a_reversals_blur_neither_width_nor_height_
         assert found[name].determination in (Determination.BOUND, Determination.PRIOR)
 
 
+def test_friction_at_one_speed_is_known_only_in_a_combination():
+    """Where a joint goes to and fro at speed v, f_c + k_v1 v is seen, and neither of them by itself."""
+    laws = Friction(f_c=3.0), Friction(f_c=3.0)
+    q, qd, qdd = (part.copy() for part in planted_arm.incommensurate(TIME, 2, 0, 0.8))
+    turn = np.tanh(np.sin(2.0 * TIME) / 0.05)
+    qd[:, 1] = 0.6 * turn
+    q[:, 1] = np.cumsum(qd[:, 1]) / RATE_HZ
+    qdd[:, 1] = np.gradient(qd[:, 1], 1 / RATE_HZ)
+    planted = planted_arm.plant(planted_arm.TWO_LINKS, laws, (q, qd, qdd), RATE_HZ)
+    result = identify([planted.recording(noise=0.5)], arm_from_urdf(planted.urdf))
+    found = {estimate.name: estimate for estimate in result.estimates}
+    assert found["k_v1[shoulder]"].determination is Determination.DATA
+    assert found["k_v1[elbow]"].determination is Determination.COMBINED
+    assert "f_c of elbow" in found["k_v1[elbow]"].note
+
+
 def test_of_a_joint_at_rest_nothing_is_claimed():
     planted = two_link_run((Friction(), Friction(f_c=3.0)), rate_hz=RATE_HZ)
     q, qd, qdd = planted.q.copy(), planted.qd.copy(), planted.qdd.copy()

@@ -63,9 +63,14 @@ def judge(
     }
     estimates = []
     left = _left_by_bounds(active_bounds(model, parameters, prior.scale), covariance[:count, :count])
+    correlation, alone = _correlations(covariance[:count, :count])
     for k, parameter in enumerate(model.parameters):
         determination, note = _parameter(parameter, k, base, float(errors[k]), float(prior.scale[k]))
         value = float(parameters[k])
+        if determination is Determination.PRIOR and k not in base.unseen and alone[k] < KNOWN_SHARE * prior.scale[k]:
+            other = model.parameters[int(np.argmax(np.abs(correlation[k])))]
+            determination = Determination.COMBINED
+            note = f"this motion shows it only with others, most of all {other.symbol} of {other.joint}"
         if determination is not Determination.FIXED and _at_bound(parameter, value, float(prior.scale[k])):
             determination, note = Determination.BOUND, "pushed against its physical bound"
         if determination is Determination.DATA and left[k] < BOUND_DECIDES:
@@ -94,6 +99,16 @@ def _parameter(
     if error > KNOWN_SHARE * scale:
         return Determination.PRIOR, "this motion does not reveal it"
     return Determination.DATA, ""
+
+
+def _correlations(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Correlations (p, p) of different parameters, and each one's standard error (p,) if all others were known."""
+    variance = np.diag(covariance)
+    size = np.where(variance > 0.0, np.sqrt(np.abs(variance)), 1.0)
+    correlation = covariance / np.outer(size, size)
+    precision = np.diag(np.linalg.pinv(correlation, rcond=1e-10, hermitian=True))
+    alone = size / np.sqrt(np.maximum(precision, 1.0))
+    return correlation - np.diag(np.diag(correlation)), alone
 
 
 def _left_by_bounds(held: FloatArray, covariance: FloatArray) -> FloatArray:
