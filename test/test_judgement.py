@@ -14,7 +14,7 @@ from spacearm_ident.mismatch.constants import polish, refine
 from spacearm_ident.mismatch.evidence import Candidate
 from spacearm_ident.mismatch.explain import explain
 from spacearm_ident.mismatch.finding import Alternative
-from spacearm_ident.mismatch.judgement import clears_up, contradicted, doubted, shows
+from spacearm_ident.mismatch.judgement import clears_up, contradicted, doubted, of_one_law, shows
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
 from spacearm_ident.mismatch.run_set import RunSet
@@ -43,6 +43,37 @@ def test_a_law_that_leaves_much_keeps_its_name_where_nothing_else_comes_near(rip
     finding = replace(finding, explained=0.7, after_Nm={"elbow": 0.3}, beside_Nm={}, alternatives=(far,))
     assert doubted(finding, {"elbow": 0.1}) == finding
     assert doubted(replace(finding, explained=0.6), {"elbow": 0.1}).effect == UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("explained", "felt_Nm", "apart"),
+    [
+        (0.6, {"elbow": 0.5, "shoulder": 0.1}, False),
+        (0.6, {"elbow": 0.5, "shoulder": 0.4}, True),
+        (0.95, {"elbow": 0.5}, True),
+    ],
+    ids=["its rest", "another joint as well", "nothing is left"],
+)
+def test_effects_that_are_fitted_to_what_an_unknown_law_leaves_are_no_findings(rippled, explained, felt_Nm, apart):
+    """Whose law is not known leaves a rest of any shape: contacts, friction for a while."""
+    (finding,) = rippled.findings
+    floor = {"elbow": 0.1, "shoulder": 0.1}
+    unknown = replace(finding, effect=UNKNOWN, explained=explained, after_Nm={"elbow": 0.5}, beside_Nm={})
+    contact = replace(finding, effect="external_contact", felt_Nm=felt_Nm)
+    found = of_one_law([unknown, contact], floor)
+    assert [one.effect for one in found] == [UNKNOWN, "external_contact"][: 1 + apart]
+    assert ("external_contact" in [other.effect for other in found[0].alternatives]) != apart
+    assert [one.effect for one in of_one_law([contact, unknown], floor)] == ["external_contact", UNKNOWN]
+
+
+def test_a_joint_has_one_finding_without_a_name(rippled):
+    (finding,) = rippled.findings
+    first, second = (
+        replace(finding, effect=UNKNOWN, where=where, before_Nm={"elbow": rms})
+        for where, rms in (("a", 1.0), ("b", 0.4))
+    )
+    (found,) = of_one_law([first, second], {"elbow": 0.1})
+    assert (found.where, found.before_Nm) == ("a; b", {"elbow": 1.0})
 
 
 @pytest.mark.parametrize(("event", "after", "named"), [(False, 0.2, False), (False, 0.104, True), (True, 0.2, True)])

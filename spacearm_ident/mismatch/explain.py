@@ -28,7 +28,7 @@ from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Happened, Unexplained, joined, unfit
 from .healthy import Healthy, healthy_levels
 from .integrity import faults
-from .judgement import BEYOND_A_DAY, WEAKLY, beyond_healthy, clears_up, contradicted, doubted, harms, shows
+from .judgement import BEYOND_A_DAY, WEAKLY, beyond_healthy, clears_up, contradicted, doubted, harms, of_one_law, shows
 from .next_step import next_experiment, outside_held_out, sure_of_remedy
 from .null import exceeds_null
 from .power import would_have_seen
@@ -266,7 +266,7 @@ def _named(made: Mapping[int, Finding], outcome: Outcome, floor: Mapping[str, fl
     """Findings, by the number of their effect, under the names that the data allow; a cause is one finding."""
     effects = [candidate.effect for candidate in outcome.accepted]
     stated = [contradicted(finding, effects[k], effects) for k, finding in made.items()]
-    return tuple(doubted(finding, floor) for finding in _by_cause(stated, list(floor)))
+    return of_one_law([doubted(finding, floor) for finding in _by_cause(stated, list(floor))], floor)
 
 
 def _by_cause(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[Finding, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -118,14 +118,23 @@ def joined(findings: Sequence[Finding], joints: Sequence[str]) -> Finding:
         confidence=max(finding.confidence for finding in findings),
         gain=sum(finding.gain for finding in findings),
         held_out_gain=sum(finding.held_out_gain for finding in findings),
-        before_Nm={joint: rms for finding in findings for joint, rms in finding.before_Nm.items()},
-        after_Nm={joint: rms for finding in findings for joint, rms in finding.after_Nm.items()},
-        beside_Nm={joint: rms for finding in findings for joint, rms in finding.beside_Nm.items()},
-        felt_Nm={joint: rms for finding in findings for joint, rms in finding.felt_Nm.items()},
+        before_Nm=_largest(finding.before_Nm for finding in findings),
+        after_Nm=_largest(finding.after_Nm for finding in findings),
+        beside_Nm=_largest(finding.beside_Nm for finding in findings),
+        felt_Nm=_largest(finding.felt_Nm for finding in findings),
         explained=sum(w * e for w, e in known) / sum(w for w, _ in known) if known else float("nan"),
         # What lasts beside what happened once is in the held-out data.
         windows=tuple(one for f in findings for one in f.windows) if all(f.windows for f in findings) else (),
     )
+
+
+def _largest(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """By joint, the largest of the parts that have it."""
+    largest = dict[str, float]()
+    for part in parts:
+        for joint, rms in part.items():
+            largest[joint] = max(rms, largest.get(joint, 0.0))
+    return largest
 
 
 def _told_apart(findings: Sequence[Finding]) -> dict[str, Quantity]:

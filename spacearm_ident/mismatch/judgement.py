@@ -10,13 +10,14 @@ from scipy.stats import norm
 
 from ..dynamics.effects.effect import Effect
 from .competition import CLEARS_UP, GATE
-from .finding import Alternative, Finding
+from .finding import Alternative, Finding, joined
 from .left_out import LEVEL
 from .rivals import UNKNOWN
 
 NAMES, LAW_LEFT = 0.8, 1.4
 """A finding that leaves more than a fifth of what there was on held-out data, and more than so many times the noise's
 variance, has not that name,"""
+REST = "is fitted to what a law without a name leaves"
 WEAKLY = "weakly: "
 """Before a dependence that leaves most of what there is to something else."""
 ALONE, RIVALLED = 0.65, 0.5
@@ -118,18 +119,59 @@ def doubted(finding: Finding, floor: Mapping[str, float]) -> Finding:
         floor: Joint -> noise floor, RMS, N·m.
     """
     if finding.effect == UNKNOWN:
-        weak = finding.explained < NAMES and times_noise(finding, floor) ** 2 > LAW_LEFT and not finding.windows
+        weak = _leaves_much(finding, floor) and not finding.windows
         return replace(finding, where=f"{WEAKLY}{finding.where}") if weak else finding
     worse = spoiled(finding, floor)
     if worse:
         why_not = f"leaves more than before at {' and '.join(worse)}"
         return _as_unknown(finding, why_not, f"which {why_not}")
-    left = times_noise(finding, floor)
     sole = finding.explained > ALONE and all(other.score < RIVALLED for other in finding.alternatives)
-    if not finding.explained < NAMES or left**2 <= LAW_LEFT or sole:
+    if sole or not _leaves_much(finding, floor):
         return finding
+    left = times_noise(finding, floor)
     why_not = f"explains {finding.explained:.0%}, and leaves {left:.1f} times the noise"
     return _as_unknown(finding, why_not, f"which leaves {left:.1f} times the noise")
+
+
+def _leaves_much(finding: Finding, floor: Mapping[str, float]) -> bool:
+    return finding.explained < NAMES and times_noise(finding, floor) ** 2 > LAW_LEFT
+
+
+def of_one_law(findings: Sequence[Finding], floor: Mapping[str, float]) -> tuple[Finding, ...]:
+    """Findings without those that are part of another one's law, which has no name.
+
+    What clearly is not the law of the largest residual at a joint leaves a rest of any shape: effects that are fitted
+    to the rest are not there. Two findings without a name at the same joints are one.
+
+    Args:
+        findings: Largest first, each as `doubted` has it.
+        floor: Joint -> noise floor, RMS, N·m.
+    """
+    kept: list[Finding] = []
+    for finding in findings:
+        for k, larger in enumerate(kept):
+            if larger.effect != UNKNOWN:
+                continue
+            if finding.effect == UNKNOWN and set(finding.joints) == set(larger.joints):
+                kept[k] = joined([larger, finding], finding.joints)
+                break
+            if finding.effect != UNKNOWN and _is_of_the_rest(finding, larger, floor):
+                share = finding.gain / larger.gain if larger.gain > 0.0 else 0.0
+                like = Alternative(
+                    finding.effect, finding.joints, share, "is fitted to what a law without a name leaves"
+                )
+                kept[k] = replace(larger, alternatives=(*larger.alternatives, like))
+                break
+        else:
+            kept.append(finding)
+    return tuple(kept)
+
+
+def _is_of_the_rest(finding: Finding, larger: Finding, floor: Mapping[str, float]) -> bool:
+    """Whether nearly all that an effect adds, in noise, is at joints of which another's law leaves much."""
+    felt = {joint: (rms / floor[joint]) ** 2 for joint, rms in finding.felt_Nm.items() if floor[joint] > 0.0}
+    there = sum(square for joint, square in felt.items() if joint in larger.joints)
+    return _leaves_much(larger, floor) and there > NAMES * sum(felt.values())
 
 
 def spoiled(finding: Finding, floor: Mapping[str, float]) -> tuple[str, ...]:
