@@ -529,6 +529,19 @@ def test_what_is_not_in_the_catalogue_is_called_unknown():
     assert answer.findings or answer.unexplained
 
 
+def test_friction_that_another_joint_changes_says_which():
+    """As of a cable that the other joint bends: the next experiment needs both joints."""
+
+    def friction(planted):
+        more = np.tanh((planted.q[:, 0] - np.median(planted.q[:, 0])) / 0.2)
+        return np.outer(0.8 * more * np.sign(planted.qd[:, 1]), [0.0, 1.0])
+
+    (finding,) = explained(friction).findings
+    assert (finding.effect, finding.joints, finding.driver) == (UNKNOWN, ("elbow",), "shoulder")
+    assert finding.where == "follows the position of shoulder times direction of motion"
+    assert finding.explained > 0.9
+
+
 def test_the_document_is_that_of_the_contract(rippled):
     document = json.loads(json.dumps(to_document(rippled), allow_nan=False))
     assert document["schema"] == "spacearm_ident/mismatch/1"

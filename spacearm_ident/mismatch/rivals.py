@@ -1,8 +1,8 @@
 """Generic rivals: dependences without a physics of their own, that named effects must beat.
 
-Smooth functions of position, of position times direction, of velocity, of torque, of another joint's motion; periodic
-or drifting in time. Where one of them explains what no named effect does, the honest name is `unknown`, with that
-dependence said.
+Smooth functions of the position or velocity of the joint or of another one, of that position times the joint's own
+direction of motion, of torque; periodic or drifting in time. Where one of them explains what no named effect does, the
+honest name is `unknown`, with that dependence said.
 """
 
 from __future__ import annotations
@@ -92,9 +92,10 @@ class Rival(Effect):
         if of == "time_window":
             return f"between {values[1]:.1f} and {values[1] + values[2]:.1f} s"
         whose = f"the {'position' if 'position' in of else of} of {other}" if other else f"its own {of}"
+        of_which = f"the position of {other}" if other else "position"
         return {
             "time_drift": "drifts in time",
-            "friction_position": "follows position times direction of motion",
+            "friction_position": f"follows {of_which} times direction of motion",
         }.get(of, f"follows {whose}")
 
 
@@ -126,8 +127,8 @@ def _dependences(motions: Sequence[Motion]) -> Iterator[Options]:
         yield {"joint": joint, "of": "time_drift", "length": length}
         for k, name in enumerate(joints):
             if k != row:
-                for of in ("position", "velocity"):
-                    yield {"joint": joint, "with": name, "count": 6, "of": of, **between(of, k)}
+                for of in ("position", "friction_position", "velocity"):
+                    yield {"joint": joint, "with": name, "count": 6, "of": of, **between(of.split("_")[-1], k)}
 
 
 def _splines(signal: FloatArray, low: float, high: float, count: int) -> FloatArray:
