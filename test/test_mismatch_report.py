@@ -16,6 +16,7 @@ from spacearm_ident.mismatch.finding import (
     MISMATCH,
     NO_MISMATCH,
     Alternative,
+    Detectable,
     Explanation,
     Finding,
     Quantity,
@@ -135,6 +136,16 @@ def test_page_says_it_in_the_order_an_engineer_reads() -> None:
     places = [words.find(item) for item in order]
     assert -1 not in places
     assert places == sorted(places)
+
+
+def test_page_says_which_effects_no_size_would_have_shown() -> None:
+    sizes = (
+        Detectable("friction_drift", ("elbow",), 0.4, "N m", "df_c"),
+        Detectable("backlash", ("shoulder",), np.inf, ""),
+    )
+    words = page(explanation(would_have_seen=sizes)).text
+    _, table = " ".join(words.split()).split("smallest that would have been detected ")
+    assert table.startswith("friction drift elbow df c 0.400 N·m backlash shoulder none ")
 
 
 def test_text_from_outside_cannot_become_markup() -> None:

@@ -42,7 +42,7 @@ def to_document(explanation: Explanation) -> dict[str, Any]:
 
 
 def smallest_size(one: Detectable) -> dict[str, Any]:
-    """What was not found, with the smallest size that would have been, as plain data; null where it is not known."""
+    """What was not found, with the smallest size that would have been, as plain data; null where none would."""
     named = {"quantity": one.quantity} if one.quantity else {}
     return {"name": one.name, "joints": list(one.joints), "size": finite(one.size), "unit": one.unit, **named}
 

@@ -164,7 +164,7 @@ class Detectable:
     Attributes:
         name: Effect, or what of a simulation agrees.
         joints: Where.
-        size: Smallest change of `quantity`.
+        size: Smallest change of `quantity`; infinite where none that it can have would have been seen.
         unit: Its unit.
         quantity: The value of the effect that it is the size of.
     """
@@ -174,6 +174,11 @@ class Detectable:
     size: float
     unit: str
     quantity: str = ""
+
+    @property
+    def visible(self) -> bool:
+        """Whether there is such a size."""
+        return math.isfinite(self.size)
 
 
 @dataclass(frozen=True)

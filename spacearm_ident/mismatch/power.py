@@ -44,8 +44,8 @@ def would_have_seen(
         gate: Drop in chi-square that an effect must bring.
 
     Returns:
-        By effect and joints; none for events in time, which have no one size, and for effects that these recordings
-        would not show at any size that they can have.
+        By effect and joints; none for events in time, which have no one size. Last, with an infinite size, the effects
+        that these recordings would not show at any size that they can have.
     """
     seen = {(finding.effect, joint) for finding in findings for joint in finding.joints}
     power = _Power(evidence, on_a_day, healthy, gate)
@@ -57,10 +57,13 @@ def would_have_seen(
     def smallest(grid: Sequence[Candidate]) -> Detectable | None:
         return power.of_constant(grid) if grid[0].held.all() else power.of_parameter(grid)
 
+    asked = [grid for grid in tried if grid and is_asked(grid)]
     sizes: dict[tuple[str, tuple[str, ...]], Detectable] = {}
-    for size in each(smallest, [grid for grid in tried if grid and is_asked(grid)]):
+    for size in each(smallest, asked):
         if size is not None:
             sizes.setdefault((size.name, size.joints), size)
+    for effect in (grid[0].effect for grid in asked):
+        sizes.setdefault((effect.kind, effect.joints), Detectable(effect.kind, effect.joints, np.inf, ""))
     return tuple(sizes.values())
 
 
