@@ -1,8 +1,8 @@
 """Confidence of findings: weights among explanations times the frequencies of blind trials."""
 
 import pytest
+from made_finding import made_finding
 
-from spacearm_ident.mismatch.finding import Finding
 from spacearm_ident.mismatch.reliability import RIGHT, Situation, calibrated, situations
 
 RIPPLE, DRIFT, NOT_NAMED = (
@@ -11,25 +11,6 @@ RIPPLE, DRIFT, NOT_NAMED = (
     ("unknown", ("elbow",)),
 )
 ELSEWHERE = ("unknown", ("base",))
-
-
-def finding(effect, joints, weight):
-    return Finding(
-        effect=effect,
-        joints=joints,
-        where="",
-        equation="",
-        source="",
-        parameters={},
-        confidence=weight,
-        alternatives=(),
-        gain=1.0,
-        held_out_gain=1.0,
-        visibility=1.0,
-        before_Nm={},
-        after_Nm={},
-        explained=1.0,
-    )
 
 
 @pytest.mark.parametrize(
@@ -50,7 +31,9 @@ def test_a_situation_is_what_stands_at_the_same_joints(one, others, expected):
 
 def test_confidence_is_weight_times_the_frequency_of_the_finding_s_own_situation():
     weights = {RIPPLE: 0.99, NOT_NAMED: 0.8, ELSEWHERE: 1.0}
-    ripple, left, elsewhere = calibrated([finding(*place, weight) for place, weight in weights.items()])
+    ripple, left, elsewhere = calibrated(
+        [made_finding(effect, *joints, confidence=weight) for (effect, joints), weight in weights.items()]
+    )
     assert ripple.confidence == pytest.approx(0.99 * RIGHT[Situation.NAMED_BESIDE])
     assert left.confidence == pytest.approx(0.8 * RIGHT[Situation.UNKNOWN_BESIDE])
     assert elsewhere.confidence == pytest.approx(RIGHT[Situation.UNKNOWN_ALONE])
@@ -58,5 +41,8 @@ def test_confidence_is_weight_times_the_frequency_of_the_finding_s_own_situation
 
 
 def test_a_second_finding_at_the_joint_lowers_confidence():
-    alone, beside = (calibrated([finding(*one, 0.9) for one in all_of]) for all_of in ([RIPPLE], [RIPPLE, DRIFT]))
+    alone, beside = (
+        calibrated([made_finding(effect, *joints) for effect, joints in all_of])
+        for all_of in ([RIPPLE], [RIPPLE, DRIFT])
+    )
     assert beside[0].confidence < alone[0].confidence < 0.9

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_finding import made_finding
 from made_result import Page
 from small_arm import JOINTS, URDF
 
@@ -56,23 +57,15 @@ def trace(rows: int = 900) -> Trace:
 
 
 def finding(effect: str = "torque_ripple", joint: str = JOINTS[0], **changes: object) -> Finding:
-    made = Finding(
-        effect=effect,
-        joints=(joint,),
-        where="24 cycles a joint revolution",
-        equation="a sin(N q) + b cos(N q)",
-        source="Olsen and Petersen 2001",
-        parameters={"amplitude": Quantity(1.0, "N m", 0.97, 1.03), "cycles": Quantity(CYCLES, "1/rev", 23.9, 24.1)},
-        confidence=0.98,
-        alternatives=(Alternative("harness_spring", (joint,), 0.3, "explains 30 %"),),
-        gain=900.0,
-        held_out_gain=800.0,
-        visibility=0.9,
-        before_Nm={joint: 0.71},
-        after_Nm={joint: 0.1},
-        explained=0.96,
-    )
-    return replace(made, **changes)  # type: ignore[arg-type]
+    ripple: dict[str, object] = {
+        "where": "24 cycles a joint revolution",
+        "equation": "a sin(N q) + b cos(N q)",
+        "source": "Olsen and Petersen 2001",
+        "parameters": {"amplitude": Quantity(1.0, "N m", 0.97, 1.03), "cycles": Quantity(CYCLES, "1/rev", 23.9, 24.1)},
+        "confidence": 0.98,
+        "alternatives": (Alternative("harness_spring", (joint,), 0.3, "explains 30 %"),),
+    }
+    return made_finding(effect, joint, **{**ripple, **changes})
 
 
 def explanation(*findings: Finding, **changes: object) -> Explanation:

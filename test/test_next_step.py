@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from changed_arm import ARM, HEALTHY, run
+from made_finding import made_finding
 
 from spacearm_ident.cli.mismatch import summary
 from spacearm_ident.dynamics.effects import EFFECTS
@@ -15,7 +16,7 @@ from spacearm_ident.dynamics.effects.drive import TorqueConstant
 from spacearm_ident.excitation.composite import EXPERIMENT_OF
 from spacearm_ident.excitation.trajectory_file import load_trajectory
 from spacearm_ident.mismatch.document import to_document
-from spacearm_ident.mismatch.finding import MISMATCH, Alternative, Explanation, Finding, Quantity, joined, unfit
+from spacearm_ident.mismatch.finding import MISMATCH, Alternative, Explanation, Quantity, joined, unfit
 from spacearm_ident.mismatch.judgement import doubted
 from spacearm_ident.mismatch.next_step import next_experiment, outside_held_out, sure_of_remedy
 from spacearm_ident.mismatch.run_set import RunSet
@@ -31,25 +32,9 @@ NOISE = np.array([0.1, 0.05])
 def finding(effect="payload", joint="elbow", *, close=(), **changes):
     """A finding, and which effects explain as much."""
     named = EFFECTS.get(effect)
-    made = Finding(
-        effect=effect,
-        joints=(joint,),
-        where="throughout",
-        equation="",
-        source="",
-        parameters={},
-        confidence=0.9,
-        alternatives=tuple(Alternative(name, (joint,), 1.0, "explains as much") for name in close),
-        gain=900.0,
-        held_out_gain=800.0,
-        visibility=0.9,
-        before_Nm={joint: 0.71},
-        after_Nm={joint: 0.1},
-        explained=0.96,
-        experiment=named.experiment if named else "",
-        remedy=named.remedy if named else "",
-    )
-    return replace(made, **changes)
+    near = tuple(Alternative(name, (joint,), 1.0, "explains as much") for name in close)
+    known = {"experiment": named.experiment, "remedy": named.remedy} if named else {}
+    return made_finding(effect, joint, **{"alternatives": near, **known, **changes})
 
 
 def explanation(*findings, **changes):
