@@ -1,5 +1,6 @@
 """Driver, trajectory node and simulated arm as processes: which broken-off runs are begun again, and which are not."""
 
+import re
 import signal
 import time
 
@@ -9,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2 (pip install '.[ros]')")
 
 from driven_arm import CONFIG, EMERGENCY, JOINTS, DrivenArm
-from live_nodes import LIVE
+from live_nodes import LIVE, output
 from simulated_arm import paper_limits
 
 from spacearm_ident.excitation.trajectory import Trajectory, random_feasible
@@ -25,15 +26,25 @@ HELD_UP_S = 0.6
 def live(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("restart")
-    series = random_feasible(
-        JOINTS, paper_limits(), seed=4, fundamental_hz=0.5, harmonics=2, periods=3, usage=0.5, smallest_usage=0.49
-    )
-    save_trajectory(Trajectory(JOINTS, (series,)), folder / "excitation.yaml")
+    files = {3: folder / "excitation.yaml", 2: folder / "other.yaml"}
+    for periods, file in files.items():
+        series = random_feasible(
+            JOINTS,
+            paper_limits(),
+            seed=4,
+            fundamental_hz=0.5,
+            harmonics=2,
+            periods=periods,
+            usage=0.5,
+            smallest_usage=0.49,
+        )
+        save_trajectory(Trajectory(JOINTS, (series,)), file)
     arm = DrivenArm(folder)
+    arm.file, arm.other = files.values()
     try:
-        arm.processes.node(
+        arm.node = arm.processes.node(
             "trajectory",
-            f"trajectory_file:={folder / 'excitation.yaml'}",
+            f"trajectory_file:={arm.file}",
             f"arm:={CONFIG / 'paper_arm.yaml'}",
             "feedback_timeout_s:=2.0",
             "restarts:=2",
@@ -92,6 +103,48 @@ def test_a_run_that_a_held_up_driver_broke_off_is_begun_again_and_completed(arm)
     arm.probe.wait_for(
         lambda: "begun again 1 of 2 times" in arm.probe.statuses["trajectory"].message, "it on /diagnostics"
     )
+
+
+def use(arm, path):
+    """Set the parameter that names the file of the next run."""
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    client = arm.probe.node.create_client(SetParameters, "/trajectory/set_parameters")
+    arm.probe.wait_for(client.service_is_ready, "parameters")
+    wanted = [Parameter("trajectory_file", value=str(path)).to_parameter_msg()]
+    future = client.call_async(SetParameters.Request(parameters=wanted))
+    arm.probe.wait_for(future.done, "the parameter is set")
+    assert future.result().results[0].successful
+
+
+def test_what_is_begun_again_is_the_trajectory_that_was_started_whatever_file_is_named_since(arm):
+    first = running(arm)
+    arm.file.rename(arm.file.with_suffix(".gone"))
+    use(arm, "")
+    use(arm, arm.other)
+    try:
+        hold_up(arm)
+        last = the_end(arm)
+        assert last["complete"] is True and last["restarts"] == 1 and last["begun_as"] == first != last["run"]
+        assert last["periods"] == 3
+        said = output(arm.node)
+        for run in (first, last["run"]):
+            assert re.search(rf"run {run} begins: .* 3 periods, of {arm.file}\n", said)
+        for named in ("none", arm.other):
+            assert f"trajectory_file: {named} is for the next /excitation/start; run {first}, also where it" in said
+        arm.said.clear()
+        second = running(arm)
+        assert arm.said[-1]["periods"] == 2 and f"2 periods, of {arm.other}" in output(arm.node)
+        assert arm.call("/excitation/stop")[0]
+        assert the_end(arm)["run"] == second
+        use(arm, arm.other)
+        assert output(arm.node).count("is for the next /excitation/start") == 2, (
+            "nothing goes on: nothing to tell apart"
+        )
+    finally:
+        arm.file.with_suffix(".gone").rename(arm.file)
+        use(arm, arm.file)
 
 
 def test_after_as_many_restarts_as_allowed_it_gives_up_with_the_reason(arm):

@@ -1,14 +1,14 @@
 """`trajectory`: an excitation for the arm, from where it is and back there.
 
-`/excitation/start` reads the file named by the parameter `trajectory_file` (which may be changed between
-runs), checks everything there is to check, and begins approach, excitation and return; or refuses with the
-reason. `/excitation/stop` brings the arm to rest along its path, within the limits, from any moment; so does
+`/excitation/start` reads the file named by the parameter `trajectory_file` (which may be changed at any time,
+for the next start), checks everything there is to check, and begins approach, excitation and return; or refuses
+with the reason. `/excitation/stop` brings the arm to rest along its path, within the limits, from any moment; so does
 the node itself when feedback ceases or is not a number, when the arm may no longer be moved
 (`trajectory_interlock`) or does not follow, and when it is interrupted. How the run reaches the arm is the
 parameter `output` (`trajectory_output`).
 
 A run that the driver stopped because its machine was too busy is begun again, `restarts` times at most
-(`trajectory_restart`).
+(`trajectory_restart`): the trajectory that was started, whatever became of the parameter or of the file since.
 
 `/excitation/state` (std_msgs/msg/String, latched) is a JSON object, published at every change:
 
@@ -29,6 +29,7 @@ import gc
 import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,7 @@ from .trajectory_feedback import Feedback
 from .trajectory_interlock import Interlock
 from .trajectory_output import JOINT_COMMAND, Output, Stream
 from .trajectory_path import PathWatch
-from .trajectory_restart import Restart
+from .trajectory_restart import Restart, Started
 from .twin import TwinWatch
 
 _WATCH_S = 0.05
@@ -94,6 +95,7 @@ class TrajectoryNode(LiveNode):
         self._stream: Stream | None = None
         self._path: PathWatch | None = None
         self._slow: FloatArray = np.zeros(0)
+        self._started: Started | None = None
         self._run: Run | None = None
         self._run_id: str | None = None
         self._begun_as: str | None = None
@@ -126,22 +128,19 @@ class TrajectoryNode(LiveNode):
             if self._stream.moving:
                 raise UserError(f"already {self._stream.phase.state}; stop first, or wait until the run is done")
             self._stream.wait(_LONGEST_STOP_S)
-        reply = self._begin()
+        reply = self._begin(Started.read(self.get_parameter("trajectory_file").value))
         self._begun_as, self._again = self._run_id, 0
         self._announce()
         return reply
 
-    def _begin(self) -> str:
-        """Plan and begin the run of the file, from where the arm stands.
+    def _begin(self, started: Started) -> str:
+        """Plan and begin a run, from where the arm stands.
 
         Raises:
             UserError: It cannot begin, with the reason.
         """
         gc.collect()  # prepare_process left that to us
-        file = self.get_parameter("trajectory_file").value
-        if not file:
-            raise UserError("no trajectory: set the parameter trajectory_file to an excitation file, then start")
-        excitation = load_trajectory(Path(file).expanduser())
+        excitation = started.excitation
         limits = limits_of(self._arm, excitation.joints)
         self._output.require(excitation.joints, self._arm.joint_names)
         self._feedback.follow(excitation.joints)
@@ -152,7 +151,7 @@ class TrajectoryNode(LiveNode):
         rate_hz = self._output.rate_hz
         motion = plan.set_points(rate_hz)
         check_limits(excitation.joints, motion, limits, rate_hz)
-        self._run, self._run_id = plan, f"{datetime.now():%Y%m%d-%H%M%S-%f}"
+        self._started, self._run, self._run_id = started, plan, f"{datetime.now():%Y%m%d-%H%M%S-%f}"
         self._may_restart, self._in_the_end, self._path = False, "", None
         if self._output.kind != JOINT_COMMAND:  # our driver watches the tracking error itself, every cycle
             self._path = PathWatch(excitation.joints, motion, rate_hz, self._tolerance, self._longest_lag_s)
@@ -187,8 +186,12 @@ class TrajectoryNode(LiveNode):
 
     def _on_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         """Grant a change of the trajectory file, and say what is wrong with it: it is read at the next start."""
-        for file in (str(each.value) for each in parameters if each.name == "trajectory_file" and each.value):
-            if wrong := _unfit(Path(file).expanduser()):
+        start = self.resolve_service_name("excitation/start")
+        for file in (str(each.value) for each in parameters if each.name == "trajectory_file"):
+            if self._started is not None and self._describe()["state"] != "done":
+                stays = f"run {self._run_id}, also where it is begun again, stays that of {self._started.file}"
+                self.log(Level.OK, f"trajectory_file: {file or 'none'} is for the next {start}; {stays}")
+            if file and (wrong := _unfit(Path(file).expanduser())):
                 self.log(Level.WARN, f"trajectory_file: as it is now, a start would be refused: {wrong}")
         return SetParametersResult(successful=True)
 
@@ -257,7 +260,7 @@ class TrajectoryNode(LiveNode):
         """The arm is at rest after a stop that the driver may know to be harmless: ask it, unless too often."""
         assert self._stream is not None
         self._may_restart = False
-        if self._whole:
+        if self._whole or self._started is None:
             return
         if self._again >= self._restarts:
             self._in_the_end = f"begun again {self._again} times, then given up" if self._restarts else ""
@@ -267,7 +270,7 @@ class TrajectoryNode(LiveNode):
             f"run {self._run_id} was stopped: {self._stream.reason}; the driver is asked whether to "
             f"begin again, {self._again + 1} of {self._restarts} times",
         )
-        self._restart = Restart(self, self._begin)
+        self._restart = Restart(self, partial(self._begin, self._started))
 
     def _go_on(self, restart: Restart) -> None:
         try:
@@ -313,9 +316,9 @@ class TrajectoryNode(LiveNode):
         """Say in the log that a run begins, is being stopped and why, or is over."""
         name = f"run {now['run']}"
         fresh = now["run"] != before.get("run")
-        if fresh and self._run is not None:
-            file = self.get_parameter("trajectory_file").value
-            self.log(Level.OK, f"{name} begins: {self._run.duration_s:.1f} s, {self._run.periods} periods, of {file}")
+        if fresh and self._run is not None and self._started is not None:
+            of = f"{self._run.periods} periods, of {self._started.file}"
+            self.log(Level.OK, f"{name} begins: {self._run.duration_s:.1f} s, {of}")
         if now["reason"] and (fresh or not before["reason"]):
             level = Level.WARN if now["reason"] in (STOPPED, ENDED) else Level.ERROR
             self.log(level, f"{name} is being stopped: {now['reason']}")

@@ -1,5 +1,6 @@
-"""Beginning a run again after a stop that nobody has to see to: a machine too busy for the driver's cycle.
+"""What a run plays, and beginning it again after a stop that nobody has to see to.
 
+That is one by a machine too busy for the driver's cycle.
 Whether a stop is of that kind the driver alone decides: it is asked to recover and enable by `/driver/resume`, which
 it refuses after anything else (`driver.resume`). Nothing here blocks: the node's timer steps it.
 """
@@ -8,11 +9,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from std_srvs.srv import Trigger
 
 from ..errors import UserError
+from ..excitation.trajectory import Trajectory
+from ..excitation.trajectory_file import load_trajectory
 from .runtime import Level, LiveNode
 
 RESUMED_S: Final = 30.0
@@ -21,6 +26,30 @@ FOUND_S: Final = 3.0
 """Longest wait for the service to be there; a driver that spoke on the graph before the stop is known already."""
 BEGUN_S: Final = 10.0
 """Longest wait until a run begins once the drives are enabled: their word and the arm's rest are heard by then."""
+
+
+@dataclass(frozen=True)
+class Started:
+    """What `/excitation/start` began, as it was then: what is begun again is the same.
+
+    Attributes:
+        file: Where it was read from.
+        excitation: What was in it.
+    """
+
+    file: str
+    excitation: Trajectory
+
+    @classmethod
+    def read(cls, file: str) -> Started:
+        """What is in a file.
+
+        Raises:
+            UserError: None is named, or it cannot be read.
+        """
+        if not file:
+            raise UserError("no trajectory: set the parameter trajectory_file to an excitation file, then start")
+        return cls(file, load_trajectory(Path(file).expanduser()))
 
 
 class Restart:
