@@ -3,6 +3,7 @@
 It says when all nodes are ready and what to call next. When one of them fails it ends, with exit code 1 and the reason.
 """
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -196,8 +197,24 @@ class Watch:
         if event.returncode == 0 or self._failed or ending:
             return []
         self._failed = True
-        why = self._last_words.get(event.process_name, "it said nothing")
-        return [EmitEvent(event=NodeFailed(f"{event.process_name} ended with exit code {event.returncode}: {why}"))]
+        words = self._last_words.get(event.process_name)
+        return [EmitEvent(event=NodeFailed(f"{event.process_name} {how_it_ended(event.returncode, words)}"))]
+
+
+def how_it_ended(code: int, words: str | None) -> str:
+    """How a process ended that did not end well, and its last words.
+
+    They are the reason where it ended by itself. What a signal killed had no time to say why, and said them before, of
+    something else.
+
+    Args:
+        code: Exit code; that of a signal is below 0.
+        words: What it said last, if anything.
+    """
+    if code >= 0:
+        return f"ended with exit code {code}: {words or 'it said nothing'}"
+    killed = f"ended with exit code {code}: killed by {signal.Signals(-code).name}"
+    return f"{killed}; before that, it said last: {words}" if words else killed
 
 
 def fail(context: LaunchContext) -> None:

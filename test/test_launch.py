@@ -154,8 +154,20 @@ def test_launch_says_ready_with_the_last_node_and_passes_on_why_one_failed(launc
     assert watch._ended(SimpleNamespace(returncode=-2, process_name="z", action="another package's"), ending) == []
     (emitted,) = watch._ended(SimpleNamespace(returncode=2, process_name="x", action=nodes[0]), running)
     assert emitted.kwargs["event"].reason == "x ended with exit code 2: no such file"
+    assert launch.how_it_ended(1, None) == "ended with exit code 1: it said nothing"
     # One reason is enough: the others end for it.
     assert watch._ended(SimpleNamespace(returncode=2, process_name="y", action=nodes[1]), ending) == []
+
+
+def test_last_words_of_a_killed_process_are_not_given_as_the_reason(launch):
+    node = Made()
+    watch = launch.Watch([node], "")
+    watch._listen(SimpleNamespace(action=node, text=b"arm stopped: drive 1\n", process_name="driver-2"))
+    ended = SimpleNamespace(returncode=-9, process_name="driver-2", action=node)
+    (emitted,) = watch._ended(ended, SimpleNamespace(is_shutdown=False))
+    said = "driver-2 ended with exit code -9: killed by SIGKILL; before that, it said last: arm stopped: drive 1"
+    assert emitted.kwargs["event"].reason == said
+    assert launch.how_it_ended(-11, None) == "ended with exit code -11: killed by SIGSEGV"
 
 
 def test_the_parameter_file_names_only_parameters_that_exist():

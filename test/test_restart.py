@@ -99,6 +99,8 @@ def test_a_run_that_a_held_up_driver_broke_off_is_begun_again_and_completed(arm)
     broken = next(state for state in arm.said if state["state"] == "recovering")
     assert broken["run"] == first and broken["complete"] is False
     assert "the drives are no longer enabled (set-points missing: the cycle was held up" in broken["reason"]
+    recovered = r"arm stopped: (set-points missing: .*)\n(?s:.*)arm recovered, enabled now; it was stopped by: \1\n"
+    assert re.search(recovered, output(arm.driver)), "the stop is not the last that is known of the driver"
     assert "done" not in states[:-1], "whoever waits for the end must not see one before"
     arm.probe.wait_for(
         lambda: "begun again 1 of 2 times" in arm.probe.statuses["trajectory"].message, "it on /diagnostics"

@@ -139,10 +139,13 @@ class CanopenDriver(LiveNode):
         """Show changes at once; give up where it is hopeless."""
         phase, fault = shown = self._driver.phase, self._driver.fault
         if shown != self._shown:
-            self._shown = shown
+            before, self._shown = self._shown, shown
             self.publish_diagnostics()
             if fault is not None:
                 self.get_logger().error(f"arm stopped: {fault}")
+            elif before is not None and before[1] is not None:
+                # Or an old stop would be the last that is known of this node, and taken for the cause of its end.
+                self.get_logger().info(f"arm recovered, {phase.value} now; it was stopped by: {before[1]}")
         if self._driver.reconnections != self._reconnections:
             self._reconnections = self._driver.reconnections
             self.get_logger().warning(self._driver.connection)
