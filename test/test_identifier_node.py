@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
@@ -350,6 +351,25 @@ def test_nothing_stays_behind_when_the_node_ends_while_identifying(bags, graph, 
     assert end(node, last) == (0 if last is signal.SIGINT else -last)
     graph.wait_for(lambda: gone(worker), "the end of the worker")
     assert {path.name for path in out.iterdir()} == {"excitation.mcap"}
+    cut_off = re.findall(r"\[WARN\].* identification cut off at \d+% \(.+\), without a result: .*", output(node))
+    assert len(cut_off) == (1 if last is signal.SIGINT else 0), output(node)
+
+
+def test_an_identification_cut_off_is_said_with_the_command_that_does_it_off_line(bags, graph, tmp_path):
+    out = tmp_path / "live"
+    node = graph.identifier(f"result_directory:={out}")
+    graph.tell(f"run 1 {bags['first']}")
+    graph.wait_for(lambda: float(graph.values("identifier")["progress"]) >= 0.05, "the bag is written")
+    os.kill(children(node.pid)[0], signal.SIGSTOP)  # however fast this machine is, it gets no further
+    for state, complete in (("running", "null"), ("done", "true")):
+        graph.tell(f'say {{"state": "{state}", "run": "2", "complete": {complete}}}')
+    graph.wait_for(lambda: graph.values("identifier")["runs_waiting"] == "1", "a run waiting")
+    assert end(node) == 0 and "Traceback" not in output(node)
+    bag = out / "excitation.mcap"
+    (said,) = re.findall(r"\[WARN\].* identification cut off at (.*)", output(node))
+    assert f"its recordings are whole, off line it is spacearm identify {bag} --validate {bag} --out {out}" in said
+    read_recording(bag)
+    assert "run 2 is not identified: the node is ended" in output(node)
     assert "Traceback" not in output(node)
 
 

@@ -46,7 +46,7 @@ from .identifier_messages import (
     validation_figures,
 )
 from .identifier_settings import declare
-from .jobs import Compared, Done, IdentifyJob, Job, MismatchJob
+from .jobs import WRITING, Compared, Done, IdentifyJob, Job, MismatchJob
 from .joint_samples import without_effort
 from .live_tracking import LiveTracking, sentence
 from .message_buffer import Capture, MessageBuffer
@@ -66,6 +66,7 @@ STREAM_S = 0.2
 UNDER_WAY = frozenset({"approach", "running", "returning", "stopping"})
 SHORTEST_S = 2.0
 LONGEST_PENDING = 4
+STARTING = "starting"
 MISMATCH_FOLDER, CHANGE_FOLDER = "mismatch", "change"
 """Within the result folder."""
 MODEL_FILE, KEPT_MODEL_FILE = "model.yaml", "model_before_change.yaml"
@@ -74,6 +75,9 @@ LATEST_STATES = 100
 """So many of the messages since the last look are searched for an effort: of one in ten, ten have it."""
 LATEST_TEMPERATURES = 100
 """So many messages before a model came hold a temperature of every joint."""
+
+
+NOT_WRITTEN = "its recording was not written to the end: identify the recorder's bag, where there is one"
 
 
 @dataclass(frozen=True)
@@ -273,7 +277,7 @@ class Identifier(LiveNode):
         self.get_logger().warning(sentence)
 
     def _start(self, job: Job) -> None:
-        self._step = Step(0.0, "starting")
+        self._step = Step(0.0, STARTING)
         self._job = replace(job, captures=())
         self._worker = Worker(job)
         self.get_logger().info(f"{job.name}, as {job.command}")
@@ -466,10 +470,31 @@ class Identifier(LiveNode):
         return f"results go to {self._settings.directory.absolute()}"
 
     def close(self) -> None:
-        """End the tracking, and the worker; what that was writing is discarded."""
+        """End the tracking, and the worker; what that was writing is discarded, and what was not done is said."""
         self._end_tracking("the node was ended before there were enough joint states behind the change")
+        self._hear()
         if self._worker is not None:
             self._worker.stop()
+            assert self._job is not None
+            self._leave_undone(self._job)
+        if self._to_explain is not None:
+            self.log(Level.WARN, f"{self._to_explain.name} not begun: the node is ended; {_off_line(self._to_explain)}")
+        for mark in self._pending:
+            self.log(Level.WARN, f"run {mark.name} is not identified: the node is ended; {NOT_WRITTEN}")
+
+    def _leave_undone(self, job: Job) -> None:
+        """Say that a job was cut off, and what there is to do it off line from."""
+        whole = job.bag is None or self._step.what not in (STARTING, WRITING)
+        self.log(
+            Level.WARN,
+            f"{job.name} cut off at {self._step.share:.0%} ({self._step.what}), without a result: the node is ended; "
+            + (_off_line(job) if whole else NOT_WRITTEN),
+        )
+
+
+def _off_line(job: Job) -> str:
+    """How to do a job whose bags are whole without the node."""
+    return f"its recordings are whole, off line it is {job.command}"
 
 
 def _files(paths: Sequence[Path]) -> str:

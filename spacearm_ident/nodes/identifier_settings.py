@@ -95,7 +95,8 @@ def _result_directory(node: LiveNode) -> Path:
     text = "Result folder; in a namespace and left at its default: a folder of that name in it"
     chosen = Path(node.parameter("result_directory", DEFAULT_FOLDER, text)).expanduser()
     folder = chosen / place if place and chosen == Path(DEFAULT_FOLDER) else chosen
-    return require_folder("result_directory", folder)
+    # Absolute: what the log names, commands included, is then found from any folder.
+    return require_folder("result_directory", folder.absolute())
 
 
 def _how(node: LiveNode) -> Options:

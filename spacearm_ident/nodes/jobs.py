@@ -20,6 +20,9 @@ from ..sessions.reading import Comparing, Reading
 from ..sessions.simulation import compare_session
 from .message_buffer import Capture, write_captures
 
+WRITING = "writing the recording"
+"""A job's first step: before it is over, its bag is not whole."""
+
 
 @dataclass(frozen=True)
 class Done:
@@ -86,7 +89,7 @@ class IdentifyJob:
             UserError: As `identify_bags`.
         """
         if self.bag is not None:
-            progress(0.0, "writing the recording")
+            progress(0.0, WRITING)
             write_captures(self.bag, self.captures)
         done = identify_bags(
             self.fitted,
@@ -149,7 +152,7 @@ class MismatchJob:
             UserError: As `explain_session` or `compare_session`.
         """
         if self.bag is not None:
-            progress(0.0, "writing the recording")
+            progress(0.0, WRITING)
             write_captures(self.bag, self.captures)
         how = Comparing(Reading(self.arm), self.gravity)
         places = (self.judged, self.directory, how)
