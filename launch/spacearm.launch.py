@@ -23,6 +23,8 @@ PACKAGE = "spacearm_ident"
 STATE_PUBLISHER = "robot_state_publisher"
 READY = "]: ready: "
 """Between a node's name and what it is ready for, in the line that it logs once."""
+WHETHER = ["true", "false", "True", "False", "1", "0"]
+"""What an argument that is either may be."""
 ORDERLY_S = "30"
 """Seconds a node has to end after SIGINT before it is sent SIGTERM, and after that before it is killed: the trajectory
 node may take 15 s to bring the arm to rest, and a recording must be finished. launch's own 5 s would cut both short."""
@@ -31,8 +33,8 @@ node may take 15 s to bring the arm to rest, and a recording must be finished. l
 def generate_launch_description() -> LaunchDescription:
     config = PathJoinSubstitution([FindPackageShare(PACKAGE), "config"])
 
-    def argument(name: str, default: object, description: str) -> DeclareLaunchArgument:
-        return DeclareLaunchArgument(name, default_value=default, description=description)
+    def argument(name: str, default: object, description: str, **more: list[str]) -> DeclareLaunchArgument:
+        return DeclareLaunchArgument(name, default_value=default, description=description, **more)
 
     return LaunchDescription(
         [
@@ -40,8 +42,10 @@ def generate_launch_description() -> LaunchDescription:
             argument("can", PathJoinSubstitution([config, "paper_arm_can.yaml"]), "CAN YAML: buses and drives"),
             argument("namespace", "", "namespace of all nodes, such as arm_1 where there are two; empty: none"),
             argument("params", PathJoinSubstitution([config, "spacearm.yaml"]), "ROS parameters of all nodes"),
-            argument("sim", "true", "whether to start the simulated arm; false: the drives are on the buses"),
-            argument("record", "true", "whether to record from the start; false: on /recorder/start"),
+            argument(
+                "sim", "true", "whether to start the simulated arm; false: the drives are on the buses", choices=WHETHER
+            ),
+            argument("record", "true", "whether to record from the start; false: on /recorder/start", choices=WHETHER),
             argument("trajectory", "", "excitation file for /excitation/start"),
             argument("recordings", "", "folder for the bags; empty: as in params (the recorder's directory)"),
             argument("results", "", "folder for the results; empty: as in params (the identifier's result_directory)"),
@@ -50,6 +54,7 @@ def generate_launch_description() -> LaunchDescription:
                 "false",
                 "whether to start robot_state_publisher (a package of its own) for TF; in a namespace the frames are "
                 "called arm_1/LINK",
+                choices=WHETHER,
             ),
             OpaqueFunction(function=start),
         ]

@@ -302,6 +302,21 @@ def params(folder: Path, text: str) -> list[CheckResult]:
         ("identifier: {ros__parameters: {model: 5}}", Level.FAIL, "model: 5 is not a text"),
         ("recorder: {ros__parameters: {start_immediately: 1}}", Level.FAIL, "1 is not true or false"),
         ("recorder: {ros__parameters: {buffer_mb: 8.0}}", Level.FAIL, "8.0 is not a whole number"),
+        ("identifier: {ros__parameters: {friction: papr}}", Level.FAIL, "friction: no 'papr': one of auto, "),
+        ("identifier: {ros__parameters: {friction: ''}}", Level.FAIL, "friction: no '': one of auto, "),
+        ("identifier: {ros__parameters: {friction: 5}}", Level.FAIL, "friction: 5 is not a text"),
+        ("identifier: {ros__parameters: {solver: magic}}", Level.FAIL, "solver: no 'magic': one of separable, "),
+        ("/**: {ros__parameters: {temperature: 'f_c, k'}}", Level.FAIL, "temperature: no 'k': one of f_c, "),
+        ("/a/identifier: {ros__parameters: {estimate_gravity: up}}", Level.FAIL, "no 'up': one of vector, "),
+        ("trajectory: {ros__parameters: {output: topic}}", Level.FAIL, "output: no 'topic': one of joint_command, "),
+        ("trajectory: {ros__parameters: {enabled_from: [driver, me]}}", Level.FAIL, "no 'me': one of driver, "),
+        ("trajectory: {ros__parameters: {enabled_from: []}}", Level.FAIL, "no '': one of driver, "),
+        (
+            "identifier: {ros__parameters: {friction: $(var law), temperature: 'f_c, k_v1,', estimate_gravity: ''}}",
+            Level.OK,
+            "every parameter exists",
+        ),
+        ("trajectory: {ros__parameters: {enabled_from: [topic, driver]}}", Level.OK, "every parameter exists"),
         ("/**: {ros__parameters: {noise: loud}}", Level.FAIL, "noise: 'loud' is not a number"),
         # A whole number does for a number, an exponent without a point is a text to YAML 1.1, a launch file fills in.
         (

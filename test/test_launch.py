@@ -89,6 +89,8 @@ def test_every_argument_is_described_and_has_a_default(launch):
     assert {argument.args[0] for argument in arguments} == set(DEFAULTS)
     assert all(argument.kwargs["description"] for argument in arguments)
     assert all("default_value" in argument.kwargs for argument in arguments)
+    either = {argument.args[0] for argument in arguments if "true" in argument.kwargs.get("choices", ())}
+    assert either == {name for name, default in DEFAULTS.items() if default in ("true", "false")}
 
 
 def source_of(node: str) -> str:

@@ -97,6 +97,7 @@ def test_types_and_ranges_read_from_the_source_are_those_the_node_declares(node)
             # A limit that the source names by a constant is not known, and then not checked.
             assert one.low in (bounds.from_value, -math.inf), descriptor.name
             assert one.high in (bounds.to_value, math.inf), descriptor.name
+        assert descriptor.additional_constraints == ("" if one.choices is None else str(one.choices)), descriptor.name
         assert not one.refusal(value.value if not one.several else list(value.value)), descriptor.name
 
 

@@ -244,6 +244,11 @@ def test_launch_refuses_a_file_that_is_not_there_before_any_node_starts(workspac
     assert f"{name}:=nowhere.yaml: no such file" in why and "process started" not in said
 
 
+def test_launch_refuses_what_is_neither_true_nor_false_by_the_name_of_its_argument(workspace, tmp_path):
+    why, said = refused(workspace, tmp_path, "record:=yes")
+    assert 'Argument "record" provided value "yes" is not valid' in why and "process started" not in said
+
+
 def test_launch_ends_with_1_and_the_reason_when_a_node_cannot_read_its_parameters(workspace, tmp_path):
     bad = tmp_path / "bad.yaml"
     bad.write_text("recorder: [")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import importlib.util
 import math
 import operator
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..errors import UserError
+from ..nodes.choices import Choices
 from ..nodes.main import NODES
 from .result import CheckResult, Level, fail, ok, warn
 from .yaml_file import read_yaml
@@ -57,12 +59,14 @@ class Declared:
         kind: Type of its value, of an item where `several`; None: not known without ROS.
         low, high: Range of a number.
         several: Whether it is a list.
+        choices: The words that a text may be; None: any.
     """
 
     kind: type | None
     low: float = -math.inf
     high: float = math.inf
     several: bool = False
+    choices: Choices | None = None
 
     def refusal(self, value: Any) -> str:
         """Why the node refuses a value; empty: it does not."""
@@ -74,7 +78,8 @@ class Declared:
             return f"{value!r} is not {f'a list, each item {what}' if self.several else what}"
         if self.kind in (int, float) and not all(self.low <= float(item) <= self.high for item in items):
             return f"{value!r} is not from {self.low:g} to {self.high:g}"
-        return ""
+        filled_in = any("$(" in str(item) for item in items)
+        return "" if self.choices is None or filled_in else self.choices.refusal(value)
 
     def _fits(self, value: Any) -> bool:
         """Whether ROS takes a value for one of this type; a whole number does for a number."""
@@ -96,21 +101,34 @@ def declared_parameters(node: str) -> Mapping[str, Declared]:
         return {}
     files = sorted(Path(spec.origin).parent.glob(f"{node}*.py"))
     calls = (item for file in files for item in ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
-    return dict(pair for call in calls if isinstance(call, ast.Call) for pair in _declared(call))
+    return dict(pair for call in calls if isinstance(call, ast.Call) for pair in _declared(call, node))
 
 
-def _declared(call: ast.Call) -> list[tuple[str, Declared]]:
+def _declared(call: ast.Call, node: str) -> list[tuple[str, Declared]]:
     """The parameter a call declares, if it does."""
     named = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
     place = DECLARING.get(named, len(call.args))
     names = [item.value for item in call.args[place : place + 1] if isinstance(item, ast.Constant)]
     # A file is declared as a text.
-    value = "" if named == "_file" else _literal(next(iter(call.args[place + 1 : place + 2]), None))
+    default = next(iter(call.args[place + 1 : place + 2]), None)
+    value = "" if named == "_file" else _literal(default)
     limits = {item.arg: _literal(item.value) for item in call.keywords if item.arg in ("low", "high")}
     ranges = {str(key): float(limit) for key, limit in limits.items() if isinstance(limit, (int, float))}
     several = isinstance(value, list)
+    choices = next((_choices(node, item.value) for item in call.keywords if item.arg == "choices"), None)
     kind = type(value[0] if several else value) if value is not None else None
-    return [(name, Declared(kind, several=several, **ranges)) for name in names if isinstance(name, str)]
+    if choices is not None:  # words are texts, by whatever names the default is written
+        kind, several = str, isinstance(default, ast.List)
+    return [
+        (name, Declared(kind, several=several, choices=choices, **ranges)) for name in names if isinstance(name, str)
+    ]
+
+
+def _choices(node: str, name: ast.expr) -> Choices | None:
+    """What a node's module of choices has under a name."""
+    module = importlib.import_module(f"spacearm_ident.nodes.{node}_choices")
+    found = getattr(module, name.id) if isinstance(name, ast.Name) else None
+    return found if isinstance(found, Choices) else None
 
 
 def _literal(node: ast.expr | None) -> Any:

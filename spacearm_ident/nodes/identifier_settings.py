@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..dynamics.model import FRICTION_LAWS, OVER_TEMPERATURE
-from ..environment.gravity import GRAVITY_CHOICES
 from ..errors import UserError
 from ..sessions.bags import AUTO, Options
-from ..solvers.choice import SEPARABLE, require_solver
+from ..solvers.choice import SEPARABLE
+from .identifier_choices import ESTIMATE_GRAVITY, FRICTION, SOLVER, TEMPERATURE
 from .runtime import LiveNode, require_folder
 from .tracking_stream import TrackingChoice
 
@@ -103,23 +102,17 @@ def _how(node: LiveNode) -> Options:
     text = "Gravity in the base frame, m/s^2, as [0.0, 0.0, -9.81]; nan: the arm's own"
     gravity = _gravity(node.parameter("gravity", [math.nan] * 3, text))
     arm = _file(node, "arm", "URDF or arm YAML; empty: of /robot_description")
-    friction = node.parameter("friction", AUTO, "Friction law, as spacearm identify --friction")
-    if friction not in (AUTO, *FRICTION_LAWS):
-        raise UserError(f"parameter friction: no law {friction!r}: one of {', '.join((AUTO, *FRICTION_LAWS))}")
+    friction = node.parameter("friction", AUTO, "Friction law, as spacearm identify --friction", choices=FRICTION)
     structure = _file(node, "structure", "Model file whose terms to identify, effects included; instead of friction")
     if structure and friction != AUTO:
         raise UserError(f"parameter structure: it has its own friction law: leave friction at {AUTO}")
-    solver = require_solver(node.parameter("solver", SEPARABLE, "Solver, as spacearm identify --solver"))
+    solver = node.parameter("solver", SEPARABLE, "Solver, as spacearm identify --solver", choices=SOLVER)
     seed = node.parameter("seed", 0, "Of the solver's particle swarm", low=0, high=2**32 - 1)
     bandwidth = node.parameter("bandwidth_hz", 0.0, "Low-pass cut-off, Hz; 0: from the data", low=0.0, high=1000.0)
     text = "Friction over temperature: f_c, k_v1, v_b, with commas between; empty: none"
-    temperature = tuple(filter(None, map(str.strip, node.parameter("temperature", "", text).split(","))))
-    for name in temperature:
-        if name not in OVER_TEMPERATURE:
-            raise UserError(f"parameter temperature: no {name!r}: some of {', '.join(OVER_TEMPERATURE)}")
-    estimated = node.parameter("estimate_gravity", "", "Estimate gravity: vector, direction; empty: it is the arm's")
-    if estimated and estimated not in GRAVITY_CHOICES:
-        raise UserError(f"parameter estimate_gravity: no {estimated!r}: one of {', '.join(GRAVITY_CHOICES)}, or empty")
+    temperature = TEMPERATURE.chosen(node.parameter("temperature", "", text, choices=TEMPERATURE))
+    text = "Estimate gravity: vector, direction; empty: it is the arm's"
+    estimated = node.parameter("estimate_gravity", "", text, choices=ESTIMATE_GRAVITY)
     return Options(
         arm=arm,
         gravity=gravity,

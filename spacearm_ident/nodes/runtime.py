@@ -43,6 +43,7 @@ from std_srvs.srv import SetBool, Trigger
 from ..canbus.realtime import give_way, prepare_thread
 from ..documents import try_folder
 from ..errors import UserError
+from .choices import Choices
 from .ending import heed_signals, ignore_signals
 from .params_file import holding_in_namespace
 
@@ -263,6 +264,7 @@ class LiveNode(Node):
         *,
         low: float | None = None,
         high: float | None = None,
+        choices: Choices | None = None,
         read_only: bool = True,
     ) -> Value:
         """Declare a parameter and return its value, of the type of `default`.
@@ -273,12 +275,14 @@ class LiveNode(Node):
             description: For `ros2 param describe`: what it means, with its unit.
             low: Smallest value allowed, for numbers.
             high: Largest value allowed.
+            choices: The words allowed, for texts; a name of NODE_choices, where `commissioning` looks it up.
             read_only: Whether it cannot be changed while the node runs.
 
         Raises:
-            UserError: The value given is of another type or out of range.
+            UserError: The value given is of another type, out of range or none of `choices`.
         """
         descriptor = ParameterDescriptor(description=description, read_only=read_only)
+        descriptor.additional_constraints = "" if choices is None else str(choices)
         kind = type(default)
         # A float parameter given as `1000` is an integer to ROS, which refuses it; here it means 1000.0.
         descriptor.dynamic_typing = kind is float and read_only
@@ -296,6 +300,8 @@ class LiveNode(Node):
             value = float(value)
         if kind is float and not (isinstance(value, float) and bounds[0] <= value <= bounds[1]):
             raise UserError(f"parameter {name}: {value!r} is not a number from {bounds[0]:g} to {bounds[1]:g}")
+        if choices is not None and (why := choices.refusal(value)):
+            raise UserError(f"parameter {name}: {why}")
         result: Value = list(value) if isinstance(default, list) else value
         return result
 

@@ -47,9 +47,10 @@ from ..excitation.run import Run, check_limits, limits_of, plan_run
 from ..excitation.trajectory_file import load_trajectory
 from .main import RESTARTS
 from .runtime import LATCHED, Level, LiveNode, Status, run
+from .trajectory_choices import JOINT_COMMAND
 from .trajectory_feedback import Feedback
 from .trajectory_interlock import Interlock
-from .trajectory_output import JOINT_COMMAND, Output, Stream
+from .trajectory_output import Output, Stream
 from .trajectory_path import PathWatch
 from .trajectory_restart import Restart, Started
 from .twin import TwinWatch

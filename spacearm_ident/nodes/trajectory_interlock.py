@@ -21,6 +21,7 @@ from std_msgs.msg import Bool
 from ..errors import UserError
 from .offers import common_offer
 from .runtime import LiveNode, local_name
+from .trajectory_choices import BY_CONTROLLER, BY_DRIVER, BY_TOPIC, ENABLED_FROM
 from .trajectory_controller import DIAGNOSTICS, STATUS_AGE_S, ControllerSource
 
 DRIVER: Final = "canopen_driver"
@@ -129,8 +130,9 @@ class Interlock:
     def __init__(self, node: LiveNode) -> None:
         named = node.parameter(
             "enabled_from",
-            ["driver"],
+            [BY_DRIVER],
             "who says that the arm may be moved: driver, controller, topic; all given must",
+            choices=ENABLED_FROM,
         )
         controller = node.parameter("controller", "", "enabled_from controller: name of the ros2_control controller")
         manager = node.parameter(
@@ -140,18 +142,16 @@ class Interlock:
         )
         topic = node.parameter("enabled_topic", "", "enabled_from topic: a std_msgs/msg/Bool that must be true")
         required = node.parameter("require_enabled", True, "false: enabled_from is shown, and binds nothing")
-        if not named or set(named) - {"driver", "controller", "topic"}:
-            raise UserError(f"parameter enabled_from: {named} names other sources than driver, controller and topic")
-        if "controller" in named and not controller:
+        if BY_CONTROLLER in named and not controller:
             raise UserError("parameter controller is empty: name the controller that enabled_from asks for")
-        if "topic" in named and not topic:
+        if BY_TOPIC in named and not topic:
             raise UserError("parameter enabled_topic is empty: name the topic that enabled_from asks for")
         self._required = required
-        self._topics = [TopicSource(node, topic)] if "topic" in named else []
+        self._topics = [TopicSource(node, topic)] if BY_TOPIC in named else []
         self._speaking: list[DriverSource | ControllerSource] = []
-        if "driver" in named:
+        if BY_DRIVER in named:
             self._speaking.append(DriverSource(node))
-        if "controller" in named:
+        if BY_CONTROLLER in named:
             self._speaking.append(ControllerSource(node, controller, manager))
         self._sources: list[Source] = [*self._speaking, *self._topics]
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._hear, 100)

@@ -23,11 +23,9 @@ from ..excitation.run import Run
 from ..excitation.trajectory import Motion, MotionLimits
 from .runtime import STREAM, LiveNode
 from .set_point_stream import PositionsMessage, SetPointStream
+from .trajectory_choices import FORWARD_POSITIONS, JOINT_COMMAND, JOINT_TRAJECTORY, OUTPUT
 from .trajectory_path import SentPath
 
-JOINT_COMMAND: Final = "joint_command"
-JOINT_TRAJECTORY: Final = "joint_trajectory"
-FORWARD_POSITIONS: Final = "forward_positions"
 TOPICS: Final = {
     JOINT_COMMAND: "joint_command",
     JOINT_TRAJECTORY: "joint_trajectory_controller/joint_trajectory",
@@ -55,9 +53,7 @@ class Output:
     """
 
     def __init__(self, node: LiveNode) -> None:
-        self.kind = node.parameter("output", JOINT_COMMAND, f"what is published: {', '.join(TOPICS)}")
-        if self.kind not in TOPICS:
-            raise UserError(f"parameter output: no {self.kind!r}: one of {', '.join(TOPICS)}")
+        self.kind = node.parameter("output", JOINT_COMMAND, f"what is published: {', '.join(TOPICS)}", choices=OUTPUT)
         topic = node.parameter("output_topic", "", "topic it goes to; empty: as the controllers' examples name theirs")
         order = node.parameter(
             "output_joints", [""], "the controller's joints in its order; empty: as in the trajectory file"
