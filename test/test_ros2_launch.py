@@ -1,8 +1,10 @@
 """`ros2 launch` as documented, with the real tools: start, what a user types meanwhile, failure, Ctrl-C."""
 
 import json
+import os
 import re
 import shutil
+import signal
 from pathlib import Path
 
 import pytest
@@ -224,6 +226,22 @@ def test_two_arms_on_one_graph_are_launched_enabled_and_ended_apart(workspace):
     for arm in ("arm_1", "arm_2"):
         recording = read_recording(complete_bag(workspace.folder / arm / "bags"))
         assert len(recording.time) > 100 and recording.urdf
+
+
+def test_a_killed_driver_is_not_said_to_have_ended_for_a_stop_it_had_recovered_from(workspace, tmp_path):
+    words, own = (f"can:={generous_config(tmp_path)}", "record:=false"), workspace.apart()
+    with workspace.started(*LAUNCH, *words, cwd=tmp_path, **own) as launch:
+        launch.wait_until_said(READY)
+        for service in ("halt", "recover"):
+            answer = workspace.run("ros2", "service", "call", f"/driver/{service}", *TRIGGER, **own).stdout
+            assert "success=True" in answer, answer
+        launch.wait_until_said("arm recovered, disabled now; it was stopped by: ")
+        pid = re.search(r"canopen_driver-\d\]: process started with pid \[(\d+)\]", launch.said)[1]
+        os.kill(int(pid), signal.SIGKILL)
+        assert launch.wait() == 1, launch.said
+        (why,) = (line for line in launch.said.splitlines() if "Caught exception in launch" in line)
+        assert "ended with exit code -9: killed by SIGKILL; before that, it said last: " in why
+        assert "]: arm recovered, disabled now; it was stopped by: " in why
 
 
 # --- a launch that cannot be --------------------------------------------------------------------------------------
