@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from floating_arm import fly, recorded
 
+from spacearm_ident.conventions.check import check_conventions
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.base_link import base_link, base_notes, placed
 from spacearm_ident.errors import UserError
@@ -191,12 +192,17 @@ def test_a_frame_that_is_not_of_the_base_is_refused_with_what_to_do():
         assert "'base'" in str(error.value) and "--fixed-base" in str(error.value)
 
 
-def test_a_base_at_rest_is_taken_for_fixed_and_odd_gravity_is_told():
-    recording = recorded(fly())
+def resting(recording):
+    """The recording with its IMU at rest, upright on the ground; and the noise of its rate (K, 3)."""
     rng = np.random.default_rng(4)
     still = 4e-4 * rng.standard_normal(recording.base.rate.shape)
     force = 5e-3 * rng.standard_normal(still.shape) + [0.0, 0.0, 9.81]
-    at_rest = replace(recording, base=replace(recording.base, rate=still, force=force))
+    return replace(recording, base=replace(recording.base, rate=still, force=force)), still
+
+
+def test_a_base_at_rest_is_taken_for_fixed_and_odd_gravity_is_told():
+    recording = recorded(fly())
+    at_rest, still = resting(recording)
     assert moves(recording.base) and not moves(at_rest.base)
     assert placed([at_rest], ARM)[0].base is None
     assert base_notes([at_rest], ARM) == ["recording 1: /base_imu: the base does not move and is taken as fixed"]
@@ -204,3 +210,24 @@ def test_a_base_at_rest_is_taken_for_fixed_and_odd_gravity_is_told():
     assert "-9.81" in odd and "--gravity" in odd
     turning = replace(at_rest, base=replace(at_rest.base, rate=still + np.array([0.0, 0.0, 0.1])))
     assert moves(turning.base)
+
+
+@pytest.mark.parametrize("frame", ["base", "nowhere"])
+def test_check_takes_a_base_whose_sensor_is_at_rest_as_fixed(frame):
+    """As an identification does: conventions are tested as if the sensor were not there."""
+    at_rest, _ = resting(recorded(fly()))
+    at_rest = replace(at_rest, base=replace(at_rest.base, frame=frame))
+    report, without = (check_conventions([one], ARM) for one in (at_rest, replace(at_rest, base=None)))
+    assert report == without and not any("base moves" in text for text in report.undecided)
+    assert any("base moves" in text for text in check_conventions([recorded(fly())], ARM).undecided)
+
+
+def test_check_says_first_what_identify_says_of_an_unknown_frame_of_a_moving_base():
+    recording = recorded(fly())
+    lost = replace(recording, base=replace(recording.base, frame="nowhere"))
+    with pytest.raises(UserError) as refused:
+        placed([lost], ARM)
+    report = check_conventions([lost], ARM)
+    first = report.findings[0]
+    assert not report.fit and first.kind == "base_frame"
+    assert f"{first.statement}: {first.remedy}" == str(refused.value)

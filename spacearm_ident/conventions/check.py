@@ -18,6 +18,7 @@ from scipy.special import expit
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
+from ..dynamics.base_link import frame_fault, without_still_base
 from ..errors import UnfitDataError
 from ..forks import each
 from ..recording.recording import Recording
@@ -53,6 +54,8 @@ OTHER_SCALES = (0.5, 0.5**0.5, 2.0**0.5, 2.0)
 (a factor of 57) is off by more than a quarter at one joint or another, as the ratios of an arm differ by more."""
 POSITION_UNIT = "position_unit"
 """Kind of a finding that positions are in no unit of angle."""
+BASE_FRAME = "base_frame"
+"""Kind of a finding that the frame of a moving base's sensor is not fixed to the base link."""
 INFERRED = "signs, units, order, zeros and gravity"
 """What the arm's dynamics decide."""
 
@@ -89,10 +92,12 @@ def recording_name(recording: Recording) -> str:
 
 def _check(recording: Recording, arm: Arm) -> ConventionReport:
     require_joints(recording, arm.joint_names)
+    # As in an identification: a sensor at rest makes no moving base.
+    recording = without_still_base(recording)
     ordered = recording.in_order(arm.joint_names)
     plain = read_off(ordered)
     unmodelled = moving_though_fixed(recording, arm)
-    findings = [*compare_description(recording, arm), *unmodelled, *plain.findings]
+    findings = [*_base_frame(recording, arm), *compare_description(recording, arm), *unmodelled, *plain.findings]
     undecided: list[str] = []
     if recording.base is not None:
         undecided.append(f"{INFERRED} (the base moves: give --fixed-base where it does not)")
@@ -111,6 +116,12 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
     name = recording_name(recording)
     found = tuple(replace(finding, recordings=(name,)) for finding in findings)
     return merged([ConventionReport(found, tuple(undecided), (name,))])
+
+
+def _base_frame(recording: Recording, arm: Arm) -> list[Finding]:
+    """That nobody knows where on the base the sensor of its motion sits; with it an identification ends."""
+    fault = None if recording.base is None else frame_fault(recording.base, arm)
+    return [] if fault is None else [Finding(BASE_FRAME, Level.UNFIT, (), *fault)]
 
 
 def _spoilt_by_the_clock(plain: Sequence[Finding], inferred: Sequence[Finding]) -> list[Finding]:

@@ -29,6 +29,11 @@ def base_inertial(arm: Arm) -> FloatArray:
     return np.array(inertia.toDynamicParameters()) if inertia.mass > 0 else np.zeros(10)
 
 
+def without_still_base(recording: Recording) -> Recording:
+    """The recording without its base sensor where the base does not move by it: the base is fixed then."""
+    return recording if recording.base is None or moves(recording.base) else replace(recording, base=None)
+
+
 def placed(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:
     """The recordings with their base sensors placed on the arm; a sensor on a base that stands still is left out.
 
@@ -38,23 +43,31 @@ def placed(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:
         UserError: The frame of a sensor that moves is not fixed to the base link.
     """
     return [
-        recording
-        if recording.base is None
-        else replace(recording, base=_placed(recording.base, arm) if moves(recording.base) else None)
-        for recording in recordings
+        one if one.base is None else replace(one, base=_placed(one.base, arm))
+        for one in map(without_still_base, recordings)
     ]
 
 
-def _placed(sensor: BaseSensor, arm: Arm) -> BaseSensor:
+def frame_fault(sensor: BaseSensor, arm: Arm) -> tuple[str, str] | None:
+    """What is wrong with the frame of a sensor, and its remedy; None where it is fixed to the base link of the arm."""
     model = pin.buildModelFromXML(arm.urdf)
     frame = next((frame for frame in model.frames[1:] if frame.name == sensor.frame), None)
-    if frame is None or frame.parentJoint != 0:
-        why = "no frame of the URDF" if frame is None else "not fixed to its base"
-        raise UserError(
-            f"{sensor.topic} is in the frame {sensor.frame!r}, {why}: let it be {model.frames[1].name!r}, or join it "
-            "to that by a fixed joint of the URDF (--arm); --fixed-base leaves the topic out"
-        )
-    return replace(sensor, rotation=np.array(frame.placement.rotation), origin=np.array(frame.placement.translation))
+    if frame is not None and frame.parentJoint == 0:
+        return None
+    why = "no frame of the URDF" if frame is None else "not fixed to its base"
+    return (
+        f"{sensor.topic} is in the frame {sensor.frame!r}, {why}",
+        f"let it be {model.frames[1].name!r}, or join it to that by a fixed joint of the URDF (--arm); --fixed-base "
+        "leaves the topic out",
+    )
+
+
+def _placed(sensor: BaseSensor, arm: Arm) -> BaseSensor:
+    if (fault := frame_fault(sensor, arm)) is not None:
+        raise UserError(": ".join(fault))
+    model = pin.buildModelFromXML(arm.urdf)
+    place = next(frame.placement for frame in model.frames[1:] if frame.name == sensor.frame)
+    return replace(sensor, rotation=np.array(place.rotation), origin=np.array(place.translation))
 
 
 def base_notes(recordings: Sequence[Recording], arm: Arm) -> list[str]:
