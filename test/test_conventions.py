@@ -29,7 +29,10 @@ from spacearm_ident.dynamics.urdf_chain import locked
 from spacearm_ident.errors import UnfitDataError
 from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.recording.corrections import Corrections, read_corrections
-from spacearm_ident.recording.recording import BaseSensor, Issue
+from spacearm_ident.recording.intake import Samples
+from spacearm_ident.recording.interleaved import steps_back
+from spacearm_ident.recording.reader import recording_of
+from spacearm_ident.recording.recording import BaseSensor, Issue, Source
 from spacearm_ident.sessions.identification import find_arm
 from spacearm_ident.signals.prepare import prepare
 
@@ -515,6 +518,55 @@ def test_samples_that_are_uneven_by_their_stamps_are_sound(arm):
 def test_time_that_runs_backwards_is_found_by_friction(run, arm):
     backwards = Corrections(clock="reversed").applied(run)
     assert unfit(check_conventions([replace(backwards, velocity=None)], arm)) == [("time_reversed", ())]
+
+
+def by_turns(run: Recording, late: Recording, every: int) -> Samples:
+    """Joint states of one source with those of another behind each `every`-th of them."""
+    places = np.arange(len(run.time))
+    order = np.argsort(np.concatenate((places, places[::every] + 0.5)), kind="stable")
+    stamps = np.round(1e9 * np.concatenate((run.time, late.time[::every] + 1e-3))).astype(np.int64)
+    position, velocity, effort = (
+        np.concatenate((getattr(run, name), getattr(late, name)[::every]))[order]
+        for name in ("position", "velocity", "effort")
+    )
+    return Samples(run.joints, stamps[order] + 10**18, position, velocity, effort)
+
+
+@pytest.mark.parametrize(("late_s", "every"), [(0.3, 1), (0.05, 1), (0.3, 10), (None, 4)])
+def test_joint_states_of_two_sources_by_turns_are_the_one_cause_that_is_named(late_s, every, run, arm):
+    """The same motion begun later, or (None) a node that knows nothing and publishes zeros."""
+    first = 0 if late_s is None else round(200 * late_s)
+    here = kept(run, np.arange(first, len(run.time)))
+    late = kept(run, np.arange(len(run.time) - first), time=run.time[first:])
+    if late_s is None:
+        late = replace(run, position=0.0 * run.position, velocity=0.0 * run.velocity, effort=0.0 * run.effort)
+    mixed = recording_of(by_turns(here, late, every), None, (Source("mixed.csv", 1, ""),), run.urdf)
+    report = check_conventions([mixed], arm)
+    (found,) = report.findings
+    assert (found.kind, found.level) == ("two_sources", Level.UNFIT) and report.certain
+    assert "one node" in found.remedy and "two sources" in found.statement
+
+
+def test_positions_of_one_source_are_not_of_two(run):
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(run.position.shape)
+    slow = run.position[::20]  # 10 Hz
+    glitch = run.position.copy()
+    glitch[::10, 1] = 0.0  # a false reading of one joint
+    coarse = np.round(run.position[:, :1] / 2e-3 + rng.uniform(-0.3, 0.3, (len(noise), 4))) * 2e-3
+    one_at_a_time = np.where(np.arange(4) == (np.arange(len(noise)) * 4 // len(noise))[:, None], run.position, 0.0)
+    swaps = np.arange(len(noise)).reshape(-1, 2)[:, ::-1].ravel()  # delivered in the wrong order
+    for position in (
+        run.position,
+        run.position + 0.05 * noise,
+        slow,
+        np.repeat(run.position, 4, axis=0),
+        glitch,
+        coarse,
+        one_at_a_time + 2e-3 * (noise > 1.0),
+        run.position[swaps],
+    ):
+        assert steps_back(position) == 0
 
 
 def test_another_arm_than_the_bag_describes_is_said(run):

@@ -211,6 +211,28 @@ def test_joint_states_published_best_effort_are_identified_and_said(bags, graph,
     assert end(node) == 0 and "Traceback" not in output(node)
 
 
+def test_a_second_node_that_publishes_the_arms_joints_is_warned_of_with_both_names(bags, graph, tmp_path):
+    """A gripper's driver beside the arm's is none: its joints are its own."""
+    node = graph.identifier(f"result_directory:={tmp_path / 'live'}", "auto_identify:=false", *QUICK)
+    beside = graph.node.create_publisher(JointState, "/joint_states", 1000)
+    hand = JointState(name=["finger"], position=[0.0], velocity=[0.0], effort=[0.0])
+    other = JointState(name=list(small_arm.JOINTS), position=[0.5, 0.5], velocity=[0.0, 0.0], effort=[0.0, 0.0])
+    told = f"/joint_states is published by /{graph.node.get_name()}, /small_arm"
+    sent = hand
+    timer = graph.node.create_timer(0.02, lambda: beside.publish(sent))
+    graph.tell(f"play {bags['first']}")
+    assert "is published by" not in output(node)
+    sent = other
+    graph.tell(f"play {bags['first']}")
+    graph.wait_for(lambda: told in output(node), "the warning")
+    assert graph.level("identifier") == 1 and graph.said("identifier", told)()
+    graph.node.destroy_timer(timer)
+    graph.node.destroy_publisher(beside)
+    graph.tell(f"play {bags['first']}")
+    graph.wait_for(lambda: graph.level("identifier") == 0, "all is well")
+    assert output(node).count("is published by") == 1 and end(node) == 0
+
+
 @pytest.mark.parametrize("missing", ["nan", "absent"])
 def test_joint_states_without_effort_are_said_as_a_run_begins(bags, graph, tmp_path, missing):
     """A ros2_control arm without an effort interface publishes NaN; other drivers leave the array empty."""

@@ -30,7 +30,7 @@ from .description import compare_description
 from .evidence import MASS_SD, log_mass
 from .finding import Alternative, ConventionReport, Finding, Level, merged
 from .fixed_joints import moving_though_fixed
-from .plain import CLOCK_JITTER, Plain, read_off, without_motion
+from .plain import CLOCK_JITTER, Plain, read_off, two_sources, without_motion
 from .plausible import EFFORT_SLACK
 from .rows import rows_of
 from .scorer import Scored, Scorer, carried, loaded_joints
@@ -95,6 +95,9 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
     # As in an identification: a sensor at rest makes no moving base.
     recording = without_still_base(recording)
     ordered = recording.in_order(arm.joint_names)
+    if mixed := two_sources(recording):
+        # Motion, clock and velocity are those of two courses: what else is found of them follows from that.
+        return _report(recording, [*mixed, *compare_description(recording, arm)], [f"{INFERRED} (two sources)"])
     plain = read_off(ordered)
     unmodelled = moving_though_fixed(recording, arm)
     findings = [*_base_frame(recording, arm), *compare_description(recording, arm), *unmodelled, *plain.findings]
@@ -113,6 +116,11 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
                 findings = _explained(findings, inferred) + inferred
         except UnfitDataError as error:
             findings = _without_rows(findings, str(error))
+    return _report(recording, findings, undecided)
+
+
+def _report(recording: Recording, findings: Sequence[Finding], undecided: Sequence[str]) -> ConventionReport:
+    """What was found in one recording, and what its data leave open."""
     name = recording_name(recording)
     found = tuple(replace(finding, recordings=(name,)) for finding in findings)
     return merged([ConventionReport(found, tuple(undecided), (name,))])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
+from ..recording.interleaved import TWO_SOURCES
 from ..recording.recording import Recording
 from ..signals.motion import STUCK_RAD
 from .clock import clock_error_s
@@ -131,6 +132,19 @@ def without_motion(recording: Recording, joints: Sequence[str], clock_error_s: f
 def _on_arrival(recording: Recording) -> bool:
     """Whether the time of recording stands in for header stamps that carry none."""
     return any(issue.kind == "log_time_used" for issue in recording.issues)
+
+
+def two_sources(recording: Recording) -> list[Finding]:
+    """That what was recorded are joint states of two sources by turns, as the reader found; no motion and no clock."""
+    remedy = (
+        "publish the arm's joint states from one node: end the others ('ros2 topic info -v' on the topic names them), "
+        "or let them publish another topic, and record again"
+    )
+    return [
+        Finding(TWO_SOURCES, Level.UNFIT, (), issue.message, remedy, values={"samples": issue.count})
+        for issue in recording.issues
+        if issue.kind == TWO_SOURCES
+    ]
 
 
 def _uneven(recording: Recording, error_s: float, effect: str = "") -> Finding:

@@ -51,6 +51,7 @@ from .joint_samples import without_effort
 from .live_tracking import LiveTracking, sentence
 from .message_buffer import Capture, MessageBuffer
 from .offers import RawStream
+from .publishers import PublisherWatch
 from .residual_stream import ResidualStream
 from .runtime import LATCHED, STREAM, Level, LiveNode, Status, relative, run
 from .twin import TwinWatch
@@ -137,6 +138,7 @@ class Identifier(LiveNode):
         # In no executor: a wake-up a message would cost three times what taking them by the fifty does.
         unspun = self.unspun_node()
         self._states_topic = self.resolve_topic_name(relative(STATES_TOPIC))
+        self._several = PublisherWatch(self, self._states_topic)
         self._arriving = [
             (RawStream(unspun, kind, self.resolve_topic_name(relative(buffer.topic))), buffer)
             for kind, buffer in ((JointState, self._states), (Temperature, self._temperatures))
@@ -147,14 +149,20 @@ class Identifier(LiveNode):
     def _take(self) -> None:
         """Joint states and temperatures that have arrived, with the time at which each did."""
         for stream, buffer in self._arriving:
-            for payload, arrived_ns in stream.take():
+            for payload, arrived_ns, number in stream.take():
                 buffer.append(arrived_ns, payload)
+                if buffer is self._states:
+                    self._several.hear(payload, number)
 
     def _look(self) -> None:
         """Take the streams as they are published."""
         for stream, _ in self._arriving:
             if sentence := stream.look():
                 self.get_logger().info(sentence)
+        if self._several.look(self._joints):
+            if self._several.sentence:
+                self.get_logger().warning(self._several.sentence)
+            self.publish_diagnostics()
         self._look_for_effort()
 
     def _look_for_effort(self) -> None:
@@ -450,6 +458,8 @@ class Identifier(LiveNode):
             message = "no joint states have come yet"
         if self._effortless:
             level, message = Level.WARN, f"{message}; {self._no_effort}"
+        if self._several.sentence:
+            level, message = Level.WARN, f"{message}; {self._several.sentence}"
         if self._under_way is not None and buffer.dropped and first > self._under_way.start_ns:
             level = Level.WARN
             message += "; it is longer than the buffer, its beginning is lost: enlarge the parameter buffer_s"

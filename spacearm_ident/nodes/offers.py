@@ -76,7 +76,7 @@ class RawStream:
     def __init__(self, node: Node, kind: type, topic: str) -> None:
         self._node, self._kind, self._topic = node, kind, topic
         self._subscription = raw_subscription(node, kind, topic, STREAM)
-        self._before: list[tuple[bytes, int]] = []
+        self._before: list[tuple[bytes, int, int | None]] = []
         self._reliable = True
 
     def look(self) -> str:
@@ -95,9 +95,12 @@ class RawStream:
             "not sent again"
         )
 
-    def take(self) -> Iterator[tuple[bytes, int]]:
-        """What has arrived since: message and time of arrival, ns since 1970."""
+    def take(self) -> Iterator[tuple[bytes, int, int | None]]:
+        """What has arrived since: message, time of arrival, ns since 1970, and its number among its publisher's.
+
+        The number is None where the middleware has none.
+        """
         before, self._before = self._before, []
         yield from before
         for payload, info in taken(self._subscription):
-            yield payload, info["received_timestamp"]
+            yield payload, info["received_timestamp"], info.get("publication_sequence_number")

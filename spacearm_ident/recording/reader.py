@@ -8,6 +8,7 @@ What counts as sound (contracts.md §1):
 * A sample is used when its message names all joints and gives each a finite position and effort.
 * Velocity is optional, everything here can do without: it is given for all samples or not at all. Where at
   most 1 % of the samples lack a finite velocity those samples are dropped, otherwise the velocity is.
+* Positions that go to and fro between two courses come from two sources; nothing is dropped for it (`interleaved`).
 * An interval is a gap when it exceeds both 5 times the median interval and twice its 95th percentile (uneven
   sampling is no gap).
 * Topics are those of one arm, with or without a namespace: see `namespace`.
@@ -29,6 +30,7 @@ from spacearm_ident.recording import cdr, messages
 from spacearm_ident.recording.base_intake import read_base
 from spacearm_ident.recording.contents import Bag
 from spacearm_ident.recording.intake import Finding, Intake, Samples, gap_threshold_s, increasing, listing
+from spacearm_ident.recording.interleaved import TWO_SOURCES, steps_back
 from spacearm_ident.recording.mcap_reader import Defect, Progress
 from spacearm_ident.recording.namespace import read_arm
 from spacearm_ident.recording.recording import Issue, Recording, Series, Source
@@ -68,6 +70,10 @@ def _settle(intake: Intake, path: str, chosen: bool, damage: Sequence[str]) -> b
     intake.drop_joints_without_effort(chosen=chosen)
     intake.drop_not_finite(effort=True)
     has_velocity = intake.settle_velocity()
+    samples = intake.samples
+    if back := steps_back(samples.position):
+        text = f"in {back} of {len(samples.position)} samples the joints are back where they were before the last one"
+        intake.note(TWO_SOURCES, f"{text}: two sources give the joint states by turns", back)
     intake.put_in_time()
     if len(intake.samples.stamp_ns) < 2:
         reasons = "; ".join([*damage, *(finding.message for finding in intake.findings)])

@@ -19,7 +19,7 @@ class Issue:
 
     Attributes:
         kind: Stable short name, for programs: `gap`, `repeated_stamp`, `backward_stamp`, `nan`,
-            `missing_joint`, `cut_off`, `corrupt_chunk`, `undecodable_message`, `log_time_used`, ...
+            `missing_joint`, `cut_off`, `corrupt_chunk`, `undecodable_message`, `log_time_used`, `two_sources`, ...
         message: One sentence for a person: what was found, and what was done about it.
         count: How many samples, messages or places.
         where_s: Time of the first occurrence, seconds from the start of the recording (None: whole file).

@@ -26,10 +26,11 @@ from ..identification.identify import Progress, identify
 from ..identification.validation import validate
 from ..mismatch.run_set import RunSet
 from ..recording.corrections import Corrections, JointCorrection
+from ..recording.interleaved import TWO_SOURCES
 from ..recording.recording import Recording
 from .identification import within
 
-MISTAKES = RIGHT_OR_WRONG | {Kind.EFFORT_UNIT, POSITION_UNIT, "robot_description", FIXED_JOINT_MOVES}
+MISTAKES = RIGHT_OR_WRONG | {Kind.EFFORT_UNIT, POSITION_UNIT, "robot_description", FIXED_JOINT_MOVES, TWO_SOURCES}
 """Mistakes of convention that no physics looks like: a gain, a zero, gravity, a delay are effects."""
 LARGEST_LEFT = 0.5
 """Share of the squares by which recorded torque differs from the healthy arm's that may be left, in the median of its
