@@ -27,6 +27,7 @@ from spacearm_ident.conventions.setup import Setup
 from spacearm_ident.dynamics.arm import Arm, arm_from_urdf
 from spacearm_ident.dynamics.urdf_chain import locked
 from spacearm_ident.errors import UnfitDataError
+from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.recording import Recording, read_recording
 from spacearm_ident.recording.corrections import Corrections, read_corrections
 from spacearm_ident.recording.intake import Samples
@@ -567,6 +568,15 @@ def test_positions_of_one_source_are_not_of_two(run):
         run.position[swaps],
     ):
         assert steps_back(position) == 0
+
+
+def test_temperatures_in_kelvin_are_a_note_and_refused_where_friction_is_to_follow_them(run, arm):
+    issue = Issue("temperature_unit", "/joint_temperatures: 9 of 9 readings left out: the unit is °C", 9)
+    kelvin = replace(run, issues=(issue,))
+    (found,) = check_conventions([kelvin], arm).findings
+    assert (found.kind, found.level) == ("temperature_unit", Level.NOTE) and "Celsius" in found.remedy
+    with pytest.raises(UnfitDataError, match=r"the unit is °C; publish degrees Celsius"):
+        identify([kelvin], arm, Settings(temperature=("f_c",)))
 
 
 def test_another_arm_than_the_bag_describes_is_said(run):

@@ -117,6 +117,26 @@ def test_two_publishers_on_one_topic_the_arm_is_taken(bag):
     assert bag(rows, joints=["finger"]).joints == ("finger",)
 
 
+@pytest.mark.parametrize(
+    ("values", "kept", "range_"),
+    [
+        ([293.2, 294.0, 300.1], [], "from 293.2 to 300.1"),
+        ([20.0, -273.15, 21.0], [20.0, 21.0], "from -273.15 to -273.15"),
+        ([-100.0, 200.0, 85.0], [-100.0, 200.0, 85.0], None),
+    ],
+)
+def test_temperatures_that_no_joint_has_are_left_out_with_the_unit(bag, values, kept, range_):
+    rows = [
+        (START + k * 10**7, messages.TEMPERATURES_TOPIC, cdr.encode_temperature(START + k * 10**7, "elbow", value))
+        for k, value in enumerate(values)
+    ]
+    recording = bag(states(), others=rows)
+    assert (recording.temperatures["elbow"].values.tolist() if kept else recording.temperatures) == (kept or {})
+    said = [issue.message for issue in recording.issues if issue.kind == "temperature_unit"]
+    assert len(said) == len(recording.issues) == (range_ is not None)
+    assert all(range_ in text and "the unit is °C" in text and "kelvin" in text for text in said)
+
+
 # --- defects of the signals ---------------------------------------------------------------------------------
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..recording.interleaved import TWO_SOURCES
-from ..recording.recording import Recording
+from ..recording.recording import TEMPERATURE_UNIT, Recording
 from ..signals.motion import STUCK_RAD
 from .clock import clock_error_s
 from .finding import Finding, Level
@@ -56,6 +56,8 @@ LET_MOVE_FASTER = "record a run in which they move faster, or with finer positio
 """Remedy for joints whose speed is lost in the noise of their positions."""
 HEADER_STAMPS = "publish joint states with header stamps taken at the sampling instant, and record again"
 """Remedy where the time of recording stands in for them."""
+IN_CELSIUS = "publish degrees Celsius (sensor_msgs/msg/Temperature) and record again for friction over temperature"
+"""Remedy for temperatures in another unit."""
 LOCK = "or lock them where they are (spacearm new-arm URDF --joints NAME ... --lock NAME=VALUE ...) and give that --arm"
 """Further remedy for joints at rest whose torque is constant: often a torso, a head or a gripper, and not the arm's."""
 
@@ -88,7 +90,17 @@ def read_off(recording: Recording) -> Plain:
     findings = [*_rest(names, still, dead), *_dead(recording, dead - still), *_off(recording, still, dead)]
     slopes, velocity = compare_velocity(recording, still)
     error_s = clock_error_s(recording)
-    return Plain((*findings, *velocity, *_clock(recording, error_s)), still, dead, slopes, error_s)
+    findings += [*velocity, *_clock(recording, error_s), *_temperatures(recording)]
+    return Plain(tuple(findings), still, dead, slopes, error_s)
+
+
+def _temperatures(recording: Recording) -> list[Finding]:
+    """That temperatures are in another unit: a note, as they are left out, and friction over temperature is refused."""
+    return [
+        Finding(TEMPERATURE_UNIT, Level.NOTE, (), issue.message, IN_CELSIUS)
+        for issue in recording.issues
+        if issue.kind == TEMPERATURE_UNIT
+    ]
 
 
 def _rest(names: tuple[str, ...], still: frozenset[int], dead: frozenset[int]) -> list[Finding]:

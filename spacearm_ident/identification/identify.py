@@ -34,7 +34,7 @@ from ..estimate.coupling import CouplingTrial
 from ..estimate.determination import judge, open_ended
 from ..estimate.environment import Environment, GravityEstimate, judge_vacuum, without_temperature
 from ..estimate.identified import Choice, Identified
-from ..recording.recording import Recording
+from ..recording.recording import TEMPERATURE_UNIT, Recording
 from ..signals.motion import Motion, moves_by_position
 from ..signals.prepare import prepare, require_joints
 from ..solvers import pso_lm
@@ -115,6 +115,8 @@ def identify(
     require_solver(settings.solver)
     report = progress or (lambda share, what: None)
     _check(recordings, arm)
+    if settings.temperature:
+        _require_celsius(recordings, arm)
     if settings.prior is not None:
         report(0.0, "updating the prior")
         ground = settings.prior.under(arm.gravity)
@@ -216,6 +218,16 @@ def _check(recordings: Sequence[Recording], arm: Arm) -> None:
             raise UnfitDataError(
                 f"{where}: every torque is zero: record effort = current x torque constant x gear ratio"
             )
+
+
+def _require_celsius(recordings: Sequence[Recording], arm: Arm) -> None:
+    """Refuse recordings that have no temperature of a joint for its unit, where friction is to follow them."""
+    for recording in recordings:
+        for issue in recording.issues:
+            if issue.kind == TEMPERATURE_UNIT and not set(arm.joint_names) <= recording.temperatures.keys():
+                raise UnfitDataError(
+                    f"{issue.message}; publish degrees Celsius, or leave friction over temperature out"
+                )
 
 
 def _solver_words(settings: Settings, solution: Solution) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..dynamics.model import IdentifiedModel
-from ..recording import cdr
+from ..recording import cdr, messages
 from ..tracking.rows import RowStream, TrackedModel
 from ..tracking.tracker import Change, Tracker, TrackingSettings, TrackingState
 from .joint_samples import JointSamples
@@ -76,7 +76,8 @@ class TrackingStream:
             _, joint, celsius = cdr.decode_temperature(payload)
         except cdr.CdrError:
             return
-        if joint in self._tracked.joints and np.isfinite(celsius):
+        least, most = messages.TEMPERATURES_C
+        if joint in self._tracked.joints and least <= celsius <= most:
             self._temperature[self._tracked.joints.index(joint)] = celsius
 
     @property

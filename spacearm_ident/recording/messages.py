@@ -90,6 +90,11 @@ DESCRIPTION_TOPIC = "/robot_description"
 STATES_TOPIC = "/joint_states"
 COMMAND_TOPIC = "/joint_command"
 TEMPERATURES_TOPIC = "/joint_temperatures"
+TEMPERATURES_C = (-100.0, 200.0)
+"""Least and largest temperature that a joint can have, °C, the unit of sensor_msgs/msg/Temperature. Windings are
+insulated for 180 (class H of IEC 60085), lubricants for space are rated down to -80. Kelvin of any arm above -73 °C and
+tenths of a degree of one above 20 °C are beyond it; which of the two a reading of 293 is (20 or 29.3 °C) nothing tells,
+so that none is converted."""
 BASE_IMU_TOPIC = "/base_imu"
 BASE_ODOMETRY_TOPIC = "/base_odometry"
 

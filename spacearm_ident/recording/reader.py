@@ -33,7 +33,7 @@ from spacearm_ident.recording.intake import Finding, Intake, Samples, gap_thresh
 from spacearm_ident.recording.interleaved import TWO_SOURCES, steps_back
 from spacearm_ident.recording.mcap_reader import Defect, Progress
 from spacearm_ident.recording.namespace import read_arm
-from spacearm_ident.recording.recording import Issue, Recording, Series, Source
+from spacearm_ident.recording.recording import TEMPERATURE_UNIT, Issue, Recording, Series, Source
 
 
 def _read_states(bag: Bag, path: str, joints: Sequence[str] | None, preferred: Sequence[str]) -> tuple[Intake, bool]:
@@ -100,7 +100,7 @@ def _command(intake: Intake, states: Intake) -> tuple[Series | None, list[Findin
 
 
 def _read_temperatures(bag: Bag, states: Intake) -> tuple[dict[str, Series], list[Finding]]:
-    """Temperatures by joint, finite and in order of time."""
+    """Temperatures by joint, °C, finite, possible and in order of time."""
     stream = bag.streams.get(messages.TEMPERATURES_TOPIC)
     if stream is None:
         return {}, []
@@ -110,17 +110,29 @@ def _read_temperatures(bag: Bag, states: Intake) -> tuple[dict[str, Series], lis
         places.setdefault(name, []).append(place)
     values = np.array([value for _, _, value in rows], dtype=np.float64)
     result, kept = {}, 0
+    finite = np.isfinite(values)
+    impossible = finite & ((values < messages.TEMPERATURES_C[0]) | (values > messages.TEMPERATURES_C[1]))
     for name, of_name in places.items():
         mine = np.array(of_name)
-        mine = mine[np.isfinite(values[mine])]
+        mine = mine[finite[mine] & ~impossible[mine]]
         mine = mine[increasing(stamps[mine])]
         kept += len(mine)
         if len(mine):
             result[name] = Series(_seconds(stamps[mine], states.samples.stamp_ns[0]), values[mine])
-    if lost := len(stream.payloads) - kept:
+    findings = []
+    if beyond := int(impossible.sum()):
+        names = listing([name for name, of_name in places.items() if impossible[of_name].any()])
+        least, most = messages.TEMPERATURES_C
+        text = (
+            f"{messages.TEMPERATURES_TOPIC}: {beyond} of {len(values)} readings left out, of {names}, from "
+            f"{values[impossible].min():.5g} to {values[impossible].max():.5g}: the unit is °C, and no joint is below "
+            f"{least:g} or above {most:g} °C (kelvin, or tenths of a degree?)"
+        )
+        findings.append(Finding(TEMPERATURE_UNIT, text, beyond))
+    if lost := len(stream.payloads) - kept - beyond:
         text = f"{messages.TEMPERATURES_TOPIC}: {lost} unreadable, not finite or untimely messages left out"
-        return result, [Finding("temperature", text, lost)]
-    return result, []
+        findings.append(Finding("temperature", text, lost))
+    return result, findings
 
 
 def _read_description(bag: Bag) -> tuple[str | None, list[Finding]]:

@@ -12,6 +12,9 @@ import numpy as np
 
 from ..arrays import FloatArray
 
+TEMPERATURE_UNIT = "temperature_unit"
+"""Kind of the issue that temperatures are beyond what a joint can have."""
+
 
 @dataclass(frozen=True)
 class Issue:
@@ -19,7 +22,8 @@ class Issue:
 
     Attributes:
         kind: Stable short name, for programs: `gap`, `repeated_stamp`, `backward_stamp`, `nan`,
-            `missing_joint`, `cut_off`, `corrupt_chunk`, `undecodable_message`, `log_time_used`, `two_sources`, ...
+            `missing_joint`, `cut_off`, `corrupt_chunk`, `undecodable_message`, `log_time_used`, `two_sources`,
+            `temperature_unit`, ...
         message: One sentence for a person: what was found, and what was done about it.
         count: How many samples, messages or places.
         where_s: Time of the first occurrence, seconds from the start of the recording (None: whole file).
