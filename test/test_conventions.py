@@ -453,6 +453,28 @@ def test_times_of_arrival_that_spoil_the_speeds_are_the_reason_and_not_rest(run,
     assert "times of arrival" in found.statement and "header stamps" in found.remedy
 
 
+def test_missing_stamps_are_the_note_that_comes_first_and_a_right_velocity_is_not_blamed(run, arm):
+    """Times of arrival: a machine that is held up for half a second now and then takes all messages of it at once."""
+    arrived = np.array(run.time)
+    for first in range(200, len(arrived) - 200, 400):
+        arrived[first : first + 100] = arrived[first + 100] - 1e-6 * np.arange(100, 0, -1)
+    issue = Issue("log_time_used", "the stamps carry no time", len(arrived))
+    late = replace(run, time=arrived, issues=(issue,))
+    wrong = replace(late, velocity=late.velocity * np.array([1.0, -1.0, 1.0, 1.0]))
+    assert of_kind(check_conventions([replace(late, issues=())], arm), "velocity"), "there is something to explain"
+    for recording, blamed in ((late, []), (wrong, [("shoulder",)])):
+        plain = read_off(recording)
+        assert plain.findings[0].kind == "no_stamps" and "header stamps" in plain.findings[0].remedy
+        assert [one.joints for one in plain.findings if one.kind == "velocity"] == blamed
+    assert not [one for one in read_off(run).findings if one.kind == "no_stamps"]
+
+
+def test_messages_that_are_stamped_together_once_make_no_velocity_early(run, arm):
+    time = np.array(run.time)
+    time[1000:1030] = time[1030] - 1e-7 * np.arange(30, 0, -1)
+    assert not of_kind(check_conventions([replace(run, time=time)], arm), "velocity")
+
+
 def test_joints_that_move_for_a_hundredth_of_a_recording_are_not_said_to_hardly_move(run, arm):
     """Ten minutes at rest before and after ten seconds of motion: as good as the motion by itself."""
     begin, end = np.searchsorted(run.time, (10.0, 20.0))

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
+from ..recording.corrections import Corrections
 from ..recording.interleaved import TWO_SOURCES
 from ..recording.recording import TEMPERATURE_UNIT, Recording
 from ..signals.motion import STUCK_RAD
 from .clock import clock_error_s
 from .finding import Finding, Level
 
+NO_STAMPS = "no_stamps"
+"""Kind of the finding that times of arrival stand in for header stamps."""
 CLOCK_JITTER = "clock_jitter"
 """Kind of the findings on stamps that are off the instants of sampling."""
 REST_RAD = 1e-3
@@ -89,9 +92,25 @@ def read_off(recording: Recording) -> Plain:
     dead = frozenset(np.flatnonzero(spread <= DEAD_SHARE * max(float(spread.max()), 1e-9)).tolist())
     findings = [*_rest(names, still, dead), *_dead(recording, dead - still), *_off(recording, still, dead)]
     slopes, velocity = compare_velocity(recording, still)
+    if _on_arrival(recording):
+        # What is wrong with the velocity itself is wrong over an even clock as well; the rest is the arrival's.
+        slopes, evenly = compare_velocity(Corrections(clock="even").applied(recording), still)
+        told = {one.joints for one in velocity}
+        velocity = [one for one in evenly if one.joints in told]
     error_s = clock_error_s(recording)
-    findings += [*velocity, *_clock(recording, error_s), *_temperatures(recording)]
+    findings = [*_arrival(recording), *findings, *velocity, *_clock(recording, error_s), *_temperatures(recording)]
     return Plain(tuple(findings), still, dead, slopes, error_s)
+
+
+def _arrival(recording: Recording) -> list[Finding]:
+    """That there are no header stamps: what explains uneven times and a poor fit, and so the first to be mended."""
+    if not _on_arrival(recording):
+        return []
+    text = (
+        "the header stamps carry no time (zero, or all the same); times of arrival stand in for them, late by an "
+        "unknown time that changes: uneven times, noisy speeds and a poor fit follow from that"
+    )
+    return [Finding(NO_STAMPS, Level.NOTE, (), text, HEADER_STAMPS)]
 
 
 def _temperatures(recording: Recording) -> list[Finding]:
@@ -218,7 +237,10 @@ def _off(recording: Recording, still: frozenset[int], dead: frozenset[int]) -> l
 
 
 def _blocks(recording: Recording, length_s: float = 0.04) -> list[tuple[FloatArray, FloatArray, float]]:
-    """Mean recorded velocity, velocity from positions, and block length of every segment."""
+    """Way by the recorded velocity, way by positions, and duration of the blocks of every segment.
+
+    Ways, not speeds: messages that are stamped together on arrival span no time, and over it a speed without bound.
+    """
     assert recording.velocity is not None
     size = max(4, round(length_s * recording.rate_hz))
     found = []
@@ -228,12 +250,11 @@ def _blocks(recording: Recording, length_s: float = 0.04) -> list[tuple[FloatArr
         if count < 20:
             continue
         ends = np.arange(count + 1) * size
-        # The mean over a block, by the trapezoidal rule, is the difference of its ends over its time.
+        # The integral over a block, by the trapezoidal rule, is the difference of its ends.
         step = np.diff(time)[:, None]
         area = 0.5 * (recording.velocity[segment][1:] + recording.velocity[segment][:-1]) * step
         total = np.add.reduceat(area[: ends[-1]], ends[:-1], axis=0)
-        span = np.diff(time[ends])[:, None]
-        found.append((total / span, np.diff(position[ends], axis=0) / span, float(np.median(span))))
+        found.append((total, np.diff(position[ends], axis=0), float(np.median(np.diff(time[ends])))))
     return found
 
 
@@ -328,7 +349,7 @@ def _clock(recording: Recording, error_s: float) -> list[Finding]:
         error_s: RMS error of the stamps as positions show it, s.
     """
     findings = []
-    samples = len(recording.time)
+    samples, arrival = len(recording.time), _on_arrival(recording)
     for issue in recording.issues:
         if issue.kind == "backward_clock":
             remedy = "stamp joint states with a clock that counts up; check the result against another run"
@@ -338,20 +359,20 @@ def _clock(recording: Recording, error_s: float) -> list[Finding]:
             level = Level.UNFIT if lost > LOST_SHARE else Level.NOTE
             text = f"{issue.message} ({lost:.1%} of the samples)"
             remedy = "stamp every joint state when it is sampled, by one steady clock"
-            if issue.kind == "repeated_stamp" and _on_arrival(recording):
+            if issue.kind == "repeated_stamp" and arrival:
                 remedy = f"{HEADER_STAMPS}; a recorder with use_sim_time repeats the times of a slow /clock"
             findings.append(Finding("clock_order", level, (), text, remedy, values={"share": round(lost, 4)}))
     found = jitter(recording)
     if found is not None:
         ratio, rms_s = found
         if ratio > JITTER_RATIO and rms_s > JITTER_SEEN * JITTER_S:
+            what = "times of arrival" if arrival else "stamps"
             text = (
-                f"the stamps jitter by {rms_s * 1e3:.2g} ms RMS where the samples are even: positions are "
+                f"the {what} jitter by {rms_s * 1e3:.2g} ms RMS where the samples are even: positions are "
                 f"{ratio:.1f} times smoother over an even clock"
             )
-            remedy = (
-                "stamp at the sampling instant, not on arrival; 'corrections: {clock: even}' in the arm YAML mends it"
-            )
+            stamp = HEADER_STAMPS if arrival else "stamp at the sampling instant, not on arrival"
+            remedy = f"{stamp}; 'corrections: {{clock: even}}' in the arm YAML mends it"
             level = Level.UNFIT if rms_s > JITTER_S else Level.NOTE
             values = {"rms_s": rms_s, "ratio": round(ratio, 2)}
             return [*findings, Finding(CLOCK_JITTER, level, (), text, remedy, values=values)]
