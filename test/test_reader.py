@@ -204,7 +204,8 @@ def test_times_of_recording_that_repeat_count_only_where_the_stamps_carry_no_tim
     assert numbers(recording) == list(range(0, 100, 2))
     (text,) = (issue.message for issue in recording.issues if issue.kind == "repeated_stamp")
     assert "time of recording" in text and "use_sim_time" in text
-    (found,) = read_off(recording).findings
+    said, found = read_off(recording).findings
+    assert said.kind == "no_stamps"
     assert (found.kind, found.level) == ("clock_order", Level.UNFIT)
     assert "header stamps" in found.remedy and "use_sim_time" in found.remedy
 
