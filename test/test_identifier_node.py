@@ -225,12 +225,12 @@ def test_a_second_node_that_publishes_the_arms_joints_is_warned_of_with_both_nam
     sent = other
     graph.tell(f"play {bags['first']}")
     graph.wait_for(lambda: told in output(node), "the warning")
-    assert graph.level("identifier") == 1 and graph.said("identifier", told)()
+    graph.wait_for(lambda: graph.level("identifier") == 1 and graph.said("identifier", told)(), "the status")
     graph.node.destroy_timer(timer)
     graph.node.destroy_publisher(beside)
     graph.tell(f"play {bags['first']}")
     graph.wait_for(lambda: graph.level("identifier") == 0, "all is well")
-    assert output(node).count("is published by") == 1 and end(node) == 0
+    assert end(node) == 0
 
 
 @pytest.mark.parametrize("missing", ["nan", "absent"])
