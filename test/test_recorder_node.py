@@ -25,6 +25,7 @@ from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.nodes.runtime import LATCHED, STREAM
 from spacearm_ident.recording import cdr, read_recording, write_recording
 from spacearm_ident.recording.background_writer import BackgroundWriter, Topic
+from spacearm_ident.recording.bag import messages
 from spacearm_ident.recording.definitions import definition_text
 from spacearm_ident.recording.messages import JOINT_STATE, STRING, MessageType
 
@@ -310,11 +311,27 @@ def test_a_full_disk_ends_the_bag_and_not_the_node(processes, probe, tmp_path):
     probe.wait_for(lambda: probe.level("recorder") == 2, "an ERROR on /diagnostics")
     assert "recording ended early" in probe.statuses["recorder"].message
     assert probe.values("recorder")["recording"] == "false"
+    early = f"recording ended early: {folder} is incomplete: cannot be written (File too large)"
+    said = [line for line in output(recorder).splitlines() if early in line]
+    assert len(said) == 1 and "[ERROR]" in said[0] and "start the recorder with another directory" in said[0]
     success, reply = probe.call("/recorder/stop")
     assert not success and "incomplete" in reply and str(folder) in reply
     assert len(read_recording(folder).time) > 100  # what was written before is kept
-    assert started(probe) != folder  # and it can start anew
+    assert f"({sum(1 for _ in messages(folder))} of the " in reply
+
+    places = set(tmp_path.iterdir())
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (0, 60_000))
+    success, reply = probe.call("/recorder/start")
+    assert not success and "cannot be written (File too large)" in reply
+    assert set(tmp_path.iterdir()) == places  # no empty bag
+
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (60_000, 60_000))
+    again = started(probe)  # and it can start anew
+    assert again != folder
+    probe.wait_for(lambda: output(recorder).count("recording ended early") == 2, "the end of the second")
     assert end(recorder) == 0
+    last = output(recorder).splitlines()[-1]
+    assert "[ERROR]" in last and f"{again} is incomplete" in last
 
 
 def test_a_buffer_that_is_full_drops_and_counts_and_never_waits(tmp_path):

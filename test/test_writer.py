@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,7 @@ from spacearm_ident.recording import (
     Recording,
     RecordingWriter,
     Series,
+    bag,
     copy_messages,
     messages,
     read_recording,
@@ -197,6 +200,43 @@ def test_a_full_disk_is_a_user_error():
         with pytest.raises(UserError, match="No space left"):
             write_recording(Path(scratch) / "run.mcap", example(100))
         assert list(Path(scratch).iterdir()) == []
+
+
+@contextmanager
+def files_of_at_most(size: int):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("size", [0, 20])
+def test_a_bag_that_cannot_even_be_begun_leaves_nothing(tmp_path, size):
+    with files_of_at_most(size), pytest.raises(UserError, match=r"File too large\); make room"):
+        RecordingWriter(tmp_path / "run", remedy="make room")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bag_that_no_message_could_be_written_to_leaves_nothing(tmp_path):
+    with files_of_at_most(100), pytest.raises(UserError), RecordingWriter(tmp_path / "run") as writer:
+        channel = writer.add_topic("/x", messages.STRING)
+        writer.write(channel, START, os.urandom(1000))
+    assert writer.kept == 0 and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("size", [300_000, 390_000, 400_000])
+def test_messages_kept_are_those_that_are_read_back_after_the_disk_was_full(tmp_path, size):
+    with files_of_at_most(size), pytest.raises(UserError), RecordingWriter(tmp_path / "run") as writer:
+        channel = writer.add_topic("/x", messages.STRING)
+        for number in range(100):
+            writer.write(channel, START + number, os.urandom(10_000))
+            if number == 19:
+                writer.flush()
+    # 20 messages were flushed; the chunk cut off holds blocks of 128 kB, each to be decompressed by itself.
+    assert 20 < writer.kept < 100
+    assert sum(1 for _ in bag.messages(tmp_path / "run")) == writer.kept
 
 
 KILLED = """

@@ -4,8 +4,8 @@ In a namespace it records the topics of that namespace alone, and `shared_topics
 are those of the graph, as rosbag2 keeps them: `/arm_1/joint_states`.
 
 Services: `/recorder/start` and `/recorder/stop` (std_srvs/srv/Trigger); both replies name the folder. What
-goes wrong while recording (disk full) is on `/diagnostics` as ERROR, and in the reply to stop; the node stays
-alive, and can start anew.
+goes wrong while recording (disk full) is an ERROR in the log and on `/diagnostics`, and in the reply to stop; the node
+stays alive, and can start anew.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from ..recording.background_writer import BackgroundWriter, Topic
 from .graph_reader import GraphReader, Sink
 from .runtime import Level, LiveNode, Status, require_folder, run
 from .twin import TwinWatch
+
+LOOK_S = 0.25
+"""How often it is looked whether the recording goes on."""
 
 
 class Recorder(LiveNode):
@@ -45,10 +48,12 @@ class Recorder(LiveNode):
         self._writer: BackgroundWriter | None = None
         self._reader: GraphReader | None = None
         self._started = 0.0
+        self._told_failure = False
         self._twin = TwinWatch(self)
         self._refusal = ""
         self.offer("recorder/start", self.start)
         self.offer("recorder/stop", self.stop)
+        self.every(LOOK_S, self._watch)
         if immediately:
             self.start()
 
@@ -60,14 +65,20 @@ class Recorder(LiveNode):
         """
         if self._writer is not None and self._writer.failure is None:
             raise UserError(f"already recording to {self._writer.path}; stop first")
+        self._watch()
         self._end()
+        # `directory` cannot be changed while the node runs.
+        remedy = (
+            f"make room or permit writing there, then call {self.resolve_service_name('recorder/start')}; or start the "
+            "recorder with another directory"
+        )
         try:
-            writer = BackgroundWriter(self._new_folder(), buffer_bytes=self._buffer_bytes)
+            writer = BackgroundWriter(self._new_folder(), buffer_bytes=self._buffer_bytes, remedy=remedy)
         except UserError as error:
             self._refusal = str(error)
             self.publish_diagnostics()
             raise
-        self._refusal = ""
+        self._refusal, self._told_failure = "", False
         self._writer, self._reader = writer, GraphReader(self._subscriber, self._sink(writer), self._shared)
         self._started = time.monotonic()
         self.publish_diagnostics()
@@ -93,14 +104,32 @@ class Recorder(LiveNode):
         """
         if self._writer is None or self._reader is None:
             raise UserError(self._refusal or "not recording; start first")
-        writer, reader, seconds = self._writer, self._reader, time.monotonic() - self._started
-        self._end()
+        level, sentence = self._finish(self._writer, self._reader)
         self.publish_diagnostics()
-        if failure := writer.failure or reader.failure:
-            raise UserError(f"{writer.path} is incomplete: {failure} ({writer.messages} messages are in it)")
+        if level is Level.ERROR:
+            if not self._told_failure:
+                self.log(level, sentence)
+            raise UserError(sentence)
+        return sentence
+
+    def _finish(self, writer: BackgroundWriter, reader: GraphReader) -> tuple[Level, str]:
+        """Finish the bag; how well it is, and what is in it."""
+        seconds = time.monotonic() - self._started
+        self._end()
+        if (failure := _failure(writer, reader)) is not None:
+            return Level.ERROR, failure
         lost = sum(count.lost for count in reader.counts.values())
         figures = f"{writer.messages} messages in {seconds:.1f} s, {lost} lost, {writer.dropped} dropped"
-        return f"wrote {writer.path}: {figures}"
+        return Level.WARN if lost or writer.dropped else Level.OK, f"wrote {writer.path}: {figures}"
+
+    def _watch(self) -> None:
+        """Say once that a recording has ended early."""
+        if self._writer is None or self._reader is None or self._told_failure:
+            return
+        if (failure := _failure(self._writer, self._reader)) is not None:
+            self._told_failure = True
+            self.log(Level.ERROR, f"recording ended early: {failure}")
+            self.publish_diagnostics()
 
     def readiness(self) -> str | None:
         """Where it records to."""
@@ -111,10 +140,8 @@ class Recorder(LiveNode):
 
     def close(self) -> None:
         """Finish the bag."""
-        if self._writer is not None:
-            writer = self._writer
-            self._end()
-            self.get_logger().info(f"wrote {writer.path}: {writer.messages} messages; {writer.failure or 'complete'}")
+        if self._writer is not None and self._reader is not None:
+            self.log(*self._finish(self._writer, self._reader))
 
     def _end(self) -> None:
         if self._reader is not None:
@@ -161,6 +188,16 @@ class Recorder(LiveNode):
         else:
             level, message = Level.OK, "recording"
         return (Status(level, message, values), Status(Level.OK, f"{len(topics)} topics", topics, part="topics"))
+
+
+def _failure(writer: BackgroundWriter, reader: GraphReader) -> str | None:
+    """Why a recording ended before it was asked to, what to do, and how much is in the bag; None where it did not."""
+    if (failure := writer.failure or reader.failure) is None:
+        return None
+    held = f"{writer.messages} of the {writer.offered} messages that came are in it"
+    if not writer.path.exists():
+        held = f"none of the {writer.offered} messages that came could be written, and no bag is left"
+    return f"{writer.path} is incomplete: {failure.removeprefix(f'{writer.path}: ')} ({held})"
 
 
 def main(arguments: Sequence[str]) -> int:

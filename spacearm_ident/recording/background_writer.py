@@ -45,16 +45,17 @@ class BackgroundWriter:
     Attributes:
         path: The bag.
         failure: Why writing ended early (disk full, ...), or None. What came before is in the bag.
-        messages: Messages written.
+        messages: Messages written; after a failure, those that are in the bag.
         dropped: Messages dropped because the buffer was full, or after the failure.
     """
 
-    def __init__(self, path: str | Path, *, buffer_bytes: int = 64 * 2**20) -> None:
+    def __init__(self, path: str | Path, *, buffer_bytes: int = 64 * 2**20, remedy: str = "name another place") -> None:
         """Create the bag and start.
 
         Args:
             path: As for `RecordingWriter`.
             buffer_bytes: Payload bytes that may wait for the disk.
+            remedy: As for `RecordingWriter`.
 
         Raises:
             UserError: The place cannot be written.
@@ -63,6 +64,7 @@ class BackgroundWriter:
         self.failure: str | None = None
         self.messages = 0
         self.dropped = 0
+        self._accepted = 0
         self._room = buffer_bytes
         self._queue: deque[tuple[Topic, int, bytes, int]] = deque()
         # Two counters with one writer each, instead of one under a lock.
@@ -70,7 +72,7 @@ class BackgroundWriter:
         self._taken_bytes = 0
         self._channels: dict[Topic, int] = {}
         self._ending = threading.Event()
-        self._writer = RecordingWriter(path)
+        self._writer = RecordingWriter(path, remedy=remedy)
         self._thread = threading.Thread(target=self._work, name="bag writer")
         self._thread.start()
 
@@ -78,6 +80,11 @@ class BackgroundWriter:
     def fill(self) -> float:
         """Share of the buffer in use."""
         return (self._put_bytes - self._taken_bytes) / self._room
+
+    @property
+    def offered(self) -> int:
+        """Messages that were `put`, dropped ones among them."""
+        return self._accepted + self.dropped
 
     def put(self, topic: Topic, log_time_ns: int, payload: bytes, publish_time_ns: int) -> bool:
         """Queue one message for writing, without waiting; call it from one thread at a time.
@@ -94,6 +101,7 @@ class BackgroundWriter:
         if self.failure is not None or self._put_bytes - self._taken_bytes + len(payload) > self._room:
             self.dropped += 1
             return False
+        self._accepted += 1
         self._put_bytes += len(payload)
         self._queue.append((topic, log_time_ns, payload, publish_time_ns))
         return True
@@ -114,6 +122,7 @@ class BackgroundWriter:
                         self._writer.flush()
                 self._drain()
         except UserError as error:
+            self.messages = self._writer.kept
             self.failure = str(error)
 
     def _drain(self) -> None:

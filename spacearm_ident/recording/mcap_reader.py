@@ -135,6 +135,7 @@ class McapFile:
     Attributes:
         channels: Channels met so far, by id.
         defects: Damage met so far.
+        seen: Messages met so far, of any channel.
     """
 
     def __init__(self, data: bytes | mmap.mmap, wanted: Callable[[Channel], bool] = lambda _: True) -> None:
@@ -147,7 +148,7 @@ class McapFile:
         self._schemas: dict[int, mcap.records.Schema] = {}
         self._settled = False
         self._expected: int | None = None
-        self._seen = 0
+        self.seen = 0
         self._homeless = 0
         self._last_log_time: int | None = None
         self._room = MAX_CHUNK_BYTES + MAX_EXPANSION * len(data)
@@ -189,8 +190,8 @@ class McapFile:
         if self._homeless:
             text = f"{self._homeless} messages of undeclared channels left out"
             self._report("unknown_channel", text, self._homeless)
-        if self._expected is not None and self._seen < self._expected:
-            lost = self._expected - self._seen
+        if self._expected is not None and self.seen < self._expected:
+            lost = self._expected - self.seen
             self._report("lost_messages", f"{lost} of {self._expected} messages of all topics are lost", lost)
 
     def _report(self, kind: str, text: str, count: int = 1) -> None:
@@ -213,7 +214,7 @@ class McapFile:
                 return
             if opcode == 5 and length >= 22:
                 channel_id, _, log_time, publish_time = read_message(data, body)
-                self._seen += 1
+                self.seen += 1
                 if channel_id not in yielded:
                     self._homeless += 1
                 elif (channel := yielded[channel_id]) is not None:

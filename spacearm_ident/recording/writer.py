@@ -9,21 +9,22 @@ without one was not closed, and still reads).
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 import yaml
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from spacearm_ident.arrays import FloatArray, IntArray
 from spacearm_ident.documents import parse_yaml
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording import bag, cdr, messages
-from spacearm_ident.recording.mcap_reader import Channel
+from spacearm_ident.recording.mcap_reader import Channel, McapFile
 from spacearm_ident.recording.messages import MessageType
 from spacearm_ident.recording.qos import LATCHED, STREAMED, Qos, offered
 from spacearm_ident.recording.recording import BaseSensor, Recording, Series
@@ -34,31 +35,44 @@ _NOTHING = 2**63 - 1
 class RecordingWriter:
     """Context manager that writes raw messages into one MCAP file or one rosbag2 folder.
 
-    Leaving it by an exception removes the unfinished single file and leaves a folder without `metadata.yaml`.
+    Leaving it by an exception removes the unfinished single file, and leaves a folder without `metadata.yaml`, or none
+    where no message is in it.
 
     Args:
         path: `NAME.mcap` for one file (an existing one is replaced), otherwise a new folder.
+        remedy: What a user can do where the place cannot be written, for the error message.
+
+    Attributes:
+        kept: Messages in the file, known once the writer was left: after a failed write fewer than were written.
 
     Raises:
-        UserError: The folder exists, or the place cannot be written.
+        UserError: The folder exists, or not even the file's header can be written; nothing is left then.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, remedy: str = "name another place") -> None:
         self.path = Path(path)
+        self.kept = 0
+        self._remedy = remedy
         self._single = self.path.suffix == ".mcap"
         self._file = self.path if self._single else self.path / f"{self.path.name}_0.mcap"
         self._open = self.path.with_name(f".{self.path.name}.part") if self._single else self._file
         if not self._single and self.path.exists():
             raise UserError(f"{path}: exists already; remove it or name another")
-        with _disk(self.path):
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = self._open.open("wb")
-        self._mcap = Writer(self._stream, compression=CompressionType.ZSTD)
-        self._mcap.start(profile="ros2", library="spacearm_ident")
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._topics: dict[int, dict[str, Any]] = {}
         self._counts: dict[int, int] = {}
         self._first_ns, self._last_ns = _NOTHING, 0
+        self._synced = 0  # bytes
+        with ExitStack() as undo, self._disk():
+            undo.callback(self._remove)
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self._open.open("wb")
+            undo.callback(self._close_stream)
+            self._mcap = Writer(self._stream, compression=CompressionType.ZSTD)
+            self._mcap.start(profile="ros2", library="spacearm_ident")
+            # A full disk lets files be made: only what was synced shows that there is room.
+            self.flush()
+            undo.pop_all()
 
     def add_topic(
         self, topic: str, kind: MessageType, publishers: Sequence[Qos] = (STREAMED,), *, described: bool = True
@@ -103,7 +117,7 @@ class RecordingWriter:
             publish_time_ns: When it was sent; `log_time_ns` if not known.
         """
         sent = log_time_ns if publish_time_ns is None else publish_time_ns
-        with _disk(self.path):
+        with self._disk():
             self._mcap.add_message(channel, log_time_ns, payload, sent, self._counts[channel])
         self._counts[channel] += 1
         self._first_ns = min(self._first_ns, log_time_ns)
@@ -111,21 +125,21 @@ class RecordingWriter:
 
     def note(self, name: str, entries: dict[str, str]) -> None:
         """Add an MCAP metadata record."""
-        with _disk(self.path):
+        with self._disk():
             self._mcap.add_metadata(name, entries)
 
     def flush(self) -> None:
         """Put what was written so far on the disk, where it survives a power cut; waits for the disk."""
-        with _disk(self.path):
+        with self._disk():
             self._mcap.flush()
-            os.fsync(self._stream.fileno())
+            self._sync()
 
     def close(self) -> None:
         """Finish the file: index, end mark, name or `metadata.yaml`."""
-        with _disk(self.path):
+        with self._disk():
             self._mcap.finish()
             self._stream.flush()
-            os.fsync(self._stream.fileno())
+            self._sync()
             self._stream.close()
             if self._single:
                 self._open.replace(self._file)
@@ -134,8 +148,16 @@ class RecordingWriter:
                 part.write_text(yaml.safe_dump(self._metadata(), sort_keys=False), encoding="utf-8")
                 part.replace(self.path / "metadata.yaml")
 
+    def _sync(self) -> None:
+        os.fsync(self._stream.fileno())
+        self._synced, self.kept = self._stream.tell(), self._written
+
+    @property
+    def _written(self) -> int:
+        return sum(self._counts.values())
+
     def _metadata(self) -> dict[str, Any]:
-        count = sum(self._counts.values())
+        count = self._written
         span = {
             "starting_time": {"nanoseconds_since_epoch": self._first_ns if count else 0},
             "duration": {"nanoseconds": self._last_ns - self._first_ns if count else 0},
@@ -175,19 +197,37 @@ class RecordingWriter:
             self._discard()
 
     def _discard(self) -> None:
+        self._close_stream()
+        with suppress(OSError):
+            self.kept += self._complete_after_sync()
+        if self._single or not self.kept:
+            self._remove()
+
+    def _complete_after_sync(self) -> int:
+        """Messages that a reader finds in what a failed write left behind the last sync."""
+        with self._open.open("rb") as stream:
+            stream.seek(self._synced)
+            rest = McapFile(MCAP0_MAGIC + stream.read(), lambda _: False)
+        deque(rest.messages(), maxlen=0)
+        return rest.seen
+
+    def _close_stream(self) -> None:
         with suppress(OSError):
             self._stream.close()
-        if self._single:
+
+    def _remove(self) -> None:
+        with suppress(OSError):
             self._open.unlink(missing_ok=True)
+            if not self._single:
+                self.path.rmdir()
 
-
-@contextmanager
-def _disk(path: Path) -> Iterator[None]:
-    """Turns what the disk says into a line for the user."""
-    try:
-        yield
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written ({error.strerror}); name another place") from error
+    @contextmanager
+    def _disk(self) -> Iterator[None]:
+        """Turns what the disk says into a line for the user."""
+        try:
+            yield
+        except OSError as error:
+            raise UserError(f"{self.path}: cannot be written ({error.strerror}); {self._remedy}") from error
 
 
 def _loaded(qos: str) -> list[dict[str, Any]]:
