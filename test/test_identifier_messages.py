@@ -31,9 +31,11 @@ def test_a_good_result_of_sound_data_is_said_without_a_warning():
     assert doubts == [] and notes[0].startswith("Good fit") and any("clock_jitter" in line for line in notes)
 
 
-def test_unfit_data_are_a_warning_whatever_the_fit():
-    doubts, notes = doubts_and_notes(session(0.01, Level.UNFIT))
-    assert doubts[0].startswith("data unfit: clock jitter") and notes[0].startswith("Good fit")
+@pytest.mark.parametrize("moving", [0.01, 0.5])
+def test_of_unfit_data_the_warning_is_theirs_and_the_model_has_no_verdict(moving):
+    doubts, notes = doubts_and_notes(session(moving, Level.UNFIT))
+    assert doubts[0].startswith("data unfit: clock jitter") and doubts[-1].startswith("do not use the model")
+    assert notes == [] and not any(" fit." in line for line in doubts)
 
 
 def test_a_model_that_is_not_to_be_used_is_a_warning_whatever_the_data():

@@ -239,7 +239,7 @@ def test_joint_states_without_effort_are_said_as_a_run_begins(bags, graph, tmp_p
     recording = read_recording(bags["first"])
     lacking = tmp_path / "lacking.mcap"
     effort = np.full_like(recording.effort, np.nan)
-    effort[:, 0] = recording.effort[:, 0]  # one joint is enough: the others are fixed
+    effort[:, 0] = recording.effort[:, 0]  # one joint is enough, where the others stand still
     write_recording(tmp_path / "one.mcap", replace(recording, effort=effort))
     with RecordingWriter(lacking) as writer:
         topic = writer.add_topic(STATES_TOPIC, TOPIC_TYPES[STATES_TOPIC], [])
@@ -256,9 +256,36 @@ def test_joint_states_without_effort_are_said_as_a_run_begins(bags, graph, tmp_p
     assert graph.level("identifier") == 1
     graph.wait_for(lambda: f"[identifier]: run r1: {words}" in output(node), "the log")
     graph.tell(f"play {tmp_path / 'one.mcap'}")
-    graph.wait_for(lambda: graph.level("identifier") == 0, "all is well")
+    words = "/joint_states carries no effort of elbow, which moves: a model of the other joints would be wrong"
+    graph.wait_for(graph.said("identifier", words), "the warning of one joint")
+    assert graph.level("identifier") == 1 and "of shoulder" not in graph.statuses["identifier"].message
     graph.tell(f"play {bags['first']}")
-    assert output(node).count("carries no effort") == 1, output(node)
+    graph.wait_for(lambda: graph.level("identifier") == 0, "all is well")
+    assert output(node).count("carries no effort") == 2, output(node)
+
+
+def test_unfit_data_are_said_before_anything_else_of_their_result(bags, graph, tmp_path):
+    recording = read_recording(bags["first"])
+    effort = recording.effort.copy()
+    effort[:, 1] = np.nan
+    write_recording(tmp_path / "one.mcap", replace(recording, effort=effort))
+    node = graph.identifier(f"result_directory:={tmp_path / 'live'}", *QUICK)
+    graph.tell(f"run 1 {tmp_path / 'one.mcap'}")
+    graph.wait_for(graph.said("identifier: identification", "data unfit: fixed joint moves"), "the identification")
+    lines = output(node).splitlines()
+    first = next(k for k, line in enumerate(lines) if ", as spacearm identify" in line) + 1
+    assert "[WARN]" in lines[first] and "data unfit: fixed joint moves" in lines[first]
+    assert "fit. Every joint" not in output(node)
+
+
+def test_a_joint_without_effort_that_stands_still_is_no_warning(bags, graph, tmp_path):
+    recording = read_recording(bags["first"])
+    effort, position = recording.effort.copy(), recording.position.copy()
+    effort[:, 1], position[:, 1] = np.nan, 0.3
+    write_recording(tmp_path / "one.mcap", replace(recording, effort=effort, position=position))
+    node = graph.identifier(f"result_directory:={tmp_path / 'live'}", "auto_identify:=false", *QUICK)
+    graph.tell(f"run 1 {tmp_path / 'one.mcap'}")
+    assert graph.level("identifier") == 0 and "carries no effort" not in output(node)
 
 
 def test_a_field_run_is_explained_where_asked(bags, processes, graph, tmp_path):

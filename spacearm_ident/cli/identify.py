@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ..conventions.finding import ConventionReport
+from ..conventions.finding import UNFIT_MODEL, ConventionReport
 from ..dynamics.model import FRICTION_LAWS
 from ..environment.gravity import GRAVITY_CHOICES, VECTOR
 from ..estimate.counts import counts
@@ -201,11 +201,7 @@ def summary(
         *(about[:1] if unfit else verdict.lines),
         f"next: {UNFIT_NEXT if unfit else _next_step(verdict.usable, page, identified.coupling)}",
         f"report: {page}",
-        *(
-            [*about[1:], "do not use the model: its figures only say how well it repeats the unfit data"]
-            if unfit
-            else []
-        ),
+        *([*about[1:], UNFIT_MODEL] if unfit else []),
         f"validated {validation.what}",
         f"{'joint':<24}{'RMSE':>10}{'max':>10} {'unit':<5}{'R':>8}{'rel. RMS':>10}{'moving':>9}{'unfiltered':>12}",
     ]

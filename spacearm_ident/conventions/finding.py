@@ -14,6 +14,9 @@ DECISIVE = 50.0
 """Log odds from which `identify` calls data unfit for an inferred mistake; `check` names it from less. From
 `bench/conventions.py`: the largest of 28 sound recordings is 41 (a UR5 with friction and CAD errors of its own)."""
 
+UNFIT_MODEL = "do not use the model: its figures only say how well it repeats the unfit data"
+"""Said of a model of unfit data, in place of a verdict on its fit."""
+
 
 class Level(StrEnum):
     """What a finding means for an identification."""

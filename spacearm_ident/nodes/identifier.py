@@ -19,6 +19,7 @@ import json
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,12 +28,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 
-from ..dynamics.arm import load_arm
+from ..dynamics.arm import arm_from_urdf, load_arm
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.model_file import load_model, save_model
 from ..errors import UserError
 from ..estimate.identified import Identified
 from ..mismatch.finding import NO_MISMATCH, Explanation
+from ..recording import cdr
 from ..recording.intake import listing
 from ..recording.messages import DESCRIPTION_TOPIC, STATES_TOPIC, TEMPERATURES_TOPIC
 from .identifier_messages import (
@@ -47,7 +49,7 @@ from .identifier_messages import (
 )
 from .identifier_settings import declare
 from .jobs import WRITING, Compared, Done, IdentifyJob, Job, MismatchJob
-from .joint_samples import without_effort
+from .joint_samples import EffortWatch
 from .live_tracking import LiveTracking, sentence
 from .message_buffer import Capture, MessageBuffer
 from .offers import RawStream
@@ -102,7 +104,8 @@ class Identifier(LiveNode):
         self._temperatures = MessageBuffer(TEMPERATURES_TOPIC, limit // 10)
         self._description: Capture | None = None
         self._joints = () if self._settings.how.arm is None else load_arm(self._settings.how.arm).joint_names
-        self._effortless: tuple[str, ...] = ()
+        self._described: tuple[str, ...] = ()
+        self._efforts = EffortWatch()
         self._looked, self._looked_at = 0, ""
         self._under_way: RunMark | None = None
         self._pending: deque[RunMark] = deque(maxlen=LONGEST_PENDING)
@@ -166,28 +169,45 @@ class Identifier(LiveNode):
         self._look_for_effort()
 
     def _look_for_effort(self) -> None:
-        """Say at the beginning of a run, not after it, that nothing can be identified from it."""
+        """Say as a run begins, or as a joint moves, not after it, that there is no effort to identify from."""
         stored, run = self._states.stored, self._under_way
         payloads = self._states.since(max(self._looked, stored - LATEST_STATES))
         if not payloads:
             return
-        self._looked, before, self._effortless = stored, self._effortless, without_effort(payloads, self._joints)
-        if run is not None and run.name != self._looked_at:
+        efforts, before = self._efforts, (self._efforts.absent, self._efforts.moving)
+        begins = run is not None and run.name != self._looked_at
+        if begins:
+            efforts.forget()
+        self._looked = stored
+        efforts.look(payloads, self._joints or self._described)
+        if run is not None and begins:
             self._looked_at = run.name
-            if self._effortless:
+            if efforts.absent:
                 self.get_logger().warning(f"run {run.name}: {self._no_effort}")
-        if bool(before) != bool(self._effortless):
+        if set(efforts.moving) - set(before[1]):
+            self.get_logger().warning(self._effort_missing)
+        if before != (efforts.absent, efforts.moving):
             self.publish_diagnostics()
 
     @property
     def _no_effort(self) -> str:
         return (
-            f"{self._states_topic} carries no effort of {listing(self._effortless)}: nothing can be "
+            f"{self._states_topic} carries no effort of {listing(self._efforts.absent)}: nothing can be "
             "identified from a run; have the driver publish effort (N m, or A with constants in the arm YAML)"
+        )
+
+    @property
+    def _effort_missing(self) -> str:
+        return (
+            f"{self._states_topic} carries no effort of {listing(self._efforts.moving)}, which moves: a model of the "
+            "other joints would be wrong; have the driver publish its effort, or hold it still"
         )
 
     def _on_description(self, payload: bytes) -> None:
         self._description = Capture.of_one(DESCRIPTION_TOPIC, time.time_ns(), payload)
+        self._described = ()
+        with suppress(cdr.CdrError, UserError):  # an identification says what is wrong with it
+            self._described = arm_from_urdf(cdr.decode_string(payload)).joint_names
 
     def _on_excitation(self, message: String) -> None:
         """Mark where a run begins and ends; one that was stopped early is not used."""
@@ -321,17 +341,15 @@ class Identifier(LiveNode):
     def _finish(self, job: IdentifyJob, done: Done) -> None:
         """Publish a result and go on with its model."""
         session = done.session
+        doubts, notes = doubts_and_notes(session)
+        for line in doubts:
+            self.get_logger().warning(line)
+        for line in (*notes, *done.findings):
+            self.get_logger().info(line)
         if job.known is None:
             # Runs of a fit with a hold-out are not validated further: the fit has not seen all of its bag.
             self._known, self._fitted = (session.identified, job.fitted) if job.holds_nothing_out else (None, ())
             self._adopt(job, session.identified)
-        for line in done.findings:
-            self.get_logger().info(line)
-        doubts, notes = doubts_and_notes(session)
-        for line in notes:
-            self.get_logger().info(line)
-        for line in doubts:
-            self.get_logger().warning(line)
         figures = {"report": session.page, "bags": _files(job.bags), **validation_figures(session.validation)}
         figures["model_in_use"] = self._model_file
         message = f"identified and validated {session.validation.what}"
@@ -456,8 +474,10 @@ class Identifier(LiveNode):
             message = f"run {self._under_way.name} is under way"
         elif not buffer.stored:
             message = "no joint states have come yet"
-        if self._effortless:
+        if self._efforts.absent:
             level, message = Level.WARN, f"{message}; {self._no_effort}"
+        if self._efforts.moving:
+            level, message = Level.WARN, f"{message}; {self._effort_missing}"
         if self._several.sentence:
             level, message = Level.WARN, f"{message}; {self._several.sentence}"
         if self._under_way is not None and buffer.dropped and first > self._under_way.start_ns:

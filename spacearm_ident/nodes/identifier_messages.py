@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 
 from ..arrays import FloatArray
+from ..conventions.finding import UNFIT_MODEL
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.term import Constant, Parameter
 from ..estimate.identified import Estimate, Identified, Validation
@@ -125,13 +126,14 @@ def doubts_and_notes(session: Session) -> tuple[list[str], list[str]]:
     """What speaks against using a result, and what else is to be said of it, a line each; as `spacearm identify` does.
 
     Args:
-        session: Result. Data that are unfit come first; a verdict of poor or suspect is a doubt, any other a note.
+        session: Result. Of unfit data the verdict is theirs, and the model has none; a verdict of poor or suspect is a
+            doubt, any other a note.
     """
     conventions, judged = session.conventions, judge_result(session.identified, session.validation)
     about = conventions.lines() if conventions.findings else []
-    doubts = [*(() if conventions.fit else about), *(() if judged.usable else judged.lines)]
-    notes = [*(judged.lines if judged.usable else ()), *(about if conventions.fit else ())]
-    return doubts, notes
+    if not conventions.fit:
+        return [*about, UNFIT_MODEL], []
+    return (list(judged.lines), about) if not judged.usable else ([], [*judged.lines, *about])
 
 
 def mismatch_figures(explanation: Explanation) -> dict[str, object]:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
+from ..conventions.plain import FIXED_RANGE
+from ..dynamics.urdf_chain import of_a_hand
 from ..recording import cdr
 
 RATE_SAMPLES = 64
@@ -27,22 +29,53 @@ class Samples:
     effort: FloatArray
 
 
-def without_effort(payloads: Sequence[bytes], joints: Sequence[str] = ()) -> tuple[str, ...]:
-    """The joints, where none of them has a finite effort in any of the messages; else, and where none is named, empty.
+class EffortWatch:
+    """Which joints have no effort, before anything is identified from them.
 
-    One is enough: joints that have none beside others that have (a gripper's) are fixed where a bag is read.
+    One joint's effort is enough: others without (a gripper's) are fixed where a bag is read. Where one of the arm's
+    moves that is wrong (`conventions.fixed_joints`).
 
-    Args:
-        payloads: Serialised joint states.
-        joints: Those that count; all in the messages unless given.
+    Attributes:
+        absent: The joints, where none of them has a finite effort in the latest messages; else empty.
+        moving: Joints of the arm, no gripper's, that have moved without effort beside others that have it.
     """
-    seen: dict[str, None] = {}
-    for block in cdr.decode_joint_states(payloads)[0]:
-        columns = [k for k, name in enumerate(block.names) if not joints or name in joints]
-        if block.effort is not None and np.isfinite(block.effort[:, columns]).any():
-            return ()
-        seen |= dict.fromkeys(block.names[k] for k in columns)
-    return tuple(seen)
+
+    def __init__(self) -> None:
+        self.absent: tuple[str, ...] = ()
+        self.moving: tuple[str, ...] = ()
+        self._ends: dict[str, tuple[float, float]] = {}
+
+    def forget(self) -> None:
+        """Forget where joints have been: a run begins."""
+        self._ends = {}
+
+    def look(self, payloads: Sequence[bytes], joints: Sequence[str]) -> None:
+        """Take the latest messages.
+
+        Args:
+            payloads: Serialised joint states.
+            joints: The arm's; where they are not known all in the messages count for `absent`, and none for `moving`.
+        """
+        measured: set[str] = set()
+        seen: dict[str, None] = {}
+        for block in cdr.decode_joint_states(payloads)[0]:
+            for k, name in enumerate(block.names):
+                if joints and name not in joints:
+                    continue
+                seen[name] = None
+                if block.effort is not None and np.isfinite(block.effort[:, k]).any():
+                    measured.add(name)
+                if block.position is not None:
+                    known = block.position[np.isfinite(block.position[:, k]), k]
+                    low, high = self._ends.get(name, (np.inf, -np.inf))
+                    self._ends[name] = (float(np.min(known, initial=low)), float(np.max(known, initial=high)))
+        self._ends = {name: ends for name, ends in self._ends.items() if name not in measured}
+        self.absent = () if measured else tuple(seen)
+        self.moving = tuple(
+            name
+            for name, (low, high) in self._ends.items()
+            if measured and name in joints and not of_a_hand(name) and high - low > FIXED_RANGE
+        )
 
 
 class JointSamples:
