@@ -49,6 +49,24 @@ def test_memory_is_bounded_and_the_oldest_go_first():
     assert len(buffer.between(0, 10**9).times_ns) == len(buffer)
 
 
+@pytest.mark.parametrize("rate_hz", [50, 200, 1000])
+def test_messages_are_kept_for_the_time_asked_for_at_any_rate(rate_hz):
+    step_ns, span_s = 10**9 // rate_hz, 100
+    buffer = MessageBuffer(STATES_TOPIC, 1000 * span_s, span_s * 10**9)
+    for number in range(3 * span_s * rate_hz + 4 * BLOCK_MESSAGES):
+        buffer.append(number * step_ns, b"x")
+    first, last = buffer.span_ns()
+    assert span_s <= (last - first) / 1e9 + 1.0 / rate_hz <= span_s + 2 * BLOCK_MESSAGES / rate_hz
+    assert buffer.dropped == buffer.stored - len(buffer)
+
+
+def test_a_faster_stream_than_the_limit_is_for_costs_no_more_memory():
+    buffer = MessageBuffer(STATES_TOPIC, 2 * BLOCK_MESSAGES, 10**9 * 3600)
+    for number in range(10 * BLOCK_MESSAGES):
+        buffer.append(number, b"x")
+    assert 2 * BLOCK_MESSAGES <= len(buffer) <= 3 * BLOCK_MESSAGES
+
+
 def test_larger_messages_cost_messages_and_not_memory():
     buffer = MessageBuffer(STATES_TOPIC, 2 * BLOCK_MESSAGES)
     for number in range(6 * BLOCK_MESSAGES):

@@ -60,7 +60,7 @@ from .twin import TwinWatch
 from .worker import Failed, Step, Worker
 
 RATE_HZ = 1000.0
-"""Rate for which `buffer_s` is meant: slower joint states are kept for longer."""
+"""Rate up to which joint states are kept for `buffer_s`: of faster ones, as many messages, which bounds the memory."""
 WATCH_S = 0.05
 LOOK_S = 0.25
 """How often publishers are looked for: as often as the recorder does."""
@@ -99,9 +99,9 @@ class Identifier(LiveNode):
         super().__init__("identifier")
         self._settings = declare(self)
         self._new_job = partial(IdentifyJob, directory=self._settings.directory, options=self._settings.how)
-        limit = max(1, int(self._settings.buffer_s * RATE_HZ))
-        self._states = MessageBuffer(STATES_TOPIC, limit)
-        self._temperatures = MessageBuffer(TEMPERATURES_TOPIC, limit // 10)
+        limit, span_ns = max(1, int(self._settings.buffer_s * RATE_HZ)), int(self._settings.buffer_s * 1e9)
+        self._states = MessageBuffer(STATES_TOPIC, limit, span_ns)
+        self._temperatures = MessageBuffer(TEMPERATURES_TOPIC, limit // 10, span_ns)
         self._description: Capture | None = None
         self._joints = () if self._settings.how.arm is None else load_arm(self._settings.how.arm).joint_names
         self._described: tuple[str, ...] = ()

@@ -32,7 +32,7 @@ class IdentifierSettings:
 
     Attributes:
         how: How to identify.
-        buffer_s: Joint states kept, s at 1 kHz.
+        buffer_s: Time for which joint states are kept, s; above 1 kHz as many as at 1 kHz.
         auto: Whether a finished run is identified.
         directory: Result folder.
         row_rate_hz: Of the published residual.
@@ -65,7 +65,11 @@ def declare(node: LiveNode) -> IdentifierSettings:
     """
     how = _how(node)
     buffer_s = node.parameter(
-        "buffer_s", 300.0, "Joint states kept, s at 1 kHz; the oldest go first", low=5.0, high=7200.0
+        "buffer_s",
+        300.0,
+        "Time for which joint states are kept, s; above 1 kHz as many as at 1 kHz; the oldest go first",
+        low=5.0,
+        high=7200.0,
     )
     text = "Bag or model.yaml of the healthy arm, to explain every run; empty: not"
     tracking = _tracking(node)

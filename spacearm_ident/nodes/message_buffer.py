@@ -77,14 +77,17 @@ class MessageBuffer:
         topic: Its name.
         limit: How many messages are kept; less than two blocks of `BLOCK_MESSAGES` more, never fewer while messages
             are no larger than the first. The bytes are bounded by the blocks for that many of the first's size.
+        span_ns: Time of arrival within which messages are kept, where they are no more than `limit`; up to two blocks
+            of older ones stay beside them.
 
     Attributes:
         stored: Messages taken in so far; the number of the next one.
         dropped: Messages that had to go, oldest first, or were too large.
     """
 
-    def __init__(self, topic: str, limit: int) -> None:
+    def __init__(self, topic: str, limit: int, span_ns: int = 2**63 - 1) -> None:
         self.topic = topic
+        self._span_ns = span_ns
         self._most = -(-limit // BLOCK_MESSAGES) + 1
         self._room = self._newest_ns = 0
         self._blocks: deque[_Block] = deque()
@@ -121,12 +124,13 @@ class MessageBuffer:
         self.stored += 1
 
     def _next_block(self, size: int) -> _Block:
-        """An empty block: a new one up to the limit, then the oldest."""
+        """An empty block: the oldest where the others hold enough or are as many as may be, else a new one."""
         if self._room < size:  # The first message, or the first that a whole block could not hold.
             self._room = max(size * BLOCK_MESSAGES, self._room)
             self.dropped += len(self)
             self._blocks.clear()
-        if len(self._blocks) < self._most:
+        outlived = len(self._blocks) > 1 and self._newest_ns - int(self._blocks[1].times_ns[0]) >= self._span_ns
+        if len(self._blocks) < self._most and not outlived:
             block = _Block(self._room)
         else:
             block = self._blocks.popleft()
