@@ -218,7 +218,9 @@ def how_it_ended(code: int, words: str | None) -> str:
     """
     if code >= 0:
         return f"ended with exit code {code}: {words or 'it said nothing'}"
-    killed = f"ended with exit code {code}: killed by {signal.Signals(-code).name}"
+    number = -code
+    name = signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
+    killed = f"ended with exit code {code}: killed by {name}"
     return f"{killed}; before that, it said last: {words}" if words else killed
 
 
