@@ -37,7 +37,13 @@ def causes(adaptation: Adaptation) -> tuple[Cause, ...]:
 
 
 def reason(adaptation: Adaptation, change: Change) -> str:
-    """Why one parameter is thought to have moved, or not, in a few words."""
+    """Why one parameter is thought to have moved, or not, in a few words.
+
+    Args:
+        adaptation: Its share of k_v2 and k_v3 that is gone shows vacuum, its friction levels run by run show
+            temperature.
+        change: One of `adaptation.changes`.
+    """
     share = adaptation.vacuum
     if change.symbol in ("k_v2", "k_v3"):
         gone = change.after_error > 0 and abs(change.after) < CLEAR * change.after_error

@@ -148,7 +148,15 @@ class ArmBus:
 
 
 def required_writes(axis: Axis, arm: ArmBus) -> list[SdoWrite]:
-    """What a drive must accept to work in the cycle: PDOs, SYNC, heartbeats, mode, interpolation time."""
+    """What a drive must accept to work in the cycle: PDOs, SYNC, heartbeats, mode, interpolation time.
+
+    Args:
+        axis: The drive that is written to; its node id goes into the PDOs' identifiers.
+        arm: Layouts of the PDOs, timing and mode, common to all drives.
+
+    Returns:
+        In the order in which they are written; the master gives up where a drive refuses one.
+    """
     value, exponent = interpolation_time(arm.period * arm.set_point_divider)
     node = axis.node_id
     timeout_ms = round(1e3 * arm.heartbeat_timeout)
@@ -174,7 +182,15 @@ def required_writes(axis: Axis, arm: ArmBus) -> list[SdoWrite]:
 
 
 def optional_writes(axis: Axis, arm: ArmBus) -> list[SdoWrite]:
-    """What makes the drive itself stop in time; not every drive has all of it, and a refusal is reported."""
+    """What makes the drive itself stop in time; not every drive has all of it, and a refusal is reported.
+
+    Args:
+        axis: The drive that is written to, with its position limits, following error and quick-stop ramp.
+        arm: Layouts, which leave some PDOs unused, and the SYNC period.
+
+    Returns:
+        Unused PDOs switched off, then the SYNC period, reactions, following-error window and position limits.
+    """
     per_rad = 1.0 / abs(axis.scale.rad_per_count)
     ends = sorted(_counts(limit, axis.scale) for limit in axis.limits)
     window = _U32 if math.isinf(axis.following_error) else min(round(axis.following_error * per_rad), _U32)

@@ -111,6 +111,10 @@ def frame_seconds(size: int, rate: BitRate, fd: bool) -> tuple[float, float]:
 def bus_load(frames: Iterable[CyclicFrame], rate: BitRate = BitRate()) -> BusLoad:
     """Load of one bus by `frames`.
 
+    Args:
+        frames: All that is sent on the bus in the cycle, as `Traffic.frames` gives it.
+        rate: Bit rates of the bus, bit/s; default: classical CAN at 1 Mbit/s.
+
     Raises:
         ValueError: A frame cannot hold its bytes.
     """

@@ -177,7 +177,15 @@ def after_command(state: State, controlword: int, previous: int) -> State:
 
 
 def after_event(state: State, event: Event) -> State:
-    """The drive's state after something happened inside it."""
+    """The drive's state after something happened inside it.
+
+    Args:
+        state: The state before.
+        event: What happened: `INITIALISED`, `FAULT`, or the end of a fault reaction or of a quick stop.
+
+    Returns:
+        The next state by `EVENTS`; the same state where the event changes nothing there.
+    """
     return EVENTS.get((state, event), state)
 
 

@@ -63,7 +63,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def table(rows: list[dict[str, Any]], page: Path) -> str:
-    """The summary on a terminal: how many were identified, what to do next, a line a run."""
+    """The summary on a terminal: how many were identified, what to do next, a line a run.
+
+    Args:
+        rows: `runs` of `summary.json`, at least one; what became of each bag.
+        page: Index page of the batch, which the user is told to open.
+    """
     done = sum(row["status"] == IDENTIFIED for row in rows)
     rest = "" if done == len(rows) else f"; the reasons of the other {len(rows) - done} are below"
     width = max(len("run"), *(len(row["run"]) for row in rows))

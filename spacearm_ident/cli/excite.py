@@ -385,7 +385,15 @@ def document(
 
 
 def whole_errors(excitation: Excitation, trajectory: Trajectory) -> dict[str, float]:
-    """Relative standard errors of the model's constants after the whole run, slow segment included."""
+    """Relative standard errors of the model's constants after the whole run, slow segment included.
+
+    Args:
+        excitation: Its problem gives the model at its current values and the noise of the joints.
+        trajectory: The run to be recorded, from rest to rest.
+
+    Returns:
+        Name of a constant, such as a Stribeck velocity -> its relative error; empty where none is estimated.
+    """
     times = np.arange(0.0, trajectory.duration_s, 1.0 / INFORMATION_HZ)
     information = excitation.problem.question.information(trajectory.evaluate(times), INFORMATION_HZ)
     return information.relative_errors(len(times))

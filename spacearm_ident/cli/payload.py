@@ -74,7 +74,12 @@ def document(held: Held) -> dict[str, Any]:
 
 
 def lines(held: Held, joints: tuple[str, ...]) -> list[str]:
-    """The result on a terminal."""
+    """The result on a terminal.
+
+    Args:
+        held: The payload found.
+        joints: Names in the arm's order, for the residuals of `held`; a joint without a residual is not listed.
+    """
     centre = ", ".join(f"{value:.4f} ± {error:.4f}" for value, error in zip(held.centre, held.centre_error))
     shown = [
         f"payload: mass {held.mass:.3f} ± {held.mass_error:.3f} kg, centre {centre} m in {held.frame} (± std. error)",

@@ -30,7 +30,15 @@ LARGEST_OVERLOAD: Final = 10.0
 
 
 def check_can(path: Path, arm_file: Path | None = None) -> list[CheckResult]:
-    """All checks of a CAN configuration; `arm_file` is the arm it should be of."""
+    """All checks of a CAN configuration; `arm_file` is the arm it should be of.
+
+    Args:
+        path: The CAN file, YAML.
+        arm_file: Arm file that the user checks beside it; a CAN file of another arm is warned of. None: not compared.
+
+    Returns:
+        One result only where the file has empty keys or cannot be loaded, else those of all checks.
+    """
     try:
         data = read_yaml(path)
         if empty := empty_keys(data):

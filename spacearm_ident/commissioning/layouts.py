@@ -123,7 +123,12 @@ def _plot(title: str, curves: Sequence[Curve]) -> dict[str, Any]:
 
 
 def plotjuggler_layout(arm: str, joints: Sequence[str]) -> str:
-    """Text of a layout file for PlotJuggler; `arm` is the hardware id of the diagnostics, the arm's name."""
+    """Text of a layout file for PlotJuggler; `arm` is the hardware id of the diagnostics, the arm's name.
+
+    Args:
+        arm: Part of the names of diagnostic values, as PlotJuggler's ROS parser makes them.
+        joints: Names as in the joint states, in the order of the plots.
+    """
     root = ET.Element("root")
     window = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     for name, plots in _tabs(arm, joints).items():

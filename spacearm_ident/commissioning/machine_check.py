@@ -51,7 +51,12 @@ DISK_BYTES: Final = 2 << 30
 
 
 def check_machine(folder: Path, environment: Mapping[str, str]) -> list[CheckResult]:
-    """All checks of the machine; recordings would go to `folder`."""
+    """All checks of the machine; recordings would go to `folder`.
+
+    Args:
+        folder: Whether it can be written and has room; where it does not exist, the nearest folder above it.
+        environment: Environment variables, for the ROS distribution, its prefixes and its discovery settings.
+    """
     return [*_python(), *_ros(environment), *_real_time(), _clock(), *_disk(folder)]
 
 

@@ -32,7 +32,12 @@ class CheckResult:
 
 
 def ok(subject: str, message: str) -> CheckResult:
-    """All is well."""
+    """A check that passed.
+
+    Args:
+        subject: What was checked.
+        message: What was found.
+    """
     return CheckResult(subject, Level.OK, message)
 
 

@@ -39,6 +39,10 @@ def placed(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:
 
     Without a base sensor, or where it stands still, the base is fixed and gravity that of the arm.
 
+    Args:
+        recordings: With or without a base sensor.
+        arm: Its URDF gives the pose of the sensor's frame on the base link.
+
     Raises:
         UserError: The frame of a sensor that moves is not fixed to the base link.
     """

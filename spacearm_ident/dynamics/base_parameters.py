@@ -102,7 +102,15 @@ def regroup(columns: FloatArray, parameters: Sequence[Parameter], preference: Se
 
 
 def random_base(rng: np.random.Generator, samples: int) -> BaseMotion:
-    """A base that moves at random."""
+    """A base that moves at random.
+
+    Args:
+        rng: Random generator; every component is uniform between -2 and 2 in its SI unit.
+        samples: Number of independent samples; they are no continuous motion.
+
+    Returns:
+        Angular velocity, angular acceleration and specific force, (samples, 3) each.
+    """
     return BaseMotion(*rng.uniform(-2.0, 2.0, (3, samples, 3)))
 
 

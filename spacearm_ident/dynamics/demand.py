@@ -32,7 +32,12 @@ def drawn_postures(arm: Arm, count: int = POSTURES, seed: int = 0) -> FloatArray
 
 
 def gravity_torques(arm: Arm, postures: FloatArray) -> FloatArray:
-    """(T, n) N m or N that hold the CAD links in postures (T, n)."""
+    """(T, n) N m or N that hold the CAD links in postures (T, n).
+
+    Args:
+        arm: Links of the URDF and the gravity vector.
+        postures: (T, n) rad or m.
+    """
     model = pin.buildModelFromXML(bounded(arm.urdf))
     model.gravity.linear = arm.gravity
     data = model.createData()
@@ -40,7 +45,12 @@ def gravity_torques(arm: Arm, postures: FloatArray) -> FloatArray:
 
 
 def joint_inertias(arm: Arm, postures: FloatArray) -> FloatArray:
-    """(T, n) kg m² or kg that each joint moves in postures (T, n), the others at rest: the diagonal of M(q)."""
+    """(T, n) kg m² or kg that each joint moves in postures (T, n), the others at rest: the diagonal of M(q).
+
+    Args:
+        arm: Links of the URDF.
+        postures: (T, n) rad or m.
+    """
     model = pin.buildModelFromXML(bounded(arm.urdf))
     data = model.createData()
     return np.array([np.diag(pin.crba(model, data, posture)) for posture in postures])

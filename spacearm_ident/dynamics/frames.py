@@ -13,7 +13,15 @@ Frames = list[tuple[FloatArray, FloatArray]]
 
 
 def frames_of(arm: Arm, postures: FloatArray) -> Frames:
-    """Those of an arm at postures (T, n), rad or m."""
+    """Base and joint frames of an arm at postures (T, n), rad or m.
+
+    Args:
+        arm: Joints with their placements.
+        postures: (T, n) joint positions, in the arm's order.
+
+    Returns:
+        n + 1 frames: number 0 is the base's, k + 1 that of joint k.
+    """
     samples = len(postures)
     frames = [(np.tile(np.eye(3)[..., None], samples), np.zeros((3, samples)))]
     for joint, q in zip(arm.joints, postures.T):

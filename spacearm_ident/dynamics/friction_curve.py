@@ -94,7 +94,12 @@ def friction_terms(identified: IdentifiedModel, joint: str) -> frozenset[str]:
 
 
 def fastest_seen(identified: IdentifiedModel, joint: str) -> float | None:
-    """Largest speed of a joint in the data, rad/s (m/s); None where the model does not say."""
+    """Largest speed of a joint in the data, rad/s (m/s); None where the model does not say.
+
+    Args:
+        identified: A model whose viscous friction may state the largest speed at which its terms were identified.
+        joint: Name of the joint.
+    """
     speed = identified.model.structure.get(ViscousFriction.kind, {}).get("fastest", {}).get(joint)
     return None if speed is None else float(speed)
 

@@ -66,7 +66,15 @@ def resolve_meshes(urdf: str, folders: Sequence[str]) -> Meshes:
 
 
 def package_folders(urdf: str, folders: Sequence[str]) -> list[str]:
-    """Folders, absolute and few, with which `resolve_meshes` finds what it finds with `folders` from anywhere."""
+    """Folders, absolute and few, with which `resolve_meshes` finds what it finds with `folders` from anywhere.
+
+    Args:
+        urdf: Text of the URDF whose meshes are wanted.
+        folders: Where to look first, relative to the working directory or absolute.
+
+    Returns:
+        For `package_path` of an arm file; a mesh that is not found adds none.
+    """
     needed: list[str] = []
     for mesh in parse_xml(urdf, "the URDF").iter("mesh"):
         name = mesh.get("filename", "")

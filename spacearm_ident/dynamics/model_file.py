@@ -117,7 +117,12 @@ def _effort(arm: Arm) -> dict[str, Any]:
 
 
 def save_model(identified: IdentifiedModel, path: Path) -> None:
-    """Write a model file; floats keep every digit."""
+    """Write a model file; floats keep every digit.
+
+    Args:
+        identified: Structure, values and what else `model_to_dict` holds.
+        path: File to write; its folder must exist, an older file is replaced.
+    """
     text = yaml.dump(model_to_dict(identified), sort_keys=False, width=100, Dumper=_Dumper)
     path.write_text(text, encoding="utf-8")
 

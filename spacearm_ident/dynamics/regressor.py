@@ -225,17 +225,32 @@ def joint_placement(joint: Joint, q: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def times_transposed(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Transposes of matrices (3, 3, N or 1) times vectors (3, N): of rotations, from the carrier to the child."""
+    """Transposes of matrices (3, 3, N or 1) times vectors (3, N): of rotations, from the carrier to the child.
+
+    Args:
+        matrix: One rotation a sample, or one for all; (3, 3, 1, N or 1) for several vectors a sample.
+        vector: Coordinates first; (3, k, N) for k vectors a sample.
+    """
     return np.asarray(matrix[0] * vector[0] + matrix[1] * vector[1] + matrix[2] * vector[2])
 
 
 def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Matrices (3, 3, N or 1) times vectors (3, N): of rotations, from the child to the carrier."""
+    """Matrices (3, 3, N or 1) times vectors (3, N): of rotations, from the child to the carrier.
+
+    Args:
+        matrix: One matrix a sample, or one for all.
+        vector: One vector a sample, coordinates first; of a rotation's, in the child's axes.
+    """
     return np.asarray(matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2])
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product along the first axis, the others broadcast; many times faster than `numpy.cross`."""
+    """Cross product along the first axis, the others broadcast; many times faster than `numpy.cross`.
+
+    Args:
+        a: (3, ...) left factor.
+        b: (3, ...) right factor, broadcast with `a`.
+    """
     first = a[1] * b[2] - a[2] * b[1]
     out = np.empty((3, *first.shape))
     out[0] = first
