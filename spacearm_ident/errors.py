@@ -7,6 +7,10 @@ def one_line(text: str, longest: int = LONGEST) -> str:
     """Text as one line that a terminal only prints: no control characters, the middle left out where it is long.
 
     Names out of recordings and files stand in messages; none of them may clear a screen or fill it.
+
+    Args:
+        text: A message, with whatever control characters and line breaks.
+        longest: Characters above which the middle gives way to " ... ".
     """
     if len(text) > longest:
         text = f"{text[: longest // 2]} ... {text[-longest // 2 :]}"

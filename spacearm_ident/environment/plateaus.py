@@ -117,6 +117,14 @@ def friction_points(plateaus: Sequence[Plateau], with_model: bool) -> list[Frict
     """Friction at every run (with a model), or at every pair of runs forth and back through the same postures.
 
     A run back goes with the nearest run forth in time that it fits; each is used once.
+
+    Args:
+        plateaus: Runs of one joint, of one recording.
+        with_model: Whether their torque is without what a model says of the rest, so that friction alone is left.
+
+    Returns:
+        With a model, points of one direction each; without, of both directions (0), at the mean speed of the pair. Runs
+        without a partner give none.
     """
     if with_model:
         ways = [int(np.sign(run.speed)) for run in plateaus]

@@ -238,6 +238,10 @@ def with_temperature(model: IdentifiedModel, calibration: TemperatureCalibration
     """The model with `temperature_friction` at the calibrated joints, and its friction levels as at T_0.
 
     f_b keeps its excess over f_c.
+
+    Args:
+        model: Its friction has f_c at every calibrated joint; terms of temperature that it lacks are added.
+        calibration: Slopes alpha, and Coulomb friction at T_0; where that is None the levels of the model stay.
     """
     known = {parameter.name for parameter in model.model.parameters}
     places = []

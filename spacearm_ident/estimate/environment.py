@@ -249,7 +249,12 @@ class Environment:
 
 
 def without_temperature(model: TorqueModel, motions: Sequence[Motion]) -> tuple[str, ...]:
-    """Joints whose temperature the model asks for and a motion lacks."""
+    """Joints whose temperature the model asks for and a motion lacks.
+
+    Args:
+        model: Its terms say at which joints temperature is needed.
+        motions: One suffices to name a joint: it has no temperature of it, or NaN in it.
+    """
     joints = model.arm.joint_names
     return tuple(
         joint

@@ -178,7 +178,15 @@ def check(run: Trajectory, needs: Requirements, coarser: int = 1) -> tuple[Margi
 
 
 def broken(run: Trajectory, needs: Requirements) -> list[Margin]:
-    """The limits that a run breaks: of every tenth instant where some are broken there, else of all instants."""
+    """The limits that a run breaks: of every tenth instant where some are broken there, else of all instants.
+
+    Args:
+        run: Motion of the joints of `needs`.
+        needs: Limits.
+
+    Returns:
+        Empty where all are kept, on the whole grid.
+    """
     for coarser in (10, 1):
         margins = [margin for margin in check(run, needs, coarser) if not margin.kept]
         if margins:
@@ -290,7 +298,15 @@ def motion_margins(joints: Sequence[str], motion: Motion, limits: MotionLimits, 
 
 
 def frequency_margin(run: Trajectory, structural_hz: float | None) -> list[Margin]:
-    """Margin of the highest harmonic under the structure's first resonance; a chirp is meant to pass it."""
+    """Margin of the highest harmonic under the structure's first resonance; a chirp is meant to pass it.
+
+    Args:
+        run: Its Fourier segments are looked at, the others are not.
+        structural_hz: The structure's first resonance, Hz; None: not stated.
+
+    Returns:
+        One margin; none where no resonance is stated or the run has no Fourier segment.
+    """
     series = [segment for segment in run.segments if isinstance(segment, FourierTrajectory)]
     highest = max((segment.fundamental_hz * segment.a.shape[1] for segment in series), default=0.0)
     if structural_hz is None or highest == 0.0:

@@ -11,6 +11,10 @@ from ..dynamics.model import IdentifiedModel, TorqueModel, structure_of
 def nominal_model(arm: Arm, friction: str = "paper") -> IdentifiedModel:
     """Parameters at their priors, constants absent: its torque is that of the CAD links alone.
 
+    Args:
+        arm: Arm whose links have CAD inertials.
+        friction: One of `FRICTION_LAWS`: which terms the model has, at their priors.
+
     Raises:
         UserError: No friction law of that name.
     """

@@ -85,6 +85,14 @@ class Run:
 def limits_of(arm: Arm, joints: Sequence[str]) -> MotionLimits:
     """An arm's motion limits, in the order of `joints`.
 
+    Args:
+        arm: Arm description.
+        joints: Names of some of its joints, or all, as a trajectory orders them.
+
+    Returns:
+        Finite limits: at most 1e4 rad, rad/s or rad/s² (m for prismatic joints), also where none is stated. None of the
+        jerk.
+
     Raises:
         UserError: A joint is not the arm's.
     """

@@ -57,7 +57,16 @@ def _plainer(needs: Requirements, posture: FloatArray, zero: FloatArray) -> Floa
 
 
 def room_of(needs: Requirements, postures: FloatArray) -> FloatArray:
-    """(T,) how comfortable postures (T, n) are: 1 and more is comfortable, above 0 possible, below not."""
+    """(T,) how comfortable postures (T, n) are: 1 and more is comfortable, above 0 possible, below not.
+
+    Args:
+        needs: Finite position limits, allowed torque and its model, distances where they are checked.
+        postures: Rad or m, in the arm's order.
+
+    Returns:
+        The least of three: distance to the position limits over `LIMIT_ROOM` of the range, torque to hold the posture,
+        and clearance, which is not looked at where one of the others is 0 or less.
+    """
     span = np.maximum(needs.motion.upper - needs.motion.lower, 1e-9)
     beside = np.minimum(postures - needs.motion.lower, needs.motion.upper - postures) / span
     room: FloatArray = beside.min(axis=1) / LIMIT_ROOM

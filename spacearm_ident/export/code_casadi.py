@@ -170,5 +170,11 @@ regressor = ca.Function("regressor", _state, [_regressor(*_state)], _names, ["Y"
 
 
 def casadi_code(law: ControlLaw, notes: list[str], contact: Thresholds | None = None) -> tuple[str, str]:
-    """The name of the module and its text; arguments as `c_code`; thresholds are none of its functions."""
+    """The name of the module and its text.
+
+    Args:
+        law: The law.
+        notes: What stands at its head, a line each.
+        contact: Not used, for the module has no contact detection; there as in `numpy_code`.
+    """
     return identifier(f"{law.model.model.arm.name}_casadi"), filled(TEMPLATE, fields_of(law, notes))

@@ -163,7 +163,13 @@ def threshold(qd):
 
 
 def numpy_code(law: ControlLaw, notes: list[str], contact: Thresholds | None = None) -> tuple[str, str]:
-    """The name of the module and its text; arguments as `c_code`."""
+    """The name of the module and its text.
+
+    Args:
+        law: The law.
+        notes: What stands at its head, a line each.
+        contact: Thresholds for contact detection; None: the module has none.
+    """
     fields = fields_of(law, notes)
     fields["NUMBERS"] = literal(list(law.joints.T)).replace("inf", "np.inf")
     text = filled(TEMPLATE, fields)

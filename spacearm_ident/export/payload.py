@@ -125,6 +125,10 @@ def find_payload(model: IdentifiedModel, recordings: Sequence[Recording], frame:
 def tool_frame(arm: Arm, name: str | None) -> tuple[str, FloatArray, FloatArray]:
     """A frame fixed to the last joint's: its name, its axes (3, 3) and origin (3,) in the joint's frame.
 
+    Args:
+        arm: Its URDF may have links fixed to the last joint.
+        name: Link whose frame is wanted; None: the first of `TOOL_FRAMES` that there is, else the last joint's.
+
     Raises:
         UserError: The URDF has no such frame there.
     """

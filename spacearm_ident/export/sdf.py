@@ -13,7 +13,16 @@ from .law import Nearest
 
 
 def sdf(model: IdentifiedModel, fit: Nearest, notes: list[str]) -> str:
-    """The text of an SDF world with the model in it, under the arm's gravity; arguments as `mjcf`."""
+    """The text of an SDF world with the model in it, under the arm's gravity.
+
+    Args:
+        model: The identified model.
+        fit: The nearest parameters for `SDF`.
+        notes: What stands at its head, a line each.
+
+    Raises:
+        UserError: A body that cannot be.
+    """
     arm = model.model.arm
     bodies = bodies_of(model)
     lines = [

@@ -17,7 +17,15 @@ def identifier(name: str) -> str:
 
 
 def fields_of(law: ControlLaw, notes: list[str]) -> dict[str, str]:
-    """The law as Python literals by the names that a template has in `@`; `NUMBERS` joint by joint."""
+    """The law as Python literals by the names that a template has in `@`; `NUMBERS` joint by joint.
+
+    Args:
+        law: The law.
+        notes: What stands at the head, a line each; made safe for a docstring.
+
+    Returns:
+        Name -> text that stands in its place.
+    """
     arm = law.model.model.arm
     assert law.joints.shape[1] == len(JOINT_NUMBERS)
     return {
@@ -43,7 +51,12 @@ def docstring_lines(lines: list[str]) -> list[str]:
 
 
 def filled(template: str, fields: dict[str, str]) -> str:
-    """A template with `@NAME@` replaced by fields."""
+    """A template with `@NAME@` replaced by fields.
+
+    Args:
+        template: Text of the code; names are capitals and underscores.
+        fields: Name -> text for every name of the template, without `@`.
+    """
     return re.sub(r"@([A-Z_]+)@", lambda match: fields[match.group(1)], template)
 
 

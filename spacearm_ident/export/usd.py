@@ -23,7 +23,13 @@ from .law import Nearest
 
 
 def write_usd(model: IdentifiedModel, fit: Nearest, notes: list[str], path: Path) -> None:
-    """Write a USD file (`.usda` is text, `.usd` and `.usdc` are binary); other arguments as `mjcf`.
+    """Write a USD file (`.usda` is text, `.usd` and `.usdc` are binary).
+
+    Args:
+        model: The identified model.
+        fit: The nearest parameters for `USD`.
+        notes: Comment of the stage, a line each.
+        path: File to write; its suffix chooses the encoding.
 
     Raises:
         UserError: usd-core is missing, or a body cannot be.

@@ -56,6 +56,10 @@ def read_result(path: Path) -> tuple[IdentifiedModel, Validation | None]:
 def with_drives(model: IdentifiedModel, arm: Arm) -> IdentifiedModel:
     """A model with the gear ratios and torque constants of an arm, which model files do not hold.
 
+    Args:
+        model: Model read from a file.
+        arm: Arm with all joints of the model, found by name; only its drives are taken over.
+
     Raises:
         UserError: A joint of the model is not in the arm.
     """
@@ -182,5 +186,13 @@ def _written(texts: dict[Path, str]) -> list[Path]:
 
 
 def summary(fit: Nearest, files: Sequence[Path]) -> list[str]:
-    """What a user sees: the cost, and the files."""
+    """What a user sees: the cost, and the files.
+
+    Args:
+        fit: The format's parameters with their cost.
+        files: What was written.
+
+    Returns:
+        Lines for a terminal.
+    """
     return [*fit.lines(), *(f"written: {file}" for file in files)]

@@ -298,7 +298,12 @@ def _conclude(
 
 
 def static_as_coulomb(model: TorqueModel, parameters: FloatArray) -> FloatArray:
-    """Parameters (p,) with f_b = f_c at every joint whose friction has no Stribeck term; it changes no torque."""
+    """Parameters (p,) with f_b = f_c at every joint whose friction has no Stribeck term; it changes no torque.
+
+    Args:
+        model: A parameter f_b that it holds is one without a Stribeck term.
+        parameters: (p,) in the model's order; not changed.
+    """
     filled, places = parameters.copy(), {parameter.name: k for k, parameter in enumerate(model.parameters)}
     for k, parameter in enumerate(model.parameters):
         if parameter.symbol == "f_b" and parameter.held:
@@ -321,5 +326,10 @@ def _notes(motions: Sequence[Motion], at_rest: Sequence[str], unresolved: Sequen
 
 
 def with_provenance(identified: Identified, provenance: Mapping[str, Any]) -> Identified:
-    """The same result with its sources and versions noted in the model."""
+    """The same result with its sources and versions noted in the model.
+
+    Args:
+        identified: The result.
+        provenance: Plain data for `model.yaml`: recordings with their checksums, versions, command.
+    """
     return replace(identified, model=replace(identified.model, provenance=dict(provenance)))

@@ -52,7 +52,12 @@ def residual_spectrum(motions: Sequence[Motion], predicted: Sequence[FloatArray]
 
 
 def share_above(spectrum: Spectrum, cutoff_hz: float) -> FloatArray:
-    """(n,) share of the unfiltered residual's power that lies above a frequency; NaN where there is no residual."""
+    """(n,) share of the unfiltered residual's power that lies above a frequency; NaN where there is no residual.
+
+    Args:
+        spectrum: Densities of the residual at full rate; a density counts with the width of its band.
+        cutoff_hz: Frequency above which power is counted, such as the bandwidth of the fit.
+    """
     power = np.gradient(spectrum.frequency)[:, None] * spectrum.residual
     total = power.sum(axis=0)
     above = power[spectrum.frequency > cutoff_hz].sum(axis=0)
