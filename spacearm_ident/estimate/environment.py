@@ -253,7 +253,7 @@ def without_temperature(model: TorqueModel, motions: Sequence[Motion]) -> tuple[
 
     Args:
         model: Its terms say at which joints temperature is needed.
-        motions: One suffices to name a joint: it has no temperature of it, or NaN in it.
+        motions: A joint is named where one of them has no temperature of it, or NaN in it.
     """
     joints = model.arm.joint_names
     return tuple(

@@ -86,12 +86,11 @@ def limits_of(arm: Arm, joints: Sequence[str]) -> MotionLimits:
     """An arm's motion limits, in the order of `joints`.
 
     Args:
-        arm: Arm description.
-        joints: Names of some of its joints, or all, as a trajectory orders them.
+        arm: States limits by joint.
+        joints: Names of some or all of its joints, in the order of a trajectory.
 
     Returns:
-        Finite limits: at most 1e4 rad, rad/s or rad/s² (m for prismatic joints), also where none is stated. None of the
-        jerk.
+        Limits clipped to ±1e4 in SI units, so that they are finite where the arm states none; jerk is not limited.
 
     Raises:
         UserError: A joint is not the arm's.

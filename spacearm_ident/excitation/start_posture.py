@@ -64,8 +64,8 @@ def room_of(needs: Requirements, postures: FloatArray) -> FloatArray:
         postures: Rad or m, in the arm's order.
 
     Returns:
-        The least of three: distance to the position limits over `LIMIT_ROOM` of the range, torque to hold the posture,
-        and clearance, which is not looked at where one of the others is 0 or less.
+        The least of three: room to the position limits, room below the allowed torque when holding the posture, and
+        room above the needed clearance. Clearance is computed only where the other two are above 0.
     """
     span = np.maximum(needs.motion.upper - needs.motion.lower, 1e-9)
     beside = np.minimum(postures - needs.motion.lower, needs.motion.upper - postures) / span

@@ -173,8 +173,8 @@ def casadi_code(law: ControlLaw, notes: list[str], contact: Thresholds | None = 
     """The name of the module and its text.
 
     Args:
-        law: The law.
+        law: Numbers that the module gets: bodies, joints and coupled motors of a physically consistent model.
         notes: What stands at its head, a line each.
-        contact: Not used, for the module has no contact detection; there as in `numpy_code`.
+        contact: Not used: the module has no contact detection. It is there so that both are called alike.
     """
     return identifier(f"{law.model.model.arm.name}_casadi"), filled(TEMPLATE, fields_of(law, notes))

@@ -166,7 +166,7 @@ def numpy_code(law: ControlLaw, notes: list[str], contact: Thresholds | None = N
     """The name of the module and its text.
 
     Args:
-        law: The law.
+        law: Numbers that the module gets: bodies, joints and coupled motors of a physically consistent model.
         notes: What stands at its head, a line each.
         contact: Thresholds for contact detection; None: the module has none.
     """

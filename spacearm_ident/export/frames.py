@@ -67,7 +67,7 @@ def children_of(arm: Arm, parent: int) -> list[int]:
     """Indices of the joints that a body carries; -1: the base's.
 
     Args:
-        arm: Arm description.
+        arm: Its joints name their parents.
         parent: Index of the joint that moves the body.
     """
     return [k for k, joint in enumerate(arm.joints) if joint.parent == parent]

@@ -127,7 +127,7 @@ def tool_frame(arm: Arm, name: str | None) -> tuple[str, FloatArray, FloatArray]
 
     Args:
         arm: Its URDF may have links fixed to the last joint.
-        name: Link whose frame is wanted; None: the first of `TOOL_FRAMES` that there is, else the last joint's.
+        name: Link whose frame is wanted; None: the first of `TOOL_FRAMES` on the last joint, else its own.
 
     Raises:
         UserError: The URDF has no such frame there.

@@ -16,7 +16,7 @@ def sdf(model: IdentifiedModel, fit: Nearest, notes: list[str]) -> str:
     """The text of an SDF world with the model in it, under the arm's gravity.
 
     Args:
-        model: The identified model.
+        model: Bodies, joint placements and gravity that the file gets.
         fit: The nearest parameters for `SDF`.
         notes: What stands at its head, a line each.
 

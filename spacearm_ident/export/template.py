@@ -20,11 +20,11 @@ def fields_of(law: ControlLaw, notes: list[str]) -> dict[str, str]:
     """The law as Python literals by the names that a template has in `@`; `NUMBERS` joint by joint.
 
     Args:
-        law: The law.
+        law: Numbers of the bodies, joints and coupled motors.
         notes: What stands at the head, a line each; made safe for a docstring.
 
     Returns:
-        Name -> text that stands in its place.
+        Name without `@` -> text that stands in its place, for `filled`.
     """
     arm = law.model.model.arm
     assert law.joints.shape[1] == len(JOINT_NUMBERS)

@@ -26,7 +26,7 @@ def write_usd(model: IdentifiedModel, fit: Nearest, notes: list[str], path: Path
     """Write a USD file (`.usda` is text, `.usd` and `.usdc` are binary).
 
     Args:
-        model: The identified model.
+        model: Bodies, joint placements and gravity that the file gets.
         fit: The nearest parameters for `USD`.
         notes: Comment of the stage, a line each.
         path: File to write; its suffix chooses the encoding.

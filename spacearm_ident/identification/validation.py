@@ -79,6 +79,10 @@ def _moving_samples(motion: Motion) -> np.ndarray:
 def split(recording: Recording, share: float = HOLD_OUT) -> tuple[Recording, Recording]:
     """A recording cut in time: what to fit, and the last part of the motion to validate on.
 
+    Args:
+        recording: With at least one motion; rest before it goes to the first part, rest behind it to the last.
+        share: Of the motion's duration that is held out; default: a third.
+
     Raises:
         UnfitDataError: The last part would be too short to use.
     """
@@ -92,7 +96,16 @@ def split(recording: Recording, share: float = HOLD_OUT) -> tuple[Recording, Rec
 
 
 def fit_figures(measured: FloatArray, predicted: FloatArray) -> Fit:
-    """The five figures of a prediction (M,) against a measurement (M,), N·m."""
+    """The five figures of a prediction (M,) against a measurement (M,), N·m.
+
+    Args:
+        measured: Torque of one joint; rows of all traces, or of those in motion, or samples at full rate.
+        predicted: The model's torque at the same rows.
+
+    Returns:
+        All figures are NaN without rows. The correlation is NaN where one of the two is constant, the relative RMS
+        where the measured torque is zero throughout.
+    """
     if not len(measured):
         nan = float("nan")
         return Fit(0, nan, nan, nan, nan, nan)

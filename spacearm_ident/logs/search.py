@@ -131,7 +131,15 @@ class Search:
 
 
 def too_slow(where: str, rate_hz: float) -> UnfitDataError:
-    """What is said of a log below `SLOWEST_HZ`."""
+    """What is said of a log below `SLOWEST_HZ`.
+
+    Args:
+        where: The log, for the message.
+        rate_hz: Rows a second that were found.
+
+    Returns:
+        The error, to be raised by the caller.
+    """
     return UnfitDataError(
         f"{where}: {rate_hz:.4g} rows a second, below {SLOWEST_HZ:g} Hz: too slow to differentiate twice; it can still "
         "show friction at constant speed and gravity at rest; log faster to identify"

@@ -48,7 +48,12 @@ def smallest_size(one: Detectable) -> dict[str, Any]:
 
 
 def by_joint(joints: Sequence[str], values: FloatArray) -> dict[str, float | None]:
-    """Joint -> its value (n,), as JSON has it: null where it is not known."""
+    """Joint -> its value (n,), as JSON has it: null where it is not known.
+
+    Args:
+        joints: Names of the n joints.
+        values: (n,) in any unit; NaN and infinite values become null.
+    """
     return {joint: finite(value) for joint, value in zip(joints, values)}
 
 

@@ -287,6 +287,11 @@ class Explanation:
 
 
 def unfit(joints: tuple[str, ...], reasons: tuple[str, ...]) -> Explanation:
-    """The answer where the data cannot carry the question."""
+    """The answer where the data cannot carry the question.
+
+    Args:
+        joints: Names of the arm's joints, whose figures are all NaN.
+        reasons: Why the data are unfit and what to record, a sentence each.
+    """
     nothing = np.full(len(joints), np.nan)
     return Explanation(DATA_UNFIT, joints, nothing, nothing, nothing, nothing, reasons=reasons)

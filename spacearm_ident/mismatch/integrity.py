@@ -19,6 +19,10 @@ FEWEST_MOVING_S = 2.0
 def faults(recordings: Sequence[Recording], joints: Sequence[str]) -> list[str]:
     """Reasons not to explain anything with these recordings, in words; empty where they are sound.
 
+    Args:
+        recordings: All that an explanation would use: reference, field and held-out ones.
+        joints: Names in the arm's order; other joints of a recording are not looked at.
+
     Raises:
         UserError: A recording lacks a joint of the arm.
     """

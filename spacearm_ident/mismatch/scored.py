@@ -108,7 +108,15 @@ def freedom(effect: Effect) -> int:
 
 
 def penalty(effect: Effect, rows: int) -> float:
-    """What freedom costs, in chi-square: ln N a parameter (BIC), and as much a constant and its grid."""
+    """What freedom costs, in chi-square: ln N a parameter (BIC), and as much a constant and its grid.
+
+    Args:
+        effect: A candidate; its `freedom` counts fitted parameters, per-recording parameters and constants.
+        rows: N, rows that the candidate is scored on.
+
+    Returns:
+        freedom · ln N, and for each constant 2 ln G more, with G the values on its grid.
+    """
     searched = sum(2 * np.log(len(constant.grid)) for constant in effect.constants)
     return float(freedom(effect) * np.log(rows) + searched)
 

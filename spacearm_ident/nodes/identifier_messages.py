@@ -26,7 +26,12 @@ TRACKED = "tracked"
 
 
 def parameters_message(stamp: Time, statuses: Iterable[DiagnosticStatus]) -> DiagnosticArray:
-    """`/identifier/parameters`: one status a parameter."""
+    """`/identifier/parameters`: one status a parameter.
+
+    Args:
+        stamp: Time of the header.
+        statuses: Of identified parameters (`parameter_statuses`), then of followed ones (`tracked_statuses`).
+    """
     message = DiagnosticArray(status=list(statuses))
     message.header.stamp = stamp
     return message

@@ -21,7 +21,13 @@ while it runs, `ros2 param list /{name}` and `ros2 param describe /{name} PARAME
 
 
 def start(name: str, arguments: Sequence[str]) -> int:
-    """Start a node by name; returns its exit code (2 where it cannot start, with the reason on stderr)."""
+    """Start a node by name; returns its exit code (2 where it cannot start, with the reason on stderr).
+
+    Args:
+        name: One of `NODES`, a module of this package.
+        arguments: Of the command line, ROS arguments included; with `-h` or `--help` the node's help is printed
+            instead.
+    """
     try:
         heed_signals()  # before the imports, which take most of a second
         node = importlib.import_module(f"{__package__}.{name}")

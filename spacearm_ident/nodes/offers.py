@@ -33,7 +33,12 @@ def common_offer(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
 
 
 def meets(offered: QoSProfile, requested: QoSProfile) -> bool:
-    """Whether a subscription's request is met."""
+    """Whether a subscription's request is met.
+
+    Args:
+        offered: Quality of service of the publishers; reliability and durability are compared.
+        requested: That of the subscription.
+    """
     return not (
         (requested.reliability == ReliabilityPolicy.RELIABLE and offered.reliability == ReliabilityPolicy.BEST_EFFORT)
         or (

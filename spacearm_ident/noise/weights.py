@@ -114,7 +114,12 @@ def white_correlation_time(white: FloatArray) -> float:
 
 
 def reweight(regression: Regression, residuals: list[FloatArray]) -> list[list[Noise]]:
-    """Set every joint's weights from its residual (M,); returns the noise by joint and motion."""
+    """Set every joint's weights from its residual (M,); returns the noise by joint and motion.
+
+    Args:
+        regression: Its rows get new weights; those of outliers are lower (Huber 1964).
+        residuals: One for each joint, N·m, of the joint's own rows.
+    """
     motions = regression.motions
     result = [
         [

@@ -26,7 +26,12 @@ _UNKNOWN = -1.0  # first element of a covariance: this quantity is not measured 
 
 
 def read_base(bag: Bag, states: Intake) -> tuple[BaseSensor | None, list[Finding]]:
-    """The sensor on the base, if the bag has one that can be used, and what was found wrong with it."""
+    """The sensor on the base, if the bag has one that can be used, and what was found wrong with it.
+
+    Args:
+        bag: All streams; the IMU's topic is preferred to the odometry's.
+        states: Joint states of the same bag; the sensor's times count from their first stamp.
+    """
     for topic, texts, numbers in (
         (messages.BASE_IMU_TOPIC, 1, _IMU_NUMBERS),
         (messages.BASE_ODOMETRY_TOPIC, 2, _ODOMETRY_NUMBERS),

@@ -96,7 +96,12 @@ def increasing(stamps: IntArray) -> BoolArray:
 
 
 def listing(names: Sequence[str], most: int = 8) -> str:
-    """Names for a person, the first `most` of them."""
+    """Names for a person, the first `most` of them.
+
+    Args:
+        names: Joints, columns or topics.
+        most: Names beyond so many are replaced by "...".
+    """
     return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
 
 

@@ -211,7 +211,12 @@ def _constant(mapping: LogMapping, joint: str, unit: str) -> float:
 
 
 def mapping_to_dict(mapping: LogMapping, beside: Path) -> dict[str, Any]:
-    """Plain data of a mapping file in the folder `beside`."""
+    """Plain data of a mapping file in the folder `beside`.
+
+    Args:
+        mapping: What the columns are; its arm is resolved from the working directory where it is relative.
+        beside: Folder of the mapping file. An arm below it is named from there, another by its absolute path.
+    """
     time: dict[str, Any] = {"column": mapping.time, "unit": mapping.time_unit}
     if mapping.fraction is not None:
         time[FRACTIONS[mapping.fraction_unit]] = mapping.fraction
@@ -232,6 +237,10 @@ def mapping_to_dict(mapping: LogMapping, beside: Path) -> dict[str, Any]:
 
 def save_mapping(mapping: LogMapping, path: Path) -> None:
     """Write a mapping file.
+
+    Args:
+        mapping: What the columns are.
+        path: File to write, from whose folder the arm is named; an older one is replaced as a whole, or stays.
 
     Raises:
         UserError: It cannot be written.

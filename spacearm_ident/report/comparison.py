@@ -97,6 +97,10 @@ class Difference:
 def differences(first: Identified, second: Identified) -> list[Difference]:
     """Every parameter of two results, by joint; those of the first in its order, then what only the second has.
 
+    Args:
+        first: The earlier result, or the one compared with.
+        second: The other; a difference is its value minus the first's.
+
     Raises:
         UserError: They have no joint in common.
     """
@@ -115,7 +119,12 @@ def differences(first: Identified, second: Identified) -> list[Difference]:
 
 
 def base_differences(first: Identified, second: Identified) -> list[Difference]:
-    """Base parameters that are the same combination in both: what the data alone determine."""
+    """Base parameters that are the same combination in both: what the data alone determine.
+
+    Args:
+        first: Gives the order.
+        second: Its base parameters are matched by their expression.
+    """
     theirs, laws = {item.symbol: item for item in base(second)}, _other_laws(first, second)
     other = {f"{symbol}[{joint}]" for joint, symbols in laws.items() for symbol in symbols}
     return [

@@ -37,6 +37,10 @@ _DAMAGED: tuple[type[Exception], ...] = (
 def read_npz(path: Path, source: Source) -> Table:
     """The arrays of an `.npz`.
 
+    Args:
+        path: The file.
+        source: Path, size and checksum, for the table.
+
     Raises:
         UserError: Damaged, too large, or without numeric arrays.
     """
@@ -71,6 +75,10 @@ def _require_honest(member: Any, size: int, where: str) -> None:
 
 def read_mat(path: Path, source: Source) -> Table:
     """The numeric arrays of a `.mat`, those in structs by `struct.field`; version 7.3 is HDF5.
+
+    Args:
+        path: File of level 5 or version 7.3, told apart by its header.
+        source: Path, size and checksum, for the table.
 
     Raises:
         UserError: Damaged, too large, or without numeric arrays.

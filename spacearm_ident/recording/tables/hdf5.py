@@ -18,6 +18,10 @@ def read_hdf5(path: Path, source: Source) -> Table:
 
     Links to other files, and data kept in other files, are left alone: a log is one file.
 
+    Args:
+        path: The file.
+        source: Path, size and checksum, for the table.
+
     Raises:
         UserError: h5py is missing; or damaged, too large, without numeric datasets.
     """

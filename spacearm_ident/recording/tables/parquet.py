@@ -28,6 +28,10 @@ _BOOKKEEPING = ("index", "task_index")
 def read_parquet(path: Path, source: Source) -> Table:
     """The numeric columns of a Parquet file, those of lists element by element.
 
+    Args:
+        path: The file.
+        source: Path, size and checksum, for the table.
+
     Raises:
         UserError: pyarrow is missing; or damaged, too large, without numeric columns.
     """

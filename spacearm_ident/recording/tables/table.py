@@ -151,6 +151,10 @@ def filled(column: NDArray[Any], sound: NDArray[np.bool_]) -> NDArray[Any]:
 def require_room(announced: int, where: str) -> None:
     """Refuse a log whose numbers would not fit.
 
+    Args:
+        announced: Bytes of numbers, counted or estimated before they are kept.
+        where: The file, for the message.
+
     Raises:
         UserError: It announces more than `MAX_TABLE_BYTES`.
     """
