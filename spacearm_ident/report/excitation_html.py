@@ -56,6 +56,10 @@ def excitation_html(needs: Requirements, runs: Sequence[Run], margins: Sequence[
 def write_page(path: Path, text: str) -> None:
     """Write the page.
 
+    Args:
+        path: File to write; an older one is replaced.
+        text: The page as HTML, of `excitation_html`.
+
     Raises:
         UserError: It cannot be written.
     """

@@ -112,7 +112,15 @@ def joined(times: Sequence[FloatArray]) -> FloatArray:
 
 
 def over_time(signals: JointSignals, joint: str) -> Markup:
-    """Measured and predicted torque, and below them the residual; standstill shaded."""
+    """Measured and predicted torque, and below them the residual; standstill shaded.
+
+    Args:
+        signals: Rows of one joint in the validation, several recordings joined on one time axis.
+        joint: Name, for the figure's description.
+
+    Returns:
+        Inline SVG; long recordings are thinned for it.
+    """
     with stacked((1.45, 0.75)) as (figure, (torque, residual)):
         ends = [*signals.starts[1:], len(signals.time)]
         for start, end in zip(signals.starts, ends):
@@ -311,5 +319,10 @@ def _reach(items: Sequence[Estimate]) -> tuple[float, float]:
 
 
 def short(name: str, most: int) -> str:
-    """At most so many characters of a name."""
+    """At most so many characters of a name.
+
+    Args:
+        name: Of a parameter, a joint, an effect or a file.
+        most: Characters; of a longer name the last that is shown is "…".
+    """
     return name if len(name) <= most else name[: most - 1] + "…"

@@ -89,6 +89,13 @@ Progress = Callable[[float, str], None]
 def write_index(directory: Path, progress: Progress = lambda share, what: None) -> Path:
     """Write the index of a folder.
 
+    Args:
+        directory: Folder with result folders below it, at any depth; hidden ones are skipped.
+        progress: Called with a share done in 0..1 and what is being read.
+
+    Returns:
+        The page.
+
     Raises:
         UserError: There is no result below it, or it cannot be written.
     """
@@ -122,7 +129,15 @@ def write_comparison(directory: Path, first: Path, second: Path) -> Path:
 
 
 def find_results(directory: Path, progress: Progress = lambda share, what: None) -> list[Entry]:
-    """All results below a folder, oldest recording first; those that cannot be read last."""
+    """All results below a folder, oldest recording first; those that cannot be read last.
+
+    Args:
+        directory: Folder with result folders below it, at any depth; hidden ones are skipped.
+        progress: Called with a share done in 0..1 and what is being read.
+
+    Returns:
+        Entries whose results are without their signals, or that say why one cannot be read.
+    """
     folders = _holding(directory, FIGURES)
     entries = []
     for number_, folder in enumerate(folders):

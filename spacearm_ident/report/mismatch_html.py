@@ -179,7 +179,15 @@ def finding_cards(explanation: Explanation, arm: Arm, drawn: figures.Signals | N
 
 
 def card_id(effect: str, joints: Iterable[str]) -> str:
-    """Anchor of a finding's card."""
+    """Anchor of a finding's card.
+
+    Args:
+        effect: Name of the effect, or of an item of a layer.
+        joints: Names of the joints where it acts.
+
+    Returns:
+        Letters, digits, `_` and `-` alone; everything else has become `-`.
+    """
     return re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join((effect, *joints)))
 
 

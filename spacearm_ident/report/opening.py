@@ -30,7 +30,12 @@ class Opening:
 
 
 def opening(identified: Identified, validation: Validation) -> Opening:
-    """Put a result into words."""
+    """Put a result into words.
+
+    Args:
+        identified: The identification, whose notes are taken over.
+        validation: How well it predicts: verdict, sentences and warnings rest on it.
+    """
     return Opening(
         judge_result(identified, validation),
         _sentences(identified, validation),

@@ -29,7 +29,13 @@ SHOWN_CORRELATION = 0.02
 
 
 def motion(run: RecordedRun, arm: Arm) -> Markup:
-    """Position of every joint over time, with its limits where they are near."""
+    """Position of every joint over time, with its limits where they are near.
+
+    Args:
+        run: Recording with its positions, thinned; joints in the order of the arm.
+        arm: Names, units and position limits of its joints. A limit is drawn within half the range of the axis beyond
+            it.
+    """
     with grid(len(arm.joints), 3, 1.5) as (figure, panels):
         for k, (axes, joint) in enumerate(zip(panels, arm.joints)):
             position = run.position[:, k]
@@ -83,7 +89,12 @@ def correlation(covariance: FloatArray) -> FloatArray:
 
 
 def correlations(names: Sequence[str], matrix: FloatArray) -> Markup:
-    """The correlations of parameters as a matrix of squares: area is size, colour is sign."""
+    """The correlations of parameters as a matrix of squares: area is size, colour is sign.
+
+    Args:
+        names: Names of the parameters; long ones are shortened.
+        matrix: (k, k) correlation coefficients in the order of `names`; those up to `SHOWN_CORRELATION` are not drawn.
+    """
     count = len(names)
     side = min(8.4, 1.6 + 0.17 * count)
     with grid(1, 1, side, left_in=1.5, below_in=1.25) as (figure, (axes,)):

@@ -56,7 +56,12 @@ class ArmTrends:
 
 
 def trends_of(arm: Arm, runs: Sequence[Run]) -> ArmTrends | None:
-    """Trends of one arm over date and temperature; None where nothing can be compared."""
+    """Trends of one arm over date and temperature; None where nothing can be compared.
+
+    Args:
+        arm: Name and joints, as `arm_of` gives them.
+        runs: Of this arm, with the date and temperatures of their recordings.
+    """
     found = {what: trends(runs, what) for what in (DATE, TEMPERATURE)}
     over = tuple(_over(those, what) for what, those in found.items() if those)
     return ArmTrends(arm[0], len(runs), over) if over else None

@@ -102,6 +102,11 @@ def _versions() -> Iterable[tuple[str, str]]:
 
 
 def source_paths(known: Mapping[str, Any] | None, which: str) -> list[str]:
-    """Paths under `FITTED` or `VALIDATED`; empty where the provenance does not say."""
+    """Paths under `FITTED` or `VALIDATED`; empty where the provenance does not say.
+
+    Args:
+        known: `provenance` of a model; None: it has none.
+        which: `FITTED` or `VALIDATED`.
+    """
     sources = (known or {}).get(which) or []
     return [str(source["path"]) for source in sources if isinstance(source, Mapping) and "path" in source]

@@ -58,7 +58,12 @@ class Result:
 
 
 def save_result(result: Result, directory: Path) -> None:
-    """Write the three files into an existing directory."""
+    """Write the three files into an existing directory.
+
+    Args:
+        result: Identification and validation with signals.
+        directory: Folder, in which older files of the same names are replaced.
+    """
     save_model(result.identified.model, directory / MODEL)
     np.savez_compressed(directory / ARRAYS, **_arrays(result))
     sums = {name: file_sha256(directory / name) for name in (MODEL, ARRAYS)}

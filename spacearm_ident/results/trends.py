@@ -105,7 +105,15 @@ def runs_by_arm(results: Iterable[Result]) -> dict[Arm, list[Run]]:
 
 
 def trends(runs: Sequence[Run], over: str) -> list[Trend]:
-    """Every parameter that the data determined in two runs or more that differ in date (or temperature)."""
+    """Every parameter that the data determined in two runs or more that differ in date (or temperature).
+
+    Args:
+        runs: Of one arm.
+        over: `DATE`, or `TEMPERATURE`: the mean of the joint that the parameter belongs to.
+
+    Returns:
+        Points sorted by date or temperature; a slope only from `FEWEST` runs on.
+    """
     points: dict[str, list[tuple[float, Estimate]]] = {}
     for run in runs:
         date = run.moment.date.timestamp() if run.moment.date else math.nan
@@ -148,7 +156,12 @@ def line(x: FloatArray, values: FloatArray, errors: FloatArray) -> Slope:
 
 
 def trend_dict(arm: Arm, trend: Trend) -> dict[str, Any]:
-    """A slope for a program, in the unit a person would have it in."""
+    """A slope for a program, in the unit a person would have it in.
+
+    Args:
+        arm: Name and joints, as `arm_of` gives them.
+        trend: One with a slope.
+    """
     assert trend.slope is not None
     per, size = trend.per
     return {

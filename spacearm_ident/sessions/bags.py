@@ -222,7 +222,12 @@ def identify_bags(
 
 
 def arm_words(arm: Path | None, gravity: Sequence[float] | None) -> list[str]:
-    """`--arm` and `--gravity`, where there are any."""
+    """`--arm` and `--gravity`, where there are any.
+
+    Args:
+        arm: URDF or arm YAML; None: no option.
+        gravity: (3,) m/s²; None: no option. Numbers keep every digit.
+    """
     words = [] if arm is None else ["--arm", str(arm)]
     return words if gravity is None else [*words, "--gravity", *map(_exact, gravity)]
 

@@ -117,6 +117,10 @@ def live_arm(
 def hidden_physics(path: Path, joints: Sequence[str]) -> Concealment:
     """What a file conceals in a live arm with these joints.
 
+    Args:
+        path: File of the schema `spacearm_ident/conceal/1`.
+        joints: Names in the arm's order.
+
     Raises:
         UserError: It cannot be read, or conceals what only a finished recording can show.
     """

@@ -65,7 +65,12 @@ class TreeLink:
 
 
 def urdf_of(name: str, links: Sequence[TreeLink]) -> str:
-    """URDF text of a tree whose root link is `ROOT`."""
+    """URDF text of a tree whose root link is `ROOT`.
+
+    Args:
+        name: Of the robot.
+        links: Every link but the root, with its inertial and the joint that carries it, whatever the order.
+    """
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(name)}>", f'  <link name="{ROOT}"/>']
     for link in links:
         lines += [f"  <link name={quoteattr(link.name)}>", *_inertial(link), "  </link>", *_joint(link)]

@@ -52,10 +52,15 @@ def read_mjcf(path: Path) -> Simulation:
 
 
 def simulation_of_mujoco(mujoco: ModuleType, model: Any, path: Path) -> Simulation:
-    """The same of an `MjModel`, which `path` has.
+    """The arm of a compiled `MjModel`, as `read_mjcf` reads it from a file.
+
+    Args:
+        mujoco: The module, which is an optional dependency.
+        model: The `MjModel`.
+        path: File, for messages and names.
 
     Raises:
-        UserError: It has no joint, or one that is neither a hinge nor a slide.
+        UserError: It has no joint, or no tree has hinges and slides alone.
     """
     if model.njnt == 0:
         raise UserError(f"{path} has no joint: name the MJCF of an arm")

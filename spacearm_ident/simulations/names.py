@@ -77,7 +77,12 @@ def renamed(simulation: Simulation, names: Mapping[str, str]) -> Simulation:
 
 
 def renamed_model(identified: IdentifiedModel, names: Mapping[str, str]) -> IdentifiedModel:
-    """The model with other names of some joints; arguments as `renamed`."""
+    """The model with other names of some joints.
+
+    Args:
+        identified: The model, a plain model in it included.
+        names: Joint -> its other name, none of which another joint has.
+    """
     arm = _arm(identified.model.arm, names)
 
     def model(one: TorqueModel) -> TorqueModel:

@@ -46,7 +46,12 @@ def read_simulation(path: Path, joints: Collection[str] = ()) -> Simulation:
 
 
 def of_urdf(arm: Arm, source: str) -> Simulation:
-    """What simulators make of a URDF: its inertials, and `<dynamics damping friction>` where it has them."""
+    """What simulators make of a URDF: its inertials, and `<dynamics damping friction>` where it has them.
+
+    Args:
+        arm: Its URDF states damping and friction of the joints; only joints of the arm get them.
+        source: The file, as a person would name it.
+    """
     joints, bodies = {}, {}
     for joint in ElementTree.fromstring(arm.urdf).findall("joint"):
         name = joint.get("name", "")

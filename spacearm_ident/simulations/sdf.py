@@ -50,7 +50,17 @@ def read_sdf(path: Path, text: str, joints: Collection[str] = ()) -> Simulation:
 
 
 def model_of_arm(root: ElementTree.Element, path: Path, joints: Collection[str]) -> ElementTree.Element:
-    """The `<model>` that is the arm; arguments as `read_sdf`."""
+    """The `<model>` that is the arm.
+
+    Args:
+        root: Of the SDF; models directly in it or in a world.
+        path: For messages.
+        joints: Of the recordings; where several models have joints that move, the arm is the one that has some of them,
+            or has them under one prefix or suffix.
+
+    Raises:
+        UserError: No model has joints that move, or it is not clear which is the arm.
+    """
     models = [*root.findall("model"), *root.findall("world/model")]
     if not models:
         raise UserError(f"{path} has no <model>: name the SDF of an arm (an <include> is not followed)")

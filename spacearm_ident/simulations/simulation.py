@@ -181,10 +181,18 @@ def _value(arm: Arm, values: Mapping[str, JointDynamics], symbol: str, joint: st
 
 
 def without(simulation: Simulation, names: Sequence[str]) -> Simulation:
-    """The simulation with some joints fixed where the simulation has them at zero.
+    """The simulation with some joints fixed: at the posture of rest where its arm file has one, else near zero.
+
+    Args:
+        simulation: With at least one joint more.
+        names: Joints to fix, such as those that the recordings lack; empty: the simulation is returned as it is.
+
+    Returns:
+        Bodies are those of the arm's description, and parts are not told apart. Of the joints' terms, armature,
+        damping, Coulomb friction and spring stay.
 
     Raises:
-        UserError: They are all it has.
+        UserError: A coupled motor turns with one of them, or they are all it has.
     """
     if not names:
         return simulation

@@ -257,7 +257,16 @@ def box_of(
 
 
 def linearised(regression: Regression, unknowns: Unknowns) -> Linearise:
-    """Residual and Jacobian of a regression's weighted rows, compressed: no prior takes part."""
+    """Residual and Jacobian of a regression's weighted rows, compressed: no prior takes part.
+
+    Args:
+        regression: Weighted rows of a model.
+        unknowns: What Phi is: free parameters, then searched constants.
+
+    Returns:
+        Function of Phi (d,) that gives the residual and its Jacobian; the columns of constants are derivatives by their
+        values, not their logarithms.
+    """
     width = len(regression.model.parameters)
     nothing = Prior(np.zeros((0, width)), np.zeros(0), np.zeros(width), unknowns.held, unknowns.free)
     used = np.concatenate([unknowns.free, np.arange(width, width + len(unknowns.searched))])

@@ -95,7 +95,15 @@ class InformationFilter:
 
 
 def compress(rows: FloatArray, side: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """At most p rows (J, p, p) and (J, p) that say of x what `rows` (J, r, p) and `side` (J, r) do."""
+    """At most p rows (J, p, p) and (J, p) that say of x what `rows` (J, r, p) and `side` (J, r) do.
+
+    Args:
+        rows: (J, r, p) for each of J filters, in units of their noise.
+        side: (J, r) right-hand sides.
+
+    Returns:
+        Upper triangular matrices and their right-hand sides; the residual that no x can explain is left out.
+    """
     count = rows.shape[2]
     whole: FloatArray = np.asarray(np.linalg.qr(np.concatenate([rows, side[:, :, None]], axis=2), mode="r"))
     triangle = whole[:, :count]

@@ -111,7 +111,12 @@ def _with_terms(model: IdentifiedModel, joints: Sequence[str], payload: bool, te
 
 
 def with_effects(model: IdentifiedModel, places: Sequence[tuple[str, Mapping[str, Any]]]) -> IdentifiedModel:
-    """The model with further effects, each a (kind, place), whose parameters are zero."""
+    """The model with further effects, each a (kind, place), whose parameters are zero.
+
+    Args:
+        model: Its own terms and values stay.
+        places: Kind of an effect, and where it acts, with options as the structure's `at` has them.
+    """
     structure: dict[str, dict[str, Any]] = {kind: dict(options) for kind, options in model.model.structure.items()}
     for kind, place in places:
         options = structure.setdefault(kind, {})
@@ -139,7 +144,15 @@ class Rows(Residuals):
 
 
 def rows_of(tracked: TrackedModel, motion: Motion) -> Rows:
-    """Rows of an uninterrupted stretch of a recording (not of averaged periods)."""
+    """Rows of an uninterrupted stretch of a recording (not of averaged periods).
+
+    Args:
+        tracked: Which parameters are followed.
+        motion: The stretch, at full rate, with the tracked model's joints.
+
+    Returns:
+        Rows at the reduced rate; `moving` is false also below `tracked.slowest`.
+    """
     own, shared = tracked.columns(motion)
     judged = replace(motion, speed_noise=np.maximum(motion.speed_noise, tracked.slowest))
     return Rows(

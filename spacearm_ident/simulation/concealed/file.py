@@ -36,6 +36,10 @@ EFFECTS: dict[str, type[Effect]] = {
 def load_concealed(path: str | Path, joints: Sequence[str]) -> list[Effect]:
     """Read such a file for an arm with these joints.
 
+    Args:
+        path: File of the schema `spacearm_ident/conceal/1`.
+        joints: Names in the arm's order, by which effects say where they act.
+
     Raises:
         UserError: It cannot be read, or names what is not there; the line says what there is.
     """
@@ -48,6 +52,10 @@ def load_concealed(path: str | Path, joints: Sequence[str]) -> list[Effect]:
 
 def concealed_from_dict(document: object, joints: Sequence[str]) -> list[Effect]:
     """The effects a document describes.
+
+    Args:
+        document: Content of such a file, checked here.
+        joints: Names in the arm's order, by which effects say where they act.
 
     Raises:
         UserError: As `load_concealed`.

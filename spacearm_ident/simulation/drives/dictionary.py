@@ -39,7 +39,12 @@ WriteHook = Callable[[int], None]
 
 
 def key(index: int, sub: int = 0) -> int:
-    """Place of an object in the flat table."""
+    """Place of an object in the flat table.
+
+    Args:
+        index: Index of the object, 16 bits.
+        sub: Subindex, 8 bits; 0 for an object that is one variable.
+    """
     return index << 8 | sub
 
 
