@@ -53,7 +53,12 @@ def placed(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:
 
 
 def frame_fault(sensor: BaseSensor, arm: Arm) -> tuple[str, str] | None:
-    """What is wrong with the frame of a sensor, and its remedy; None where it is fixed to the base link of the arm."""
+    """What is wrong with the frame of a sensor, and its remedy; None where it is fixed to the base link of the arm.
+
+    Args:
+        sensor: Base sensor, with the name of the frame that its messages state.
+        arm: Its URDF says which frames are fixed to the base link.
+    """
     model = pin.buildModelFromXML(arm.urdf)
     frame = next((frame for frame in model.frames[1:] if frame.name == sensor.frame), None)
     if frame is not None and frame.parentJoint == 0:

@@ -38,7 +38,7 @@ def read_npz(path: Path, source: Source) -> Table:
     """The arrays of an `.npz`.
 
     Args:
-        path: The file.
+        path: Archive; the sizes that it states are checked before it is loaded.
         source: Path, size and checksum, for the table.
 
     Raises:

@@ -19,7 +19,7 @@ def read_hdf5(path: Path, source: Source) -> Table:
     Links to other files, and data kept in other files, are left alone: a log is one file.
 
     Args:
-        path: The file.
+        path: HDF5 file, or MATLAB's version 7.3.
         source: Path, size and checksum, for the table.
 
     Raises:

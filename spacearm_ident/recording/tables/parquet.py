@@ -29,7 +29,7 @@ def read_parquet(path: Path, source: Source) -> Table:
     """The numeric columns of a Parquet file, those of lists element by element.
 
     Args:
-        path: The file.
+        path: A single Parquet file; the folder of a data set is for `read_lerobot`.
         source: Path, size and checksum, for the table.
 
     Raises:
