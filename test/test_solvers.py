@@ -155,7 +155,7 @@ def test_the_covariance_of_what_is_determined_is_exported(results):
         assert sum(factor * values[part] for part, factor in exported["map"][name].items()) == pytest.approx(value)
 
 
-@pytest.mark.parametrize(("parameter", "words"), [("solver:=magic", "no solver 'magic'"), ("seed:=-1", "seed")])
+@pytest.mark.parametrize(("parameter", "words"), [("solver:=magic", "solver: no 'magic'"), ("seed:=-1", "seed")])
 def test_a_node_with_a_parameter_that_cannot_be_says_so_and_ends(tmp_path, monkeypatch, parameter, words):
     pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
     live_nodes = pytest.importorskip("live_nodes")
