@@ -9,29 +9,35 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import small_arm
 from mujoco_arm import JOINTS, mjcf, mujoco_or_skip, pushed, recorded
 from scipy.signal import lfilter
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.model import TorqueModel
+from spacearm_ident.dynamics.model_file import save_model
+from spacearm_ident.dynamics.regressor import INERTIAL_SYMBOLS
 from spacearm_ident.errors import UserError
 from spacearm_ident.layers.compare import compare
 from spacearm_ident.layers.comparison import Comparison
 from spacearm_ident.layers.conventions import Wired, find_wiring
 from spacearm_ident.layers.discrete import find_mistakes
+from spacearm_ident.layers.document import verdict
 from spacearm_ident.layers.item import Item
 from spacearm_ident.layers.joint_fit import JointFit, in_newton_metres
 from spacearm_ident.layers.linear import Linear
 from spacearm_ident.layers.parameters import Change, changes, combinations
 from spacearm_ident.layers.physics import optional_terms, with_friction_terms
 from spacearm_ident.layers.wiring import Wiring
-from spacearm_ident.mismatch.finding import Finding
+from spacearm_ident.mismatch.finding import NO_MISMATCH, Finding
 from spacearm_ident.mismatch.noise import model_error_share
 from spacearm_ident.mismatch.preparation import banded
 from spacearm_ident.recording import Recording
 from spacearm_ident.recording.recording import Series
 from spacearm_ident.recording.writer import write_recording
+from spacearm_ident.sessions.reading import Comparing
+from spacearm_ident.sessions.simulation import compare_session
 from spacearm_ident.signals.motion import Motion
 from spacearm_ident.signals.prepare import prepare
 from spacearm_ident.simulations import Simulation, read_simulation
@@ -644,3 +650,27 @@ def test_change_is_named_when_it_exceeds_the_digits_of_the_file(was: float, now:
     different, same = changes([change], found)
     assert [one is change for one in different] == [True] * named
     assert all(size == pytest.approx(0.15) for _, size in same) and len(same) == 1 - named
+
+
+def test_bodies_of_an_identified_model_stay_where_the_recordings_lack_one_of_its_joints(tmp_path: Path) -> None:
+    """The elbow's link, half as heavy again as in the URDF that the model began with, is held still."""
+    identified, run = small_arm.identified(), small_arm.recording(still=(1,))
+    of_elbow = np.array([p.joint == "elbow" and p.symbol in INERTIAL_SYMBOLS for p in identified.model.parameters])
+    model = replace(identified, parameters=np.where(of_elbow, 1.5, 1.0) * identified.parameters)
+    save_model(model, tmp_path / "model.yaml")
+    (motion,), _ = prepare([run], small_arm.JOINTS)
+    time = motion.start_s + np.arange(len(motion.position)) / motion.rate_hz
+    run = run.between(time[0], time[-1])
+    assert run.velocity is not None and run.effort is not None
+    more = np.interp(run.time, time, (model.torque(motion) - identified.torque(motion))[:, 0])
+    short = replace(
+        run,
+        joints=("shoulder",),
+        position=run.position[:, :1],
+        velocity=run.velocity[:, :1],
+        effort=run.effort[:, :1] + more[:, None],
+    )
+    write_recording(tmp_path / "run.mcap", short)
+    session = compare_session([tmp_path / "model.yaml"], [tmp_path / "run.mcap"], [], tmp_path / "out", Comparing())
+    assert session.simulation.values["m[shoulder]"] == pytest.approx(4.0 + 1.5 * 2.0)
+    assert verdict(session.comparison) == NO_MISMATCH

@@ -24,6 +24,7 @@ from ..layers.item import CONVENTIONS, PARAMETERS, Item, Mended, Strayed
 from ..recording import Recording
 from ..report.folder import refuse_to_replace
 from ..report.layers_folder import write_comparison
+from ..results.urdf import identified_urdf
 from ..signals.motion import Motion
 from ..signals.prepare import prepare
 from ..simulations import SIMULATION_SUFFIXES, Simulation, read_simulation
@@ -213,7 +214,18 @@ def _of_recordings(simulation: Simulation, recordings: Sequence[Recording]) -> S
             "give them the same names, or names that differ by one prefix or suffix"
             + "".join(f" ({note})" for note in simulation.notes)
         )
-    return without(simulation, lacking)
+    return without(_with_own_bodies(simulation) if lacking else simulation, lacking)
+
+
+def _with_own_bodies(simulation: Simulation) -> Simulation:
+    """The simulation with its model's inertials in the arm's description, from which bodies are put together.
+
+    The description of a file that simulates has them; beside an identified model stands the one that it began with.
+    """
+    if simulation.format not in ("model", "bag"):
+        return simulation
+    arm = replace(simulation.arm, urdf=identified_urdf(simulation.model), described="")
+    return replace(simulation, model=replace(simulation.model, model=replace(simulation.model.model, arm=arm)))
 
 
 def _noted(comparison: Comparison, note: str) -> Comparison:
