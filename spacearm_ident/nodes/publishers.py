@@ -20,7 +20,7 @@ MOST = 100
 FEWEST = 3
 """Falls within `WITHIN_S` from which a joint has two publishers: a driver that was started again makes one."""
 WITHIN_S = 10.0
-"""s; a second publisher is told down to 0.3 Hz."""
+"""s; a second publisher is noticed from 0.3 Hz on."""
 
 
 class PublisherWatch:
