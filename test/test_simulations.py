@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import small_arm
 from mujoco_arm import JOINTS, inverse, mjcf, mujoco_or_skip, recorded
 
-from spacearm_ident.dynamics.model import TorqueModel
+from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel
 from spacearm_ident.dynamics.regressor import rigid_body_torque
 from spacearm_ident.errors import UserError
 from spacearm_ident.export.law import nearest
@@ -417,3 +418,24 @@ def test_recording_without_noise_is_a_simulators_and_one_with_noise_is_not() -> 
     frozen = recorded(mjcf(), noise_Nm=0.0)
     held = np.repeat(frozen.effort[::5], 5, axis=0)[: len(frozen.time)]
     assert not noise_free(replace(frozen, effort=held))
+
+
+def test_what_a_simulation_with_fixed_joints_has_no_place_for_is_named() -> None:
+    """Quadratic friction and an offset of the shoulder, and friction of the elbow, which is fixed."""
+    known = small_arm.identified()
+    quadratic = {
+        **known.model.structure,
+        "viscous_friction": {"vacuum": False},
+        "torque_offset": {"joints": ["shoulder"]},
+    }
+    model = TorqueModel(known.model.arm, quadratic)
+    size = {"offset": 0.3, "k_v2": 0.2, "k_v3": 0.0}
+    values = [size[p.symbol] if p.symbol in size else known.value(p.symbol, p.joint) for p in model.parameters]
+    identified = IdentifiedModel(model, np.array(values), np.zeros(len(model.constants)))
+    fixed = without(Simulation(identified, "model", "model.yaml"), ["elbow"])
+    assert fixed.notes == (
+        "not in the recordings, and taken as fixed: elbow",
+        "left out of the model with the joints taken as fixed: k_v2[shoulder], offset[shoulder]",
+    )
+    plain = without(Simulation(known, "model", "model.yaml"), ["elbow"])
+    assert plain.notes == ("not in the recordings, and taken as fixed: elbow",)

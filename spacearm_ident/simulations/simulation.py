@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -189,7 +189,7 @@ def without(simulation: Simulation, names: Sequence[str]) -> Simulation:
 
     Returns:
         Bodies are those of the arm's description, and parts are not told apart. Of the joints' terms, armature,
-        damping, Coulomb friction and spring stay.
+        damping, Coulomb friction and spring stay; a note names the others.
 
     Raises:
         UserError: A coupled motor turns with one of them, or they are all it has.
@@ -208,5 +208,14 @@ def without(simulation: Simulation, names: Sequence[str]) -> Simulation:
         )
         for joint in arm.joint_names
     }
-    notes = (*simulation.notes, f"not in the recordings, and taken as fixed: {', '.join(names)}")
-    return simulation_of(arm, joints, simulation.format, simulation.source, simulation.bodies, notes)
+    notes = [*simulation.notes, f"not in the recordings, and taken as fixed: {', '.join(names)}"]
+    fixed = simulation_of(arm, joints, simulation.format, simulation.source, simulation.bodies)
+    kept = {*(p.name for p in fixed.model.model.parameters)}
+    lost = [
+        p.name
+        for p, value in zip(simulation.model.model.parameters, simulation.model.parameters)
+        if p.joint in joints and p.name not in kept and abs(value) > LEAST_OWN
+    ]
+    if lost:
+        notes.append(f"left out of the model with the joints taken as fixed: {', '.join(lost)}")
+    return replace(fixed, notes=tuple(notes))
