@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from planted_arm import TWO_LINKS, Friction, two_link_run
+from planted_arm import TWO_LINKS, Friction, incommensurate, plant, two_link_run
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.cli.mismatch import sort_bags, summary
@@ -205,6 +205,20 @@ def test_a_healthy_arm_is_no_mismatch_and_has_no_extended_model(bags, tmp_path, 
     assert (tmp_path / "why" / "report.html").exists()
 
 
+def test_model_of_the_ground_is_a_reference_in_orbit(bags, tmp_path, capsys):
+    """Nothing but gravity differs: the model is carried over to the gravity that is given."""
+    time = np.arange(0.0, 14.0, 1.0 / 250.0)
+    for seed in (2, 3):
+        planted = plant(TWO_LINKS, LAWS, incommensurate(time, 2, seed, 1.0), 250.0, gravity=(0.0, 0.0, 0.0))
+        write_recording(tmp_path / f"orbit_{seed}.mcap", planted.recording(noise=[0.3, 0.15], seed=seed + 100))
+    assert main(["identify", str(bags["reference"]), "--out", str(tmp_path / "ground")]) == 0
+    words = (tmp_path / "orbit_2.mcap", "--validate", tmp_path / "orbit_3.mcap", "--gravity", 0, 0, 0, "--json")
+    capsys.readouterr()
+    model = tmp_path / "ground" / "model.yaml"
+    out, _ = run(*words, "--reference", model, "--out", tmp_path / "why", *FEW, expect=0, capsys=capsys)
+    assert json.loads(out)["verdict"] == "no_mismatch"
+
+
 # --- conventions ----------------------------------------------------------------------------------------------------
 
 
@@ -288,6 +302,14 @@ def test_torque_in_another_unit_than_the_reference_s_is_told_whatever_cad_says(m
     )
     # Three times the torque is a heavier arm, or a torque constant.
     assert not reasons_of(monkeypatch, replace(recording(2), effort=recording(2).effort * 3.0), [], [])
+
+
+def test_reference_under_another_gravity_than_the_field_is_refused_with_what_to_do(monkeypatch):
+    tilted = finding_of(Kind.GRAVITY, 60.0)
+    (reason,) = reasons_of(monkeypatch, recording(2), [], [tilted])
+    assert "identify the reference by itself with mend it, and give its model.yaml as the reference" in reason
+    assert not reasons_of(monkeypatch, recording(2), [tilted], [tilted]), "both stand alike"
+    assert not reasons_of(monkeypatch, recording(2), [], [replace(tilted, log_odds=40.0)]), "identify would not refuse"
 
 
 # --- what goes wrong ------------------------------------------------------------------------------------------------

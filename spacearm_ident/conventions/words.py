@@ -74,11 +74,12 @@ def _gravity(arm: Arm, change: Change) -> str:
     told = " ".join(f"{g:.3g}" for g in arm.gravity)
     if not vector.any():
         return f"the torque contains no gravity, described as {told} m/s² (compensated by the controller, or in orbit?)"
-    size = float(np.linalg.norm(arm.gravity)) or 1.0
+    found = f"gravity in the base frame is {' '.join(f'{g:.3g}' for g in vector)} m/s², not {told}"
+    size = float(np.linalg.norm(arm.gravity))
+    if not size:
+        return f"{found}: recorded on the ground?"
     angle = float(np.degrees(np.arccos(np.clip(vector @ arm.gravity / np.linalg.norm(vector) / size, -1, 1))))
-    how = "upside down" if angle > 150 else f"{angle:.0f}° off"
-    found = " ".join(f"{g:.3g}" for g in vector)
-    return f"gravity in the base frame is {found} m/s², not {told}: the base is mounted {how}"
+    return f"{found}: the base is mounted {'upside down' if angle > 150 else f'{angle:.0f}° off'}"
 
 
 def _gain(arm: Arm, change: Change, evidence: Evidence) -> str:

@@ -6,8 +6,10 @@ The one pass behind `spacearm mismatch` and the identifier node: whatever asks, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
@@ -53,7 +55,8 @@ def explain_session(
 
     Args:
         field: Bags to explain.
-        reference: Bags of the healthy arm, or one model file; none: the arm's own fit is the base.
+        reference: Bags of the healthy arm, or one model file, which may be of another gravity than the recordings;
+            none: the arm's own fit is the base.
         judged: Bags to judge on; none: the last third of each of `field` is held out.
         directory: Result folder.
         comparing: How. Without an arm of its own: the model's, or of the bags' `/robot_description`.
@@ -70,6 +73,8 @@ def explain_session(
     known = _reference(reference, reading, at_first)
     runs = RunSet(reading.read(field, at_first), known, reading.read(judged, at_first))
     arm = _arm(comparing, runs)
+    if runs.known is not None:
+        runs = replace(runs, reference=runs.known.with_gravity(arm.gravity))
     runs = runs.each(lambda part: corrected(in_newton_metres(part, arm), arm))
     wrong = mistakes(runs, arm, within(report, 0.1, 0.15))
     if wrong:
@@ -93,7 +98,15 @@ def _reference(paths: Sequence[Path], reading: Reading, progress: Progress) -> l
 
 
 def _arm(comparing: Comparing, runs: RunSet) -> Arm:
-    file, gravity = comparing.reading.arm, comparing.gravity
-    if runs.known is not None and file is None and gravity is None:
-        return runs.known.model.arm
-    return find_arm(file, gravity, runs.every)
+    """The arm, under the gravity of the recordings: what is stated, else a model's own.
+
+    Raises:
+        UserError: As `find_arm`.
+    """
+    file, gravity, known = comparing.reading.arm, comparing.gravity, runs.known
+    if known is None:
+        return find_arm(file, gravity, runs.every)
+    arm = known.model.arm if file is None else find_arm(file, None, runs.every)
+    if gravity is not None:
+        return arm.with_gravity(np.array(gravity, dtype=float))
+    return arm if arm.gravity_stated else arm.with_gravity(known.model.arm.gravity)

@@ -41,6 +41,8 @@ LEAST_UNIT = UNIT_FACTOR**0.5
 is nearer than N·m."""
 ALONE = "; the reference does not need it: identify that by itself, and give its model.yaml as the reference"
 """An arm YAML's corrections are applied to every recording of a command."""
+UNDER_ITS_OWN = ", and give its model.yaml as the reference, with --gravity as in the field"
+"""A model is carried over to the field's gravity; recordings are not."""
 TINY = float(np.finfo(float).tiny)
 
 
@@ -50,7 +52,7 @@ def mistakes(runs: RunSet, arm: Arm, progress: Progress | None = None) -> tuple[
     A mistake counts if `identify` calls it certain; in the field already if `check` calls the data unfit and the
     reference does not show it: an arm's own CAD errors, for which `identify` leaves room, would show in both. What was
     inferred, and what the healthy arm refutes, does not count. Torque in another unit than the reference's counts
-    whatever CAD says.
+    whatever CAD says, and so does a reference under another gravity than the field.
 
     Args:
         runs: What is to be compared with what; field and validation are examined alike.
@@ -66,7 +68,7 @@ def mistakes(runs: RunSet, arm: Arm, progress: Progress | None = None) -> tuple[
     examined = check_conventions(field, arm, progress=within(report, 0.0, share))
     healthy = check_conventions(reference, arm, progress=within(report, share, 1.0)) if reference else None
     known = {(one.kind, one.joints) for one in healthy.findings} if healthy else set()
-    found = [] if healthy is None else _wrong(healthy, DECISIVE)
+    found = [] if healthy is None else [*_wrong(healthy, DECISIVE), *_other_gravity(healthy, examined)]
     new = [one for one in _wrong(examined, 0.0 if healthy else DECISIVE) if (one.kind, one.joints) not in known]
     if found:
         found += new
@@ -78,6 +80,17 @@ def mistakes(runs: RunSet, arm: Arm, progress: Progress | None = None) -> tuple[
         if reference:
             found = [one if one.corrections.none else replace(one, remedy=one.remedy + ALONE) for one in found]
     return tuple(f"{', '.join(one.recordings)}: {one.statement} -> {one.remedy}" for one in found)
+
+
+def _other_gravity(healthy: ConventionReport, examined: ConventionReport) -> list[Mistake]:
+    """What is certain of the reference's gravity where the field has the stated one: one was recorded elsewhere."""
+    if any(one.kind == Kind.GRAVITY for one in examined.findings):
+        return []
+    return [
+        replace(one, remedy=f"identify the reference by itself with {one.remedy}{UNDER_ITS_OWN}")
+        for one in healthy.findings
+        if one.kind == Kind.GRAVITY and one.level is Level.UNFIT and (one.log_odds or 0.0) >= DECISIVE
+    ]
 
 
 def _wrong(report: ConventionReport, least: float) -> list[Mistake]:
