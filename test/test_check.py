@@ -335,7 +335,22 @@ def test_every_parameter_a_node_declares_is_known():
     folder = CONFIG.parent / "spacearm_ident" / "nodes"
     for node in NODES:
         source = "".join(path.read_text() for path in folder.glob(f"{node}*.py"))
-        assert declared_parameters(node).keys() == set(re.findall(r'(?:parameter\(|_file\(node,)\s*"(\w+)"', source))
+        assert declared_parameters(node).keys() == set(re.findall(r'parameter\(\s*"(\w+)"', source))
+
+
+NO_INPUT = {"controller", "controller_manager", "enabled_topic", "output_topic", "directory"}
+"""Text parameters that name no file to read."""
+
+
+def test_a_file_that_does_not_exist_is_named_for_every_parameter_that_reads_one(tmp_path):
+    for node in NODES:
+        declared = declared_parameters(node).items()
+        texts = {name for name, one in declared if one.kind is str and not one.several and one.choices is None}
+        for name in texts - NO_INPUT:
+            results = params(tmp_path, f"{node}: {{ros__parameters: {{{name}: /no/where.yaml}}}}")
+            assert any("there is no /no/where.yaml" in line for line in found(results, Level.WARN)), (node, name)
+            results = params(tmp_path, f"{node}: {{ros__parameters: {{{name}: $(var file)}}}}")
+            assert not found(results, Level.WARN), (node, name)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import importlib.util
 import math
 import operator
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -20,8 +20,6 @@ from ..nodes.main import NODES
 from .result import CheckResult, Level, fail, ok, warn
 from .yaml_file import read_yaml
 
-FILES: Final = frozenset({"arm", "can_config", "model", "structure", "replay", "mismatch_reference", "trajectory_file"})
-"""Parameters that name a file which must be there when the node starts or the run begins."""
 EVERY_NODE: Final = frozenset({"use_sim_time"})
 EVERY: Final = "**"
 """`/**:` in a file: whatever node reads it."""
@@ -45,8 +43,10 @@ def check_params(path: Path) -> list[CheckResult]:
     return [*(ok("parameters", sentence) for sentence in fine), *results]
 
 
-DECLARING = {"parameter": 0, "_file": 1}
-"""What the nodes' modules declare a parameter with, and which argument its name is."""
+FILE: Final = "file_parameter"
+"""Method of `LiveNode` that declares the name of a file or folder to read."""
+DECLARING: Final = ("parameter", FILE)
+"""Methods of `LiveNode` that declare a parameter; their first argument is its name."""
 WORDS: Final[Mapping[type, str]] = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 """What a value of each type is called."""
 
@@ -60,6 +60,7 @@ class Declared:
         low, high: Range of a number.
         several: Whether it is a list.
         choices: The words that a text may be; None: any.
+        file: Whether it names a file or folder to read.
     """
 
     kind: type | None
@@ -67,6 +68,7 @@ class Declared:
     high: float = math.inf
     several: bool = False
     choices: Choices | None = None
+    file: bool = False
 
     def refusal(self, value: Any) -> str:
         """Why the node refuses a value; empty: it does not."""
@@ -107,11 +109,11 @@ def declared_parameters(node: str) -> Mapping[str, Declared]:
 def _declared(call: ast.Call, node: str) -> list[tuple[str, Declared]]:
     """The parameter a call declares, if it does."""
     named = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-    place = DECLARING.get(named, len(call.args))
-    names = [item.value for item in call.args[place : place + 1] if isinstance(item, ast.Constant)]
-    # A file is declared as a text.
-    default = next(iter(call.args[place + 1 : place + 2]), None)
-    value = "" if named == "_file" else _literal(default)
+    given = call.args if named in DECLARING else []
+    names = [item.value for item in given[:1] if isinstance(item, ast.Constant)]
+    # The name of a file is declared as a text, and has no default.
+    default = next(iter(given[1:2]), None)
+    value = "" if named == FILE else _literal(default)
     limits = {item.arg: _literal(item.value) for item in call.keywords if item.arg in ("low", "high")}
     ranges = {str(key): float(limit) for key, limit in limits.items() if isinstance(limit, (int, float))}
     several = isinstance(value, list)
@@ -120,7 +122,9 @@ def _declared(call: ast.Call, node: str) -> list[tuple[str, Declared]]:
     if choices is not None:  # words are texts, by whatever names the default is written
         kind, several = str, isinstance(default, ast.List)
     return [
-        (name, Declared(kind, several=several, choices=choices, **ranges)) for name in names if isinstance(name, str)
+        (name, Declared(kind, several=several, choices=choices, file=named == FILE, **ranges))
+        for name in names
+        if isinstance(name, str)
     ]
 
 
@@ -186,8 +190,15 @@ def _node(key: str, given: Any) -> Iterator[CheckResult]:
         why = next((why for one in nodes if (why := _refusal(one, str(name), value))), "")
         if why:
             yield fail("parameters", f"{node}: {name}: {why}; the node would not start", "correct it")
-        elif name in FILES and value and not Path(str(value)).expanduser().exists():
+        elif _missing(nodes, str(name), value):
             yield warn("parameters", f"{node}: {name}: there is no {value}", "write it before the node is started")
+
+
+def _missing(nodes: Iterable[str], name: str, value: Any) -> bool:
+    """Whether a value names a file to be read by one of these nodes that does not exist; a launch file fills in `$(`."""
+    known = (declared_parameters(node).get(name) for node in nodes)
+    named = bool(value) and "$(" not in str(value) and any(one is not None and one.file for one in known)
+    return named and not Path(str(value)).expanduser().exists()
 
 
 def _refusal(node: str, name: str, value: Any) -> str:

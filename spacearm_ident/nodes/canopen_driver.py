@@ -15,7 +15,6 @@ from __future__ import annotations
 import gc
 import threading
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
@@ -40,7 +39,6 @@ class CanopenDriver(LiveNode):
 
     def __init__(self) -> None:
         super().__init__("canopen_driver")
-        file = self.parameter("can_config", "", "CAN YAML of the arm; empty: config/paper_arm_can.yaml")
         delay = self.parameter(
             "set_point_delay_s", 0.2, "set-points are played this long after their stamp (s)", low=0.005, high=0.5
         )
@@ -55,7 +53,8 @@ class CanopenDriver(LiveNode):
             low=0.0,
             high=86400.0,
         )
-        self._config = load_arm_can(Path(file) if file else config_path("paper_arm_can.yaml"))
+        file = self.file_parameter("can_config", "CAN YAML of the arm; empty: config/paper_arm_can.yaml")
+        self._config = load_arm_can(file or config_path("paper_arm_can.yaml"))
         self.hardware_id = self._config.arm.name
         joints = self._config.limits.joints
         self._states = self.create_publisher(JointState, "joint_states", STREAM)

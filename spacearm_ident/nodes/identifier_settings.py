@@ -73,8 +73,9 @@ def declare(node: LiveNode) -> IdentifierSettings:
     )
     text = "Bag or model.yaml of the healthy arm, to explain every run; empty: not"
     tracking = _tracking(node)
-    reference = _file(node, "mismatch_reference", text)
-    simulation = _file(node, "simulation", "MJCF, URDF, SDF or model.yaml to compare every run with; empty: not")
+    reference = node.file_parameter("mismatch_reference", text)
+    text = "MJCF, URDF, SDF or model.yaml to compare every run with; empty: not"
+    simulation = node.file_parameter("simulation", text)
     if reference is not None and simulation is not None:
         raise UserError("parameters simulation and mismatch_reference: set one of them, leave the other empty")
     return IdentifierSettings(
@@ -83,7 +84,7 @@ def declare(node: LiveNode) -> IdentifierSettings:
         auto=node.parameter("auto_identify", True, "Identify (then validate) when a run has ended"),
         directory=_result_directory(node),
         row_rate_hz=node.parameter("residual_rate_hz", 50.0, "Rate of /identifier/residuals, Hz", low=0.1, high=1000.0),
-        model=_file(node, "model", "model.yaml to watch the residual of from the start"),
+        model=node.file_parameter("model", "model.yaml to watch the residual of from the start"),
         replay=_replay(node),
         reference=reference,
         simulation=simulation,
@@ -105,9 +106,10 @@ def _result_directory(node: LiveNode) -> Path:
 def _how(node: LiveNode) -> Options:
     text = "Gravity in the base frame, m/s^2, as [0.0, 0.0, -9.81]; nan: the arm's own"
     gravity = _gravity(node.parameter("gravity", [math.nan] * 3, text))
-    arm = _file(node, "arm", "URDF or arm YAML; empty: of /robot_description")
+    arm = node.file_parameter("arm", "URDF or arm YAML; empty: of /robot_description")
     friction = node.parameter("friction", AUTO, "Friction law, as spacearm identify --friction", choices=FRICTION)
-    structure = _file(node, "structure", "Model file whose terms to identify, effects included; instead of friction")
+    text = "Model file whose terms to identify, effects included; instead of friction"
+    structure = node.file_parameter("structure", text)
     if structure and friction != AUTO:
         raise UserError(f"parameter structure: it has its own friction law: leave friction at {AUTO}")
     solver = node.parameter("solver", SEPARABLE, "Solver, as spacearm identify --solver", choices=SOLVER)
@@ -127,13 +129,13 @@ def _how(node: LiveNode) -> Options:
         seed=seed,
         temperature=temperature,
         estimate_gravity=estimated,
-        prior=_file(node, "prior", "Result folder whose model is updated by the run; empty: none"),
+        prior=node.file_parameter("prior", "Result folder whose model is updated by the run; empty: none"),
     )
 
 
 def _replay(node: LiveNode) -> Replay | None:
-    bag = _file(node, "replay", "Bag to identify off line at start, instead of waiting")
-    validate = _file(node, "replay_validate", "Bag to validate the replay on; empty: hold-out")
+    bag = node.file_parameter("replay", "Bag to identify off line at start, instead of waiting")
+    validate = node.file_parameter("replay_validate", "Bag to validate the replay on; empty: hold-out")
     exit_after = node.parameter("exit_after_replay", False, "End when the replay is done")
     return Replay(bag, (validate,) if validate else (), exit_after) if bag else None
 
@@ -169,17 +171,6 @@ def _change_window(node: LiveNode, tracking: bool, buffer_s: float) -> float | N
             "enlarge buffer_s"
         )
     return window_s
-
-
-def _file(node: LiveNode, name: str, text: str) -> Path | None:
-    """A file or folder, or None where none is given."""
-    given = node.parameter(name, "", text)
-    if not given:
-        return None
-    path = Path(given).expanduser()
-    if not path.exists():
-        raise UserError(f"parameter {name}: {path}: no such file or folder")
-    return path
 
 
 def _gravity(values: list[float]) -> tuple[float, float, float] | None:

@@ -305,6 +305,26 @@ class LiveNode(Node):
         result: Value = list(value) if isinstance(default, list) else value
         return result
 
+    def file_parameter(self, name: str, description: str, *, read_only: bool = True) -> Path | None:
+        """Declare a parameter that names a file or folder to read; `spacearm check --params` looks for it.
+
+        Args:
+            name: Name of the parameter.
+            description: As for `parameter`; with what an empty one means.
+            read_only: As for `parameter`; one that can be changed is read later, so it need not exist yet.
+
+        Returns:
+            The path; None where none is given.
+
+        Raises:
+            UserError: The value given is no text, or a read-only one names nothing that exists.
+        """
+        given = self.parameter(name, "", description, read_only=read_only)
+        path = Path(given).expanduser() if given else None
+        if read_only and path is not None and not path.exists():
+            raise UserError(f"parameter {name}: {path}: no such file or folder")
+        return path
+
     def offer(self, name: str, action: Callable[[], str]) -> None:
         """A `std_srvs/srv/Trigger` service: `action` returns the reply, or raises `UserError` with the refusal."""
         self.create_service(Trigger, name, lambda _, response: self._answer(response, action))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 from ..canbus.realtime import BESIDE_THE_CYCLE
 from ..config import config_path
@@ -28,8 +27,7 @@ class SimulatedArm(LiveNode):
 
     def __init__(self) -> None:
         super().__init__("simulated_arm")
-        file = self.parameter("can_config", "", "CAN YAML of the arm; empty: config/paper_arm_can.yaml")
-        model = self.parameter("model", "", "model file the arm obeys; empty: config/paper_arm_model.yaml")
+        model = self.file_parameter("model", "model file the arm obeys; empty: config/paper_arm_model.yaml")
         noise = self.parameter("noise", 1.0, "times the usual noise of the current sensors; 0: none", low=0.0, high=1e3)
         seed = self.parameter("seed", 0, "of the noise", low=0, high=2**32 - 1)
         start = self.parameter(
@@ -42,18 +40,19 @@ class SimulatedArm(LiveNode):
             low=COLDEST,
             high=WARMEST,
         )
-        conceal = self.parameter("conceal", "", "file of physics that the model lacks; empty: none")
+        conceal = self.file_parameter("conceal", "file of physics that the model lacks; empty: none")
         priority = self.parameter("realtime_priority", 60, "SCHED_FIFO priority of the drives; 0: none", low=0, high=99)
-        config = load_arm_can(Path(file) if file else config_path("paper_arm_can.yaml"))
+        file = self.file_parameter("can_config", "CAN YAML of the arm; empty: config/paper_arm_can.yaml")
+        config = load_arm_can(file or config_path("paper_arm_can.yaml"))
         self.hardware_id = f"{config.arm.name} (simulated)"
         arm = live_arm(
             config,
-            Path(model) if model else config_path("paper_arm_model.yaml"),
+            model or config_path("paper_arm_model.yaml"),
             noise=noise,
             seed=seed,
             position=start,
             ambient=ambient,
-            conceal=Path(conceal) if conceal else None,
+            conceal=conceal,
         )
         self.refuse_simulated_time("the simulated drives keep the time of this machine")
         self._buses = ", ".join(f"{address.interface} {address.channel}" for address in config.buses)

@@ -71,8 +71,7 @@ class TrajectoryNode(LiveNode):
 
     def __init__(self) -> None:
         super().__init__("trajectory")
-        self.parameter("trajectory_file", "", "excitation file to stream; read at every start", read_only=False)
-        arm = self.parameter("arm", "", "URDF or arm YAML with the limits to keep; empty: config/paper_arm.yaml")
+        self.file_parameter("trajectory_file", "excitation file to stream; read at every start", read_only=False)
         self._timeout_s = self.parameter(
             "feedback_timeout_s", 0.2, "stop when /joint_states is older than this, s", low=0.01, high=10.0
         )
@@ -91,7 +90,8 @@ class TrajectoryNode(LiveNode):
         )
         self._output = Output(self)
         self._interlock = Interlock(self)
-        self._arm = require_open_chain(load_arm(Path(arm).expanduser() if arm else config_path("paper_arm.yaml")))
+        arm = self.file_parameter("arm", "URDF or arm YAML with the limits to keep; empty: config/paper_arm.yaml")
+        self._arm = require_open_chain(load_arm(arm or config_path("paper_arm.yaml")))
         self.hardware_id = self._arm.name
         self._stream: Stream | None = None
         self._path: PathWatch | None = None
