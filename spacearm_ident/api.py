@@ -12,7 +12,7 @@ import io
 import os
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +40,13 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 
+OF_READ = frozenset({"arm", "gravity", "namespace", "mapping", "fixed_base"})
+"""Fields of `Options` that say how a recording is read."""
+OF_THE_COMMAND = frozenset({"prior", "weighed", "loaded"})
+"""Fields of `Options` that name further files; `spacearm identify` reads them."""
+IDENTIFY_OPTIONS = frozenset(item.name for item in fields(Options)) - OF_READ - OF_THE_COMMAND
+"""Options of `identify`: the other fields of `Options`."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -64,6 +71,7 @@ def read(
     *,
     gravity: Sequence[float] | None = None,
     namespace: str | None = None,
+    fixed_base: bool = False,
 ) -> Run:
     """Read a bag or a log.
 
@@ -73,12 +81,13 @@ def read(
         mapping: What the columns of a log are; None: the file beside it, else what is proposed.
         gravity: (3,) m/s^2 in the base frame, instead of the arm's.
         namespace: Of the arm, where a bag holds several.
+        fixed_base: Take the base for fixed though a bag holds its motion.
 
     Raises:
         UserError: It cannot be read, holds several recordings, or its arm is not known.
     """
     files = (None if arm is None else Path(arm)), (None if mapping is None else Path(mapping))
-    reading = Reading(files[0], namespace, files[1])
+    reading = Reading(files[0], namespace, files[1], fixed_base)
     recordings = reading.read([Path(path)], lambda share, what: None)
     if len(recordings) != 1:
         raise UserError(f"{path}: {len(recordings)} recordings; read them one by one")
@@ -178,8 +187,8 @@ def identify(
         runs: To fit, of one arm.
         validate: To validate on; none: the last third of the last run is held out.
         out: Result folder; None: a temporary one, there as long as the result is.
-        options: `friction`, `cutoff_hz`, `structure`, `solver`, `seed`, `temperature`, `estimate_gravity`, as
-            `spacearm_ident.sessions.bags.Options` has them.
+        options: Fields of `spacearm_ident.sessions.bags.Options`, such as `friction="paper"`; not those that say how a
+            recording is read (`OF_READ`), nor `prior`, `weighed` and `loaded`, which `spacearm identify` has.
 
     Raises:
         UnfitDataError: The data cannot carry it.
@@ -189,9 +198,13 @@ def identify(
     judges = [validate] if isinstance(validate, Run) else list(validate)
     if not fitted:
         raise UserError("nothing to identify from: give a run, as sa.read returns it")
-    unknown = set(options) - {"friction", "cutoff_hz", "structure", "solver", "seed", "temperature", "estimate_gravity"}
-    if unknown:
-        raise UserError(f"no option {min(unknown)!r} of identify")
+    for name in options:
+        if name in OF_READ:
+            raise UserError(f"identify takes no {name!r}: it is decided when the run is read (sa.read)")
+        if name in OF_THE_COMMAND:
+            raise UserError(f"identify takes no {name!r}: use the command 'spacearm identify --{name}'")
+        if name not in IDENTIFY_OPTIONS:
+            raise UserError(f"no option {name!r} of identify: it has {', '.join(sorted(IDENTIFY_OPTIONS))}")
     arm = fitted[0].arm
     kept = tempfile.TemporaryDirectory(prefix="spacearm_") if out is None else None
     folder = Path(out) if out is not None else Path(kept.name) / "result" if kept else Path()

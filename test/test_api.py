@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import subprocess
 import sys
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,13 @@ import pytest
 import small_arm
 
 import spacearm_ident as sa
+from spacearm_ident.api import IDENTIFY_OPTIONS, OF_READ
 from spacearm_ident.cli.main import main
+from spacearm_ident.dynamics.arm import load_arm
 from spacearm_ident.errors import UserError
 from spacearm_ident.export.motion import steady
 from spacearm_ident.recording import write_recording
+from spacearm_ident.sessions.bags import Options
 
 PAGE = Path(__file__).parents[1] / "docs" / "python.md"
 
@@ -107,6 +112,27 @@ def test_the_command_line_and_the_api_give_the_same_numbers(tmp_path):
     ours = sa.identify(sa.read(log, arm), friction="coulomb-viscous", out=tmp_path / "api")
     theirs = sa.load(tmp_path / "cli")
     assert np.array_equal(ours.identified.model.parameters, theirs.identified.model.parameters)
+
+
+def test_what_identify_refuses_because_a_run_is_read_with_it_is_an_option_of_read():
+    assert {*inspect.signature(sa.read).parameters} - {"path"} == OF_READ
+
+
+def test_every_option_of_the_command_has_its_effect_or_says_where_it_belongs(tmp_path):
+    run = sa.read(write_log(tmp_path), tmp_path / "arm.urdf")
+    model = Path(small_arm.__file__).parents[1] / "config" / "paper_arm_model.yaml"
+    examples = {
+        **{"friction": "coulomb-viscous", "cutoff_hz": 7.0, "solver": "cloe", "seed": 1, "structure": model},
+        **{"temperature": ("f_c",), "estimate_gravity": "vector"},
+    }
+    for option in fields(Options):
+        if option.name in IDENTIFY_OPTIONS:  # a new option has its example here
+            arm = load_arm(model.with_name("paper_arm.yaml"))
+            changed = replace(Options(), **{option.name: examples[option.name]})
+            assert changed.settings(arm) != Options().settings(arm), option.name
+        else:
+            with pytest.raises(UserError, match=r"sa\.read|spacearm identify --"):
+                sa.identify(run, **{option.name: 1})
 
 
 def test_mistakes_are_one_line(tmp_path):
