@@ -384,6 +384,7 @@ def test_stamps_that_tear_a_recording_apart_are_named_as_the_cause(run, arm):
     ("make", "says"),
     [
         (lambda v: v * 180 / np.pi, "degrees/s"),
+        (lambda v: v * 60 / (2 * np.pi), "rpm"),
         (lambda v: -v, "opposite sign"),
         (lambda v: np.roll(v, 20, axis=0), "late against its position"),
         (lambda v: np.random.default_rng(0).standard_normal(v.shape), "not the derivative"),

@@ -461,17 +461,66 @@ def dates_csv(path: Path, dates: list[str]) -> Path:
         ("{day}T{clock}+01:30", 1.5),
         ("{day}T{clock}-0800", -8.0),
         ('"{day} {clock}"', 0.0),
+        ("{year}/{month}/{date} {clock}", 0.0),
+        ("{date}.{month}.{year} {clock}", 0.0),
+        ("{date}.{month}.{year} {comma}", 0.0),
+        ("{date}/{month}/{year} {clock}", 0.0),
+        ("{month}/{date}/{year} {clock}", 0.0),
     ],
 )
 def test_dates_with_times_in_text_are_a_time_of_utc(tmp_path, arm, form, ahead_h):
     stamps = 1_732_958_860_900_000_123 + np.rint(RUN.time * 1e9).astype(np.int64)
     texts = [str(stamp).split("T") for stamp in stamps.astype("datetime64[ns]")]
-    log = dates_csv(tmp_path / "log.csv", [form.format(day=day, clock=clock) for day, clock in texts])
+    year, month, date = texts[0][0].split("-")
+    parts = {"year": year, "month": month, "date": date}
+    lines = [form.format(day=day, clock=clock, comma=clock.replace(".", ","), **parts) for day, clock in texts]
+    log = dates_csv(tmp_path / "log.csv", lines)
     got = read_log(log, arm)
     assert (got.mapping.time, got.mapping.time_unit) == ("datetime", "ns")
     assert got.recording.start_ns == stamps[0] - round(ahead_h * 3600e9)
     assert np.array_equal(np.rint(got.recording.time * 1e9), stamps - stamps[0])
     assert not [issue for issue in got.recording.issues if issue.kind == "cell"]
+
+
+def test_days_and_months_without_leading_zeros_are_read(tmp_path, arm):
+    """Midnight from 9 to 10 December, which with day and month exchanged would be a month."""
+    stamps = np.datetime64("2024-12-09T23:59:59.9", "ns").astype(np.int64) + np.rint(RUN.time * 1e9).astype(np.int64)
+    texts = [str(stamp).split("T") for stamp in stamps.astype("datetime64[ns]")]
+    lines = [f"{int(day[-2:])}.12.2024 {clock.removeprefix('0')}" for day, clock in texts]
+    got = read_log(dates_csv(tmp_path / "log.csv", lines), arm).recording
+    assert got.start_ns == stamps[0] and np.abs(got.time - RUN.time).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("cell", "why"),
+    [
+        ("03/04/2026 09:00:{:09.6f}", "may be day/month or month/day"),
+        ("03-04-2026 09:00:{:09.6f}", "may be day/month or month/day"),
+        ("Fri Apr  3 09:00:{:09.6f} 2026", "is in a format that is not read"),
+        ("3.4.26 09:00:{:09.6f}", "is in a format that is not read"),
+    ],
+)
+def test_a_time_that_is_not_read_is_named_with_the_reason_and_what_is_read(tmp_path, arm, cell, why):
+    log = dates_csv(tmp_path / "log.csv", [cell.format(t) for t in RUN.time])
+    found = propose_for(log, arm)[1]
+    assert found.mapping is None
+    (question,) = found.questions
+    assert "'datetime' looks like a time" in question and repr(cell.format(RUN.time[0])) in question
+    assert why in question and "YYYY-MM-DD hh:mm:ss" in question and "--set rate_hz=HZ" in question
+
+
+@pytest.mark.parametrize("out", ["bag.yaml", "bag.csv", "bag.db3"])
+def test_a_bag_is_not_written_under_the_name_of_another_file(tmp_path, arm, out, capsys):
+    log = csv_of(tmp_path, HEAD, RUN.time, RUN.position, RUN.effort)
+    before = {*tmp_path.iterdir()}
+    assert main(["import", str(log), "--arm", str(arm), "--out", str(tmp_path / out)]) == 2
+    assert "NAME.mcap" in capsys.readouterr().err
+    assert {*tmp_path.iterdir()} == before
+
+
+def test_text_that_is_no_time_is_not_taken_for_one(tmp_path, arm):
+    states = [f"192.168.0.{k % 7}" for k in range(len(RUN.time))]
+    assert "no column is a time" in propose_for(dates_csv(tmp_path / "log.csv", states), arm)[1].questions[0]
 
 
 @pytest.mark.parametrize("mark", [".", ","])

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from ..documents import file_sha256
 from ..dynamics.arm import Arm
-from ..errors import one_line
+from ..errors import UserError, one_line
 from ..forks import Ticker
 from ..recording import Recording, describe
 from ..recording.messages import STATES_TOPIC
@@ -109,6 +109,21 @@ def add_output_options(command: argparse.ArgumentParser) -> None:
     """`--json` and `--quiet`."""
     command.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
     command.add_argument("--quiet", action="store_true", help="no progress bar and no notes on standard error")
+
+
+def require_bag_name(path: Path) -> None:
+    """Refuse the name of another kind of file for a bag, before anything is computed or written.
+
+    Args:
+        path: `NAME.mcap` for one file, or a folder, whose name may end in a number (`run.2`).
+
+    Raises:
+        UserError: It ends in another suffix.
+    """
+    if path.suffix != ".mcap" and path.suffix[1:2].isalpha():
+        raise UserError(
+            f"{path}: {path.suffix} is no suffix of a bag; name a file NAME.mcap, or a folder without suffix"
+        )
 
 
 def reading_of(options: argparse.Namespace) -> Reading:

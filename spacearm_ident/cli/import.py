@@ -57,6 +57,8 @@ def add(command: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Propose, show, write; returns 2 where a question is open."""
+    if options.out is not None:
+        common.require_bag_name(options.out)
     answers = {key: value for key, value in map(_pair, options.set)}
     constants = {joint: _number(joint, value) for joint, value in map(_pair, options.constants)}
     table, proposal = propose_for(options.log, options.arm, answers, constants)

@@ -46,7 +46,9 @@ def add(command: argparse.ArgumentParser) -> None:
         help="what the arm obeys: a model.yaml or extended_model.yaml; default: CAD inertials of --arm, and friction",
     )
     command.add_argument("--trajectory", required=True, type=Path, metavar="FILE", help="trajectory to follow")
-    command.add_argument("--out", required=True, type=Path, metavar="BAG", help="recording to write")
+    command.add_argument(
+        "--out", required=True, type=Path, metavar="BAG", help="recording to write: NAME.mcap, or a new folder"
+    )
     command.add_argument(
         "--arm", type=Path, metavar="FILE", help="URDF, or arm YAML with gear ratios, torque constants, torque limits"
     )
@@ -83,6 +85,7 @@ def run(options: argparse.Namespace) -> int:
         raise UserError(f"--noise {options.noise:g} is negative: 0 is none, 1 the default")
     if options.base_imu < 0:
         raise UserError(f"--base-imu {options.base_imu:g} is negative: use its rate in Hz, such as 200")
+    common.require_bag_name(options.out)
     model, arm = model_of(options)
     parameters, effects = simulated_arm(model, arm.urdf)
     if options.gravity is not None:

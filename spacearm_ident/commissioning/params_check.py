@@ -195,7 +195,7 @@ def _node(key: str, given: Any) -> Iterator[CheckResult]:
 
 
 def _missing(nodes: Iterable[str], name: str, value: Any) -> bool:
-    """Whether a value names a file to be read by one of these nodes that does not exist; a launch file fills in `$(`."""
+    """Whether a value names a file to read that does not exist; `$(` stands for what a launch file fills in."""
     known = (declared_parameters(node).get(name) for node in nodes)
     named = bool(value) and "$(" not in str(value) and any(one is not None and one.file for one in known)
     return named and not Path(str(value)).expanduser().exists()

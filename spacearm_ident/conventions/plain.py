@@ -10,6 +10,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..recording.corrections import Corrections
 from ..recording.interleaved import TWO_SOURCES
+from ..recording.log_mapping import VELOCITY_UNITS
 from ..recording.recording import TEMPERATURE_UNIT, Recording
 from ..signals.motion import STUCK_RAD
 from .clock import clock_error_s
@@ -332,6 +333,8 @@ def _velocity_words(slope: float, correlation: float, shift: float) -> str | Non
         return "is in rad/s where the position is in degrees"
     if abs(abs(slope) * turned - 1) < SLOPE_OFF:
         return "is in degrees/s where the position is in radians"
+    if abs(abs(slope) * VELOCITY_UNITS["rpm"] - 1) < SLOPE_OFF:
+        return "is in rpm where the position is in radians"
     if abs(slope + 1) < SLOPE_OFF:
         return "has the opposite sign of its position's derivative"
     if abs(slope - 1) > SLOPE_OFF:

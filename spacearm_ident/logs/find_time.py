@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import UserError
 from ..recording.log_mapping import FRACTIONS, TIME_UNITS
+from ..recording.tables import Table
+from ..recording.tables.text import order_of_date_is_open
 from .groups import RESTARTS, Clock
 from .search import Search, too_slow
 from .signals import FASTEST_HZ, SLOWEST_HZ, steps_s
+from .words import TIME, meaning_of
+
+_LIKE_A_TIME = re.compile(r"\d:\d\d|\b(?:19|20)\d\d[-/.]\d|\d[-/.](?:19|20)\d\d\b")
+"""In a cell of text: a time of the day, or a date with its year."""
+FORMATS = "YYYY-MM-DD hh:mm:ss.fff, DD.MM.YYYY hh:mm:ss.fff, hh:mm:ss.fff, or a number in s, ms, us or ns"
+"""Forms of a time that are read from text, for messages."""
 
 
 def time_of(log: Search) -> tuple[Clock | None, str, float | None, FloatArray]:
@@ -36,7 +46,8 @@ def time_of(log: Search) -> tuple[Clock | None, str, float | None, FloatArray]:
     told = asked is not None or "time_unit" in log.answers
     if clock is None or clock.flaw == RESTARTS or (clock.flaw and not told):
         what = "no column is a time" if clock is None else f"{clock.name!r} {clock.flaw} and is no time"
-        log.ask(f"{what}: how many rows a second", "rate_hz=HZ")
+        question = _unread_time(log.table) or f"{what}:"
+        log.ask(f"{question} how many rows a second", "rate_hz=HZ")
         return None, "s", None, rows
     own = clock.values(log.table)
     step, _ = steps_s(own)
@@ -58,6 +69,17 @@ def time_of(log: Search) -> tuple[Clock | None, str, float | None, FloatArray]:
         log.tell("time", clock.columns, unit, f"{why}; {1 / (step * _unit(unit)):.5g} Hz")
     _require_rate(log, 1.0 / (step * _unit(unit)))
     return clock, unit, None, own * _unit(unit)
+
+
+def _unread_time(table: Table) -> str:
+    """Which column of text looks like a time, why it is not read, and what is read; empty: none does."""
+    for name, cells in table.texts.items():
+        if len(cells) < 2 or not (meaning_of(name).quantity == TIME or _LIKE_A_TIME.search(cells[0])):
+            continue
+        undecided = order_of_date_is_open(cells[0])
+        why = "may be day/month or month/day" if undecided else "is in a format that is not read"
+        return f"column {name!r} looks like a time, but {cells[0]!r} {why}; write {FORMATS}; or say"
+    return ""
 
 
 def _asked(log: Search, name: str) -> Clock:

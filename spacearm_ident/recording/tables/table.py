@@ -35,6 +35,7 @@ class Table:
         dates: Columns of dates with times, whole nanoseconds since 1970, UTC where the log names no zone; times of the
             day without a date are on the first of 1970.
         lists: Lists of words beside the numbers, such as the joints' names -> the different values that they take.
+        texts: Columns of text that are none of these -> the first two different cells.
     """
 
     columns: Mapping[str, Column]
@@ -44,6 +45,7 @@ class Table:
     issues: tuple[Issue, ...] = ()
     dates: frozenset[str] = frozenset()
     lists: Mapping[str, tuple[tuple[str, ...], ...]] = field(default_factory=dict)
+    texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:

@@ -6,7 +6,8 @@ above the first row of numbers, names the columns; a line of units below the nam
 body where it is installed (several times as fast); numpy does otherwise. Cells that are no number are NaN, and counted.
 An array in a cell is a column for each of its numbers. What `ros2 topic echo --csv` prints of joint states, without any
 names of columns, is known by its shape.
-A column of dates with times (ISO 8601), or of times of the day, is whole nanoseconds.
+A column of dates with times, or of times of the day, is whole nanoseconds. Dates begin with the year (ISO 8601, also
+with `/` or `.`), or are day.month.year; of day/month and month/day a number above 12 decides, else it is not read.
 """
 
 from __future__ import annotations
@@ -33,8 +34,10 @@ _LONGEST_LINE = 64 * 1024
 _COMMENTS = ("#", "%", "//")
 _COMMENT_MARK = re.compile(r"\s*(?:[#%]|//)*\s*")  # a single slash begins the name of a topic
 _DATE_TIME = re.compile(
-    r"((?:19|20)\d\d-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d)?)?"
+    r"((?:19|20)\d\d)([-/.])(\d?\d)\2(\d?\d)[T ]"
+    r"(\d?\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d)?)?"
 )  # ISO 8601, and as pandas writes it; 64 bits of nanoseconds hold no year far beyond
+_YEAR_LAST = re.compile(r"(\d?\d)([-/.])(\d?\d)\2((?:19|20)\d\d)([T ].*)")
 _LIST = re.compile(r"\[[^\[\]]*\]|\([^()]*\)")
 _TIME_OF_DAY = re.compile(r"(\d?\d):(\d\d):(\d\d)(?:[.,](\d{1,9}))?")
 _DAY_NS = 86_400 * 10**9
@@ -96,7 +99,8 @@ def read_text_table(path: Path, source: Source) -> Table:
         issues.append(Issue("column_left_out", f"columns without a number left out: {', '.join(words)}", len(words)))
     if bad:
         issues.append(Issue("cell", f"{bad} cells that are no number taken as missing", bad))
-    return Table(named, (source,), starts, issues=tuple(issues), dates=frozenset(dates), lists=lists)
+    examples = {name: tuple(dict.fromkeys(filter(None, texts[name])))[:2] for name in words}
+    return Table(named, (source,), starts, issues=tuple(issues), dates=frozenset(dates), lists=lists, texts=examples)
 
 
 def _decoded(data: bytes, path: Path) -> str:
@@ -412,7 +416,7 @@ def _dates(texts: dict[str, list[str]]) -> dict[str, tuple[NDArray[np.int64], in
     """
     found = {}
     for name, cells_of in texts.items():
-        instants = np.array([_date(cell) for cell in cells_of], dtype="datetime64[ns]")
+        instants = np.array([_date(cell) for cell in _year_first(cells_of)], dtype="datetime64[ns]")
         count = int((~np.isnat(instants)).sum())
         stamps = since_1970(instants) if 2 * count > len(cells_of) else None
         if stamps is not None and any(_TIME_OF_DAY.fullmatch(cell) for cell in cells_of):
@@ -438,6 +442,27 @@ def _lists(texts: dict[str, list[str]]) -> dict[str, tuple[tuple[str, ...], ...]
     return found
 
 
+def _year_first(cells_of: list[str]) -> list[str]:
+    """The cells of a column, dates that end with the year turned to begin with it.
+
+    With dots the day comes first, by the convention of every country that writes them so. With other marks both orders
+    are in use: a number above 12 is a day; where no number is, or in both places, the cells stay as they are.
+    """
+    found = [match for cell in cells_of if (match := _YEAR_LAST.fullmatch(cell))]
+    dotted = all(match[2] == "." for match in found)
+    day_first, month_first = (any(int(match[place]) > 12 for match in found) for place in (1, 3))
+    if not found or (day_first is month_first and not dotted):
+        return cells_of
+    order = r"\4-\3-\1\5" if dotted or day_first else r"\4-\1-\3\5"
+    return [_YEAR_LAST.sub(order, cell) for cell in cells_of]
+
+
+def order_of_date_is_open(cell: str) -> bool:
+    """Whether a cell is a date with a time of which the day and the month may change places."""
+    match = _YEAR_LAST.fullmatch(cell)
+    return match is not None and match[2] != "." and not np.isnat(_date(_YEAR_LAST.sub(r"\4-\3-\1\5", cell)))
+
+
 def _date(cell: str) -> np.datetime64:
     """A date with a time, in UTC where it names no zone; a time of the day on the first of 1970; else not a time."""
     if of_day := _TIME_OF_DAY.fullmatch(cell):
@@ -445,9 +470,9 @@ def _date(cell: str) -> np.datetime64:
     match = _DATE_TIME.fullmatch(cell)
     if match is None:
         return np.datetime64("NaT", "ns")
-    day, clock, fraction, sign, hours, minutes = match.groups()
+    year, _, month, day, clock, fraction, sign, hours, minutes = match.groups()
     try:
-        instant = np.datetime64(f"{day}T{clock}.{fraction or 0}", "ns")
+        instant = np.datetime64(f"{year}-{month:0>2}-{day:0>2}T{clock:0>8}.{fraction or 0}", "ns")
     except ValueError:  # a thirteenth month
         return np.datetime64("NaT", "ns")
     ahead = np.timedelta64(60 * int(hours or 0) + int(minutes or 0), "m")
