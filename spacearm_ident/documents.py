@@ -11,7 +11,7 @@ import math
 import os
 import stat
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -113,6 +113,23 @@ def file_sha256(path: Path) -> str:
 def finite(value: float) -> float | None:
     """A plain float, or None for NaN and infinities, which JSON does not have."""
     return float(value) if math.isfinite(value) else None
+
+
+def entries(value: Any, where: str) -> Mapping[Any, Any]:
+    """A mapping of a document, or an empty one where nothing is given.
+
+    Args:
+        value: What the document has there.
+        where: The file and key, for the error.
+
+    Raises:
+        UserError: It is no mapping.
+    """
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise UserError(f"{where} needs 'key: value' pairs, not {value!r}")
+    return value
 
 
 def read_yaml(path: Path, what: str) -> Any:

@@ -146,7 +146,7 @@ def discrete_changes(arm: Arm) -> list[Change]:
 def unit_factors(arm: Arm) -> dict[str, tuple[float, ...]]:
     """Torque units that the arm's limits and drives tell: N·m a unit, joint by joint."""
     limits = np.array([joint.effort_limit for joint in arm.joints])
-    constants = np.array([joint.gear_ratio * joint.torque_constant for joint in arm.joints])
+    constants = np.array([joint.torque_per_ampere for joint in arm.joints])
     units = {}
     if np.isfinite(limits).all():
         units["% of the torque limit"] = tuple(limits / 100)

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import FloatArray
-from ..documents import parse_yaml, read_text
+from ..documents import entries, parse_yaml, read_text
 from ..errors import UserError
 from ..recording.corrections import Corrections, read_corrections
 from .urdf_chain import locked, mimicking, with_limits
@@ -81,6 +81,11 @@ class Joint:
     def units(self) -> Units:
         """What its position, velocity, acceleration and effort are in."""
         return TURNING if self.revolute else SLIDING
+
+    @property
+    def torque_per_ampere(self) -> float:
+        """N·m on the output side for each ampere of the motor's current."""
+        return self.gear_ratio * self.torque_constant
 
 
 @dataclass(frozen=True)
@@ -312,7 +317,7 @@ def arm_from_description(urdf: str, data: Mapping[str, Any], where: str) -> Arm:
             URDF does not have.
     """
     arm = arm_from_urdf(urdf, _vector(data.get("gravity_m_s2", EARTH), f"{where}: gravity_m_s2"))
-    given = _mapping(data.get("joints"), f"{where}: joints")
+    given = entries(data.get("joints"), f"{where}: joints")
     unknown = set(given) - set(arm.joint_names)
     if unknown:
         raise UserError(f"{where}: joint {sorted(unknown, key=str)[0]!r} is not in the URDF")
@@ -355,7 +360,7 @@ JOINT_KEYS = {
 
 
 def _with_drive(joint: Joint, given: Any, where: str) -> Joint:
-    data = _mapping(given, f"{where}: {joint.name}")
+    data = entries(given, f"{where}: {joint.name}")
     unknown = set(data) - set(JOINT_KEYS)
     if unknown:
         raise UserError(f"{where}: {joint.name} has an unknown key {sorted(unknown, key=str)[0]!r}")
@@ -380,11 +385,11 @@ def _with_effort(arm: Arm, data: Any, joints: Mapping[str, Any], where: str) -> 
         joints: The joints' own keys.
         where: For errors.
     """
-    data = _mapping(data, where)
+    data = entries(data, where)
     unit = data.get("unit")
     if set(data) - {"unit", "constants"} or unit not in EFFORT_UNITS:
         raise UserError(f"{where} needs 'unit', one of {', '.join(EFFORT_UNITS)}, and 'constants', not {dict(data)!r}")
-    constants = _mapping(data.get("constants"), f"{where}: constants")
+    constants = entries(data.get("constants"), f"{where}: constants")
     unknown = set(constants) - set(arm.joint_names)
     if unknown:
         raise UserError(f"{where}: constants: joint {sorted(unknown, key=str)[0]!r} is not in the URDF")
@@ -395,11 +400,11 @@ def _with_effort(arm: Arm, data: Any, joints: Mapping[str, Any], where: str) -> 
     scaled = []
     for joint in arm.joints:
         per_cent = 0.01 if unit == "percent" else 1.0
-        own = _mapping(joints.get(joint.name), where)
+        own = entries(joints.get(joint.name), where)
         if joint.name in constants:
             constant = _number(constants[joint.name], f"{where}: constants: {joint.name}")
         elif unit == "A" and all(own.get(key) is not None for key in DRIVE_KEYS):
-            constant = joint.gear_ratio * joint.torque_constant
+            constant = joint.torque_per_ampere
         else:
             what = "N·m on the output side for each A" if unit == "A" else "N·m on the output side at 100 %"
             raise UserError(f"{where}: constants has no {joint.name}: give {what}")
@@ -418,15 +423,6 @@ def _coupling(data: Any, joints: tuple[str, ...], where: str) -> Coupling:
         )
     name = str(data.get("name", "+".join(ratios)))
     return Coupling(name, {key: _number(value, f"{where}: ratio of {key}") for key, value in ratios.items()})
-
-
-def _mapping(value: Any, where: str) -> Mapping[str, Any]:
-    """A mapping, or an empty one where nothing is given."""
-    if value is None:
-        return {}
-    if not isinstance(value, dict):
-        raise UserError(f"{where} needs 'key: value' pairs, not {value!r}")
-    return value
 
 
 def _number(value: Any, where: str) -> float:

@@ -160,5 +160,5 @@ class TorqueOffset(PerJoint):
 
     @staticmethod
     def signal(motion: Motion, row: int) -> FloatArray:
-        """One."""
+        """(N,) ones: the torque does not depend on the motion."""
         return np.ones(len(motion.position))

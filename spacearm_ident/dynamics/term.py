@@ -130,7 +130,7 @@ class Term(ABC):
         return False
 
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
-        """Whether this term could have these values (in its own order); a search passes over those it could not.
+        """Whether these values, in the term's own order, are physically possible; a search skips those that are not.
 
         Args:
             parameters: (k,) values.

@@ -103,7 +103,7 @@ class JointTree:
         return found[::-1]
 
     def moving_below(self) -> dict[str, list[str]]:
-        """Joint with a coordinate -> the next such joints behind it, mimicking ones included; '' is the root."""
+        """Joint with a coordinate -> the next such joints towards the tips, mimicking ones included; '' is the root."""
         below: dict[str, list[str]] = {"": []}
         for joint in self.joints:
             if joint.kind in DRIVEN:

@@ -85,7 +85,7 @@ def _joint(body: Body, fit: Nearest) -> str:
 def _motor(body: Body) -> str:
     """An actuator within the joint's limit: N·m of the output side, or A of the motor where its constants are known."""
     name, limit = body.joint.name, body.joint.effort_limit
-    gain = body.joint.gear_ratio * body.joint.torque_constant
+    gain = body.joint.torque_per_ampere
     words_of = f"name={quoteattr(f'{name}_motor')} joint={quoteattr(name)}"
     bounds = f' ctrlrange="{words([-limit / abs(gain), limit / abs(gain)])}"' if np.isfinite(limit) else ""
     if gain == 1.0:

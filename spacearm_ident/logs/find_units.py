@@ -223,7 +223,7 @@ def _constants(log: Search, group: Group, unit: str) -> dict[str, float]:
     kind = "A" if unit in CURRENT_UNITS else "percent"
     if log.declared == kind and not log.constants:
         return {}
-    drives = {joint.name: joint.gear_ratio * joint.torque_constant for joint in log.arm.joints}
+    drives = {joint.name: joint.torque_per_ampere for joint in log.arm.joints}
     if unit in CURRENT_UNITS and all(value != 1.0 for value in drives.values()):
         return drives
     what = "N m on the output side for each A" if kind == "A" else "N m on the output side at 100 %"

@@ -25,7 +25,7 @@ import numpy as np
 import yaml
 
 from spacearm_ident.arrays import FloatArray, IntArray
-from spacearm_ident.documents import read_yaml, write_whole
+from spacearm_ident.documents import entries, read_yaml, write_whole
 from spacearm_ident.errors import UserError
 from spacearm_ident.recording.intake import Samples, listing
 from spacearm_ident.recording.tables import Table
@@ -264,11 +264,11 @@ def read_mapping(path: Path) -> LogMapping:
     known = {"schema", "arm", "time", "units", "joints", "effort_constants", "counts_per_turn"}
     if unknown := set(data) - known:
         raise UserError(f"{path}: unknown key {sorted(unknown, key=str)[0]!r}")
-    joints = _entries(data.get("joints"), f"{path}: joints")
+    joints = entries(data.get("joints"), f"{path}: joints")
     columns = {str(joint): _columns(given, f"{path}: joints: {joint}") for joint, given in joints.items()}
     if not columns or not all({"position", "effort"} <= set(of) for of in columns.values()):
         raise UserError(f"{path}: joints: name a column of position and one of effort for each joint")
-    units = {**SI, **{str(key): str(unit) for key, unit in _entries(data.get("units"), f"{path}: units").items()}}
+    units = {**SI, **{str(key): str(unit) for key, unit in entries(data.get("units"), f"{path}: units").items()}}
     for signal, unit in units.items():
         if unit not in UNITS.get(signal, {}):
             known_units = ", ".join(UNITS.get(signal, {})) or "nothing of that name has a unit"
@@ -286,23 +286,15 @@ def read_mapping(path: Path) -> LogMapping:
     )  # fmt: skip
 
 
-def _entries(value: Any, where: str) -> Mapping[Any, Any]:
-    if value is None:
-        return {}
-    if not isinstance(value, dict):
-        raise UserError(f"{where} needs 'key: value' pairs, not {value!r}")
-    return value
-
-
 def _columns(value: Any, where: str) -> dict[str, str]:
-    given = _entries(value, where)
+    given = entries(value, where)
     if unknown := set(given) - set(SIGNALS):
         raise UserError(f"{where}: unknown signal {sorted(unknown, key=str)[0]!r}; one of {', '.join(SIGNALS)}")
     return {signal: str(given[signal]) for signal in SIGNALS if given.get(signal) is not None}
 
 
 def _factors(value: Any, where: str) -> dict[str, float]:
-    return {str(joint): _factor(given, f"{where}: {joint}") for joint, given in _entries(value, where).items()}
+    return {str(joint): _factor(given, f"{where}: {joint}") for joint, given in entries(value, where).items()}
 
 
 def _factor(value: Any, where: str) -> float:
@@ -317,7 +309,7 @@ def _factor(value: Any, where: str) -> float:
 
 
 def _time(value: Any, where: str) -> dict[str, Any]:
-    given = _entries(value, where)
+    given = entries(value, where)
     if set(given) == {"rate_hz"}:
         rate = _factor(given["rate_hz"], f"{where}: rate_hz")
         if not 1e-3 < rate < 1e6:

@@ -2,8 +2,9 @@
 
 The rows of the motions are cut into blocks, blocks are held out together as folds: whole recordings where there are
 several, because recordings of one arm differ by more than blocks of one recording do, else contiguous parts of the only
-one (blocked cross-validation, Roberts et al. 2017, Ecography 40, 913). Every decision about a model that prediction
-decides (`structure.py`, `correction.py`) is made here, at one level.
+one (blocked cross-validation, Roberts et al. 2017, Ecography 40, 913). Whatever is chosen
+by prediction is chosen here, at one significance level: terms (`identification/structure.py`), a coupled wrist
+(`coupled_wrist.py`), a blend (`blend.py`), a simulation's layers (`layers/joint_fit.py`).
 """
 
 from __future__ import annotations

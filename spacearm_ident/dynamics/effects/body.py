@@ -17,7 +17,7 @@ from ..regressor import cross, rigid_body_blocks
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, nothing, share_of
 from .linearised import COARSE_HZ, interpolate, rigid_torque
-from .window import STARTS_S, long_window, shares_within, while_it_lasts
+from .window import STARTS_S, LastingEvent, long_window, shares_within
 
 MASS = ("m", "mcx", "mcy", "mcz")
 HEAVIEST_KG, LONGEST_M = 50.0, 2.0
@@ -116,7 +116,7 @@ class Payload(Effect):
 
 
 @dataclass(frozen=True)
-class HeldObject(Payload):
+class HeldObject(LastingEvent, Payload):
     """An object that the last link picks up, carries and puts down again."""
 
     words: ClassVar[str] = "an object was picked up and put down again"
@@ -125,19 +125,10 @@ class HeldObject(Payload):
     remedy: ClassVar[str] = (
         "enter its mass and centre as the payload while it is held, or leave that time out of what is fitted"
     )
-    one_cause: ClassVar[bool] = True
-
-    def again(self, arm: Arm) -> Effect:
-        """The next one."""
-        return replace(self)
 
     def plausible(self, parameters: FloatArray, constants: Values) -> bool:
         """A mass within reach of its link, and no negative one."""
         return float(parameters[0]) > 0.0 and super().plausible(parameters, constants)
-
-    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """Those of a payload, while it is held."""
-        return while_it_lasts(self, super().columns(motion, constants, background), motion, constants)
 
     def shown(self, values: FloatArray) -> Shown:
         """Mass, where it is, and when."""

@@ -149,7 +149,7 @@ class WristCoupling(Effect):
         return (self.place["joint"], self.place["with"])
 
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """Acceleration, velocity and direction of the other joint, or of both together."""
+        """Acceleration, velocity and direction of the other joint; with `ratio`, of other + ratio × own joint."""
         row, other = (motion.joints.index(self.place[key]) for key in ("joint", "with"))
         ratio = self.place.get("ratio")
         mine = 0.0 if ratio is None else float(ratio)

@@ -15,7 +15,7 @@ from ..background import Background
 from ..friction import bristle_state, excess_temperature
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own, share_of
-from .window import long_window, while_it_lasts
+from .window import LastingEvent, long_window
 
 BETWEEN = 1.05
 """A constant nearer to the end of its grid than this ratio is at its end."""
@@ -23,8 +23,8 @@ SPOT_GRID = tuple(float(q) for q in np.linspace(-3.2, 3.2, 33))
 WIDTH_GRID = (0.1, 0.2, 0.4, 0.8)
 """rad: a dent in a race or a seal that pinches, to a part of the range that is worn."""
 SHORT_RAD, MOST_OF_IT = 1e-3, 0.5
-"""Below this distance any bearing's friction turns round, in one motion a little otherwise than in another; a finding
-is at least this share of f_c. Of the true ones in blind trials f was 1.15 f_c and more, of false ones 0.07 to 0.16."""
+"""Distance d_s, rad, below which any bearing shows the friction transition at a reversal; and the share of f_c that a
+finding below it must have. In blind trials f of true findings was at least 1.15 f_c, of false ones 0.07 to 0.16 f_c."""
 MOST_OF_INPUT, MOST_OF_OUTPUT = 0.4, 0.6
 """Largest friction by the load on either side of a gear: what gives 1 on its output takes 1.67, or 1.6, on its input; a
 strain-wave gear in the cold, or a worm, has less than two thirds of efficiency."""
@@ -96,7 +96,7 @@ class FrictionDrift(_Friction):
 
 
 @dataclass(frozen=True)
-class PassingFriction(FrictionDrift):
+class PassingFriction(LastingEvent, FrictionDrift):
     """A joint drags for a while, as one whose brake does not open or whose gear jams; or it runs more easily."""
 
     follows: ClassVar[str] = ""
@@ -106,19 +106,10 @@ class PassingFriction(FrictionDrift):
     experiment: ClassVar[str] = (
         "the same motion again with the state of the joint's brake recorded (a gear that jams at a place does it again)"
     )
-    one_cause: ClassVar[bool] = True
-
-    def again(self, arm: Arm) -> Effect:
-        """The next time."""
-        return replace(self)
 
     def is_within(self, parameters: FloatArray, coulomb: Mapping[str, float]) -> bool:
         """Whether there is no less than none: nothing pushes a joint along."""
         return bool(parameters[0] >= -coulomb.get(self.place["joint"], 0.0))
-
-    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
-        """Those of a level that changed, while it is so."""
-        return while_it_lasts(self, super().columns(motion, constants, background), motion, constants)
 
     def where(self, values: FloatArray) -> str:
         """Its window, and how much more or less there was."""
@@ -257,7 +248,7 @@ class PreslidingHysteresis(_Friction):
         return cls((Parameter("f", joint, "N m", lower=0.0),), (Constant("d_s", joint, "rad", grid),), place=place)
 
     def within_healthy_range(self, parameters: FloatArray, constants: Values, coulomb: Mapping[str, float]) -> bool:
-        """Whether a little of the friction builds up over a short way: bristles carry all of it."""
+        """Whether it is presliding as every bearing has it: less than half of the friction, within less than 1 mrad."""
         least = MOST_OF_IT * coulomb.get(self.place["joint"], 0.0)
         return bool(constants[0] < SHORT_RAD and parameters[0] < least)
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
 import numpy as np
 
 from ...arrays import FloatArray
 from ...signals.motion import Motion
+from ..arm import Arm
+from ..background import Background
 from ..term import Columns, Constant, Values
 from .effect import Effect, nothing
 
@@ -43,21 +48,31 @@ def long_window(joint: str) -> tuple[Constant, ...]:
     return Constant("start", joint, "s", LONG_STARTS_S, begins=True), Constant("length", joint, "s", LENGTHS_S)
 
 
-def while_it_lasts(effect: Effect, always: Columns, motion: Motion, constants: Values) -> Columns:
-    """Columns of what an arm else has all the time, in the window of an event.
+@dataclass(frozen=True)
+class LastingEvent(Effect):
+    """An event that acts within a window as the next base class, an effect, does throughout."""
 
-    Args:
-        effect: The event, of which there is nothing in other recordings.
-        always: Its columns if it lasted throughout.
-        motion: N samples.
-        constants: Start and length, s, as of `long_window`.
-    """
-    if effect.elsewhere(motion):
-        return nothing(motion, list(always), len(effect.parameters))
-    start, length = constants
-    at, shares = shares_within(motion, start, length, rise=0.0)
-    passing: Columns = {}
-    for row, (indices, columns) in always.items():
-        passing[row] = indices, np.zeros_like(columns)
-        passing[row][1][at] = shares[:, None] * columns[at]
-    return passing
+    one_cause: ClassVar[bool] = True
+
+    def again(self, arm: Arm) -> Effect:
+        """The next event of its kind."""
+        return replace(self)
+
+    def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
+        """Those of the next base class, zero outside the window and in other recordings.
+
+        Args:
+            motion: N samples.
+            constants: Start and length, s, as of `long_window`.
+            background: As for the next base class.
+        """
+        always = super().columns(motion, constants, background)  # type: ignore[safe-super]  # of an effect, never Effect
+        if self.elsewhere(motion):
+            return nothing(motion, list(always), len(self.parameters))
+        start, length = constants
+        at, shares = shares_within(motion, start, length, rise=0.0)
+        passing: Columns = {}
+        for row, (indices, columns) in always.items():
+            passing[row] = indices, np.zeros_like(columns)
+            passing[row][1][at] = shares[:, None] * columns[at]
+        return passing
