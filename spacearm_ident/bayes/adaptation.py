@@ -104,7 +104,7 @@ class Levels:
 
 @dataclass(frozen=True)
 class Share:
-    """A number with its standard error."""
+    """A share, dimensionless, with its standard error."""
 
     value: float
     error: float

@@ -20,7 +20,7 @@ from spacearm_ident.errors import UserError
 
 @dataclass(frozen=True)
 class JointScale:
-    """How one joint's drive counts.
+    """Units of one joint's drive: what its position and torque values stand for.
 
     Attributes:
         counts_per_turn: Encoder counts of 0x6064 and 0x607A in one turn of the motor.

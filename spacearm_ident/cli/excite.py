@@ -202,7 +202,7 @@ def write(
 
 
 def _found_start(arm: Arm, needs: Requirements, notes: list[str]) -> FloatArray:
-    """All zeros where the arm can rest there, else a posture found."""
+    """(n,) start posture, rad or m: all zeros where the arm can rest there, else a posture that is searched for."""
     zero = np.zeros(len(arm.joints))
     if room_of(needs, zero[None])[0] > 0.0:
         return zero

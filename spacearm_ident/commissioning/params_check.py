@@ -1,4 +1,4 @@
-"""Whether a file of ROS parameters says what the nodes know: ROS takes a misspelt one without a word."""
+"""Check a file of ROS parameters against what the nodes declare; ROS itself ignores a misspelt name."""
 
 from __future__ import annotations
 

@@ -34,7 +34,8 @@ CAUTIOUS_TRAVEL: Final = {True: math.pi, False: 0.25}
 TORQUE_RESERVE: Final = 2.0
 """Torque limit where the URDF has none, over what the CAD links ask (`dynamics.demand`), for friction and rotors."""
 PLACEHOLDER_RATIO: Final = 1.0
-"""A transmission of 1 stands in most URDFs because ros_control wanted one, and is not the gear's."""
+"""Reduction of a URDF's transmission that is not taken for the gear ratio: most URDFs state 1, because
+ros_control required a transmission."""
 UP_TO_SPEED_S: Final = 0.5
 """Acceleration limit: the velocity limit in so long, as `spacearm excite` assumes."""
 COMFORTABLE: Final = 0.85

@@ -48,7 +48,8 @@ JITTER_RATIO = 2.0
 JITTER_S = 0.002
 """RMS error of stamps from which the data are unfit, s: a joint at 1 rad/s is then 2 mrad off, 20 times an encoder."""
 JITTER_SEEN = 0.1
-"""Share of `JITTER_S` from which an error of stamps is told from the noise of positions: a tenth is an encoder's."""
+"""Share of `JITTER_S` above which an error of stamps is distinguished from the noise of positions: 0.2 ms, at 1 rad/s
+the noise of an encoder."""
 UNEVEN, FEWEST_UNEVEN = 0.1, 20
 """Distance of a stamp from the middle of its neighbours', as a share of theirs, from which it tells even time from the
 stamps; and the fewest such positions that are judged."""
@@ -180,7 +181,7 @@ def two_sources(recording: Recording) -> list[Finding]:
 
 
 def _uneven(recording: Recording, error_s: float, effect: str = "") -> Finding:
-    """Stamps that are off the sampling instants, where no even clock mends it."""
+    """The finding that stamps deviate from the sampling instants and that no even clock corrects them."""
     arrival = _on_arrival(recording)
     what = "times of arrival, used for want of header stamps," if arrival else "stamps"
     text = (

@@ -97,18 +97,18 @@ class Scorer:
         return few
 
     def silent(self, setup: Setup) -> frozenset[int]:
-        """Joints of the arm that move too little, or whose torque says nothing, under a setup."""
+        """Joints of the arm that move too little, or whose torque is constant, under a setup."""
         still = np.isin(setup.position_from, sorted(self.idle | self.dead))
         return frozenset(np.flatnonzero(still | np.isin(setup.effort_from, sorted(self.dead))).tolist())
 
     def where_all_move(self, columns: np.ndarray) -> Scorer:
-        """The same with only those rows of some recorded columns in which all of them move."""
+        """A scorer on fewer rows: those of some recorded columns in which all of these columns move."""
         moving = self.rows.moving.copy()
         moving[:, columns] &= moving[:, columns].all(axis=1, keepdims=True)
         return self._where(moving)
 
     def past_reversals(self) -> Scorer:
-        """The same without rows in which a joint's friction has not built up since its velocity changed sign."""
+        """A scorer without the rows in which a joint's friction has not built up since its velocity changed sign."""
         return self._where(self.rows.moving & (np.abs(self.rows.unbuilt) < BUILT_UP))
 
     def _where(self, moving: np.ndarray) -> Scorer:

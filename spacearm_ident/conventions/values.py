@@ -25,7 +25,7 @@ BADLY_EXPLAINED = 0.15
 DELAY_SD = 0.05
 """Standard deviation of a delay, s."""
 TILT_STEPS = 12
-"""Most Gauss-Newton steps from the arm's gravity to another."""
+"""Most Gauss-Newton steps in the search for the direction of gravity, which begins at the arm's own."""
 LEAST_TILT_RAD = 0.17
 """Tilt of the base from which it is looked for (10 degrees); less is for `spacearm mismatch`."""
 LATE_S = 0.04

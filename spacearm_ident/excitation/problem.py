@@ -79,7 +79,7 @@ class Problem:
 
     @cached_property
     def test_information(self) -> tuple[Information, ...]:
-        """What `tests` tell: every prediction is judged on it."""
+        """Information matrices of the motions `tests`, on which every method's prediction error is computed."""
         times = np.arange(0.0, self.tests[0].period_s, 0.01)
         return tuple(self.question.information(test.evaluate(times), 100.0) for test in self.tests)
 

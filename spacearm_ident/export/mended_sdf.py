@@ -22,9 +22,9 @@ from .frames import bodies_of, words
 from .law import Nearest
 
 LEAST = 1e-9
-"""kg and kg m^2: nothing to an arm, and enough for an engine to accept a link."""
+"""Mass (kg) and moments of inertia (kg m^2) of a link that has none: negligible, and accepted by physics engines."""
 HEAD = re.compile(r"(?:\s|<\?.*?\?>|<!--.*?-->)*", re.DOTALL)
-"""What stands before the root element."""
+"""What may precede the root element: white space, declarations and comments."""
 NOTE = "<!-- Inertials and joint dynamics identified by spacearm_ident; the whole model is in extended_model.yaml -->"
 
 

@@ -221,7 +221,7 @@ def _negative_viscosity(joint: int, identified: Identified, moving: FloatArray) 
 
 
 def _driving(joint: int, identified: Identified, moving: FloatArray, traces: Sequence[Trace]) -> str:
-    """Where friction does not resist at a speed the joint had, and by how much at most; empty where it resists."""
+    """Sentence on the velocity in the data at which friction drives the joint most; empty where it always resists."""
     where = np.mean(np.concatenate([trace.position for trace in traces]), axis=0)
     top = float(np.abs(moving).max())
     velocity, torque = friction_curve(identified.model, joint, top, where)

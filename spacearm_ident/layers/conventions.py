@@ -43,19 +43,19 @@ either of 15 ms has odds of e^11)."""
 SHORT_LIST = 4
 """Best hypotheses that the parts are asked about."""
 MOST = 8
-"""Columns looked for at once."""
+"""Most columns that a search adds."""
 SETTLING = 2
 """Times that everything is linearised again once nothing is added, or before what is left is judged."""
 
 
 @dataclass(frozen=True)
 class Suspicion:
-    """What the data make probable and do not prove.
+    """Deviations of conventions that are probable but not certain enough to be a finding.
 
     Attributes:
-        names: Columns that would be off together.
-        values: Of each: a gain, a zero (rad), a delay (s) or a tilt (rad).
-        probability: Against nothing more being off.
+        names: Columns of the deviations, all of which are present together.
+        values: The size of each: a gain, a zero (rad), a delay (s) or a tilt (rad).
+        probability: Of all of them, against no further deviation.
     """
 
     names: tuple[str, ...]

@@ -138,14 +138,14 @@ def wiring_items(found: JointFit, shares: Shares) -> tuple[Item, ...]:
 
 @dataclass(frozen=True)
 class ParameterItems:
-    """What the joint fit says of the simulation's parameters.
+    """Differences between the parameters of simulation and arm, from the joint fit.
 
     Attributes:
-        items: What differs and is confirmed.
-        lost: Names of what is not confirmed.
-        seen: Of what agrees, the smallest difference that would have been seen.
-        notes: What may differ, in words.
-        kept: Combinations (P,) that keep a value, each with it.
+        items: Confirmed differences.
+        lost: Names of differences that held-out data do not confirm.
+        seen: For parameters that agree, the smallest difference that would have been detected.
+        notes: Sentences on what may differ.
+        kept: Combinations (P,) of parameters whose value stays, each with that value.
     """
 
     items: tuple[Item, ...]

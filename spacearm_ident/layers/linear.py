@@ -145,7 +145,7 @@ class Linear:
         self.by_state = _by_state(self.motions, self._rows) if by_state else None
 
     def delayed(self, motions: Sequence[Motion], delay_s: float) -> Linear:
-        """The same with another delay undone: of the columns only the torque is another.
+        """The same system with another delay removed, which changes the torque and no other column.
 
         Args:
             motions: As recorded, the same as before.

@@ -1,8 +1,8 @@
-"""Generic rivals: dependences without a physics of their own, that named effects must beat.
+"""Generic rivals: free functions of one signal, without physics, that a named effect must outscore.
 
-Smooth functions of the position or velocity of the joint or of another one, of that position times the joint's own
-direction of motion, of torque; periodic or drifting in time. Where one of them explains what no named effect does, the
-honest name is `unknown`, with that dependence said.
+They are smooth functions of the position or velocity of the joint or of another one, of that position times the joint's
+own direction of motion, and of torque; others are periodic in time or drift. Where one of them explains what no named
+effect does, the finding is `unknown` and states that dependence.
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ def base_columns(base: IdentifiedModel, scene: Scene, common: Sequence[tuple[Eff
 
 
 def nuisance_scale(base: IdentifiedModel) -> FloatArray:
-    """(NUISANCE n,) standard deviation of the nuisance parameters before the data, N·m."""
+    """(NUISANCE n,) prior standard deviation of the nuisance parameters, N·m."""
     coulomb = {p.joint: abs(float(v)) for p, v in zip(base.model.parameters, base.parameters) if p.symbol == "f_c"}
     size = [max(SHARP_SHARE * coulomb.get(name, 0.0), SHARP_LEAST) for name in base.model.arm.joint_names]
     return np.repeat(size, NUISANCE)

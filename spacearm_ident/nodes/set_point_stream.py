@@ -62,7 +62,7 @@ class ClockPacer:
         return late_ns * 1e-9
 
     def lateness(self, quantile: float) -> float:
-        """Not known: the steps of such a clock are coarser than a slot."""
+        """0, because it cannot be measured: the steps of a simulated clock are coarser than a slot."""
         return 0.0
 
 

@@ -214,7 +214,7 @@ class TrajectoryNode(LiveNode):
         self._announce()
 
     def _confirm_rest(self) -> None:
-        """Say in the log where the arm does not stand after the node's last stop: nobody watches it from now on."""
+        """Log an error if the arm is not at rest after the node's last stop, since this node no longer monitors it."""
         try:
             self._feedback.standing(self._timeout_s, self._slow)
         except UserError as error:

@@ -83,7 +83,7 @@ class TopicSource:
         self._subscribed = False
 
     def look(self) -> None:
-        """Subscribe as soon as somebody publishes, as that offers; forget what was said when nobody does."""
+        """Subscribe once there is a publisher, with the QoS it offers; forget the last value once there is none."""
         publishers = self._node.get_publishers_info_by_topic(self._topic)
         if not publishers:
             self._value = None

@@ -1,7 +1,7 @@
-"""A job in a process of its own: the node that asks for it goes on living, whatever happens there.
+"""A job in a separate process, so that a crash or a long computation there does not stop the node.
 
-`Worker` starts the process (spawned: nothing of ROS is inherited) and collects what it says; the node asks with
-`poll`, and nothing here calls back. The process ends with its parent, even one that was killed.
+`Worker` starts the process (spawned: it inherits nothing of ROS) and collects its messages; the node reads them with
+`poll`, and there are no callbacks. The process ends with its parent, even one that was killed.
 """
 
 from __future__ import annotations

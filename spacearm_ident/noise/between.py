@@ -37,9 +37,9 @@ PSEUDO_RECORDINGS = 2.0
 """Pseudo-count: recordings that the variance between blocks of time is worth beside that between recordings. With two
 recordings both then count alike."""
 ITERATIONS = 60
-"""Of EM, which is slow where a variance tends to zero: as 1 / iterations."""
+"""Iterations of expectation maximisation. It converges as 1 / iterations where a variance tends to zero."""
 _LEAST = 1e-12
-"""Variance added on the diagonal: keeps T regular."""
+"""Variance added to the diagonal of T, which is then regular."""
 
 
 def friction_shifts(

@@ -149,7 +149,7 @@ def _read_description(bag: Bag) -> tuple[str | None, list[Finding]]:
 
 
 def _seconds(stamps_ns: IntArray, start_ns: int | np.int64) -> FloatArray:
-    """Differences are taken in integers: a float of epoch nanoseconds is 256 ns coarse."""
+    """(N,) s since the start, by a difference of integers: a float64 resolves epoch nanoseconds to 256 ns only."""
     return (stamps_ns - start_ns) / 1e9
 
 

@@ -34,6 +34,6 @@ def solve(matrix: FloatArray, slope: FloatArray) -> FloatArray:
 
 
 def _units(matrix: FloatArray) -> FloatArray:
-    """(k,) what makes the diagonal one; one where it is zero."""
+    """(k,) factors that scale the diagonal of a matrix to one; 1 where the diagonal is zero."""
     diagonal = np.diag(matrix)
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))

@@ -1,8 +1,8 @@
-"""What is believed before the data, as a few more rows of the least-squares problem.
+"""The Gaussian prior of the parameters, as further rows of the least-squares problem.
 
-Each parameter is believed near its prior (CAD value, zero, or the parameter it is anchored to), give or take its
-scale. Where the data speak, this is a drop in the sea; where they are silent it makes the answer the one nearest
-to CAD instead of an accident of rounding, and the posterior then says so: its spread stays at the scale.
+The prior mean of a parameter is its CAD value, zero, or the parameter it is anchored to; the standard deviation is its
+scale. Where the data determine a parameter, the prior is negligible. Where they do not, the estimate is the one nearest
+to the prior mean, and its standard deviation stays at the scale.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ..dynamics.term import Parameter
 from ..signals.motion import Motion
 
 WIDENING = 2.0
-"""Scales are rough; the prior is made this much weaker than they say."""
+"""Factor on every scale, since scales are orders of magnitude: the prior is rather too weak than too strong. Chosen."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent Gaussian beliefs `rows @ x ~ N(target, 1)` about the free parameters.
+    """Independent Gaussian priors `rows @ x ~ N(target, 1)` of the free parameters.
 
     Attributes:
         rows: (f, p), one row a free parameter, in units of its scale.
@@ -54,11 +54,11 @@ class Prior:
 
 
 def make_prior(model: TorqueModel, motions: Sequence[Motion], cad_scale: float = 1.0) -> Prior:
-    """The prior of a model for data of this size.
+    """The prior of a model, with scales from the sizes of torque and motion in the data.
 
     Args:
         model: Terms and their parameters.
-        motions: How large torque and motion are.
+        motions: Those of the fit; the sizes of torque and motion give the scales.
         cad_scale: Factor on the scales of the links' inertials. The last link's stay as they are: what the arm carries
             is part of it, and CAD need not have it.
     """
@@ -82,7 +82,7 @@ def make_prior(model: TorqueModel, motions: Sequence[Motion], cad_scale: float =
 
 
 class _Sizes:
-    """How large torque and motion are in the data, per joint."""
+    """Sizes of torque, position, velocity and acceleration in the data, joint by joint."""
 
     def __init__(self, motions: Sequence[Motion]) -> None:
         self.joints = motions[0].joints

@@ -80,7 +80,7 @@ class Difference:
 
     @property
     def unit(self) -> str:
-        """Of a result that has it; empty where none does."""
+        """The unit of its value, from the first result that has one; empty where neither has."""
         return next((one.unit for one in (self.first, self.second) if one is not None and one.unit), "")
 
     @property

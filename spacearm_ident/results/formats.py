@@ -88,15 +88,15 @@ def spring_of(model: IdentifiedModel, joint: str) -> Spring:
 
 
 def lost_words(model: IdentifiedModel, form: Format) -> tuple[str, ...]:
-    """What of the model has values and no place in the format, in words.
+    """Names of the parts of a model that a format cannot hold.
 
     Args:
         model: As identified: its shares of unbounded least squares and of a plain model are lost in every format.
         form: What the joint of the format holds.
 
     Returns:
-        Each once. A spring counts as lost where it pushes away from its rest or is a constant torque, also in a format
-        that holds a stiffness.
+        Each name once. A spring counts as lost where it pushes away from its rest or is a constant torque, also in a
+        format that holds a stiffness.
     """
     words: list[str] = []
     for term, first, first_constant in model.model.numbered():

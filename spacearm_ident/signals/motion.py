@@ -24,9 +24,9 @@ from .base_motion import BaseMotion
 HALF_LENGTH = 0.5
 """Half length of the low-pass, in periods of its cut-off: there a Hann window passes half, at twice that nothing."""
 REVERSAL_SHARE = 0.1
-"""Rows slower than this share of the speeds a reversal is blurred over are left out."""
+"""Speed below which rows near a reversal are left out, as a share of the speeds that the low-pass averages there."""
 STANDSTILL_SHARE = 0.02
-"""A row is at standstill when more than this share of what went into it is."""
+"""Share of a row's samples at standstill from which the row is at standstill."""
 STUCK_RAD = 0.02
 """A revolute joint that ranges over less may never have slid: the friction of geared joints builds up over 1e-3 to 2e-2
 rad (presliding; Armstrong-Helouvry et al. 1994), and what it holds no model of sliding friction explains. One that

@@ -140,7 +140,7 @@ class DriveNetwork:
             self._step()
 
     def _due(self) -> float:
-        """When the next step may run: once all buses are answered, else when the state has aged."""
+        """Earliest time of the next step, s: at once if all buses are answered, else `GRACE` steps after the last."""
         newest = max(line.last_sync for line in self._lines)
         waiting = any(not line.answered and newest - line.last_sync < SYNC_MEMORY for line in self._lines) or not any(
             line.answered for line in self._lines
