@@ -106,3 +106,21 @@ def test_what_is_marked_read_only_cannot_be_changed(node):
         parameter = node.get_parameter(name)
         (result,) = node.set_parameters([parameter])
         assert result.successful is (name in CHANGEABLE), name
+
+
+def test_a_file_parameter_is_found_from_the_home_folder_and_refused_where_it_is_read_at_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "arm.yaml").touch()
+    given = {"there": "~/arm.yaml", "later": "~/no.yaml", "missing": "~/no.yaml"}
+    words = [word for name, file in given.items() for word in ("-p", f"{name}:={file}")]
+    rclpy.init(args=["--ros-args", *words], signal_handler_options=SignalHandlerOptions.NO)
+    node = LiveNode("sample")
+    try:
+        assert node.file_parameter("there", "a file") == tmp_path / "arm.yaml"
+        assert node.file_parameter("empty", "a file") is None
+        assert node.file_parameter("later", "a file", read_only=False) == tmp_path / "no.yaml"
+        with pytest.raises(UserError, match=r"parameter missing: .*no.yaml: no such file"):
+            node.file_parameter("missing", "a file")
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
