@@ -114,7 +114,7 @@ def _weight(residual: FloatArray, noise: _JointNoise, most: float) -> FloatArray
 
 
 def _noise(regression: Regression, laws: list[FirstOrder], joint: int, residual: FloatArray, hat: float) -> _JointNoise:
-    """Of one joint over all motions; `hat` is the number of effective rows that the fit took."""
+    """Noise of one joint over all motions; `hat` is the number of effective rows that the fit used up."""
     rows = regression.rows[joint]
     squares = effective = shares = 0.0
     for number, (motion, law) in enumerate(zip(regression.motions, laws)):

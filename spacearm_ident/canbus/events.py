@@ -1,4 +1,4 @@
-"""What the cyclic master reports to whoever decides about safety."""
+"""Events that the cyclic master reports to the safety logic."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def _without_rows(findings: Sequence[Finding], reason: str) -> list[Finding]:
 
 
 def _explained(findings: Sequence[Finding], inferred: Sequence[Finding]) -> list[Finding]:
-    """Without the remarks on a velocity that a mistake of the position explains."""
+    """Findings without the notes on a recorded velocity that a wrong convention of the position explains."""
     kinds = (Kind.DEGREES, Kind.MOTOR_SIDE, Kind.POSITION_SIGN, Kind.POSITIONS_EXCHANGED, Kind.TIME_REVERSED)
     causes = [one for one in inferred if one.kind in kinds and one.level is Level.UNFIT]
     joints = {joint for one in causes for joint in one.joints}

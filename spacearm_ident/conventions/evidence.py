@@ -3,10 +3,11 @@
 tau_j = g_j Y_j(q, qd, qdd) phi + f_c s + f_p (s - z) + k_v qd + J_m qdd + offset + e_j. The inertials phi have the CAD
 values as mean and a relative standard deviation s that the data choose from a grid (the likelihood is summed over it);
 a payload may be on the last link. The state z follows the sign s of the velocity over a presliding distance. The gains
-g_j are 1 give or take `GAIN_SD`. The error e_j is mostly what the model leaves out and therefore slow: n_j rows with a
-correlation time of kappa_j rows count as n_j / kappa_j. Its size is unknown, expected near `MODEL_ERROR` of the
-torque. Friction takes power from a joint and never gives any: the probability of that under the posterior multiplies
-the likelihood, as does that of rotor inertias that are not negative, unless something else looks like one.
+g_j have mean 1 and standard deviation `GAIN_SD`. The error e_j is mostly what the model leaves out and therefore slow:
+n_j rows with a correlation time of kappa_j rows count as n_j / kappa_j. Its size is unknown, expected near
+`MODEL_ERROR` of the torque. Friction takes power from a joint and never gives any: the probability of that under the
+posterior multiplies the likelihood, as does that of rotor inertias that are not negative, unless something else looks
+like one.
 """
 
 from __future__ import annotations

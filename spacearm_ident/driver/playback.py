@@ -55,7 +55,7 @@ LONGEST_LAG: Final = 1.0
 
 
 class Playback:
-    """What is played of a stream, cycle by cycle; for the cyclic thread.
+    """The place in a stream that is played in each cycle; used by the cyclic thread alone.
 
     Attributes:
         stalls: Stalls bridged in motion, since the start.

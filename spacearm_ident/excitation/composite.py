@@ -1,6 +1,6 @@
-"""Excitation for what a periodic run at full speed cannot show: which motion asks which question.
+"""Excitation for effects that a periodic run at full speed does not excite: one motion for each purpose.
 
-| purpose | motion | what is felt |
+| purpose | motion | what is observed |
 |---|---|---|
 | ripple | each joint alone over its free range, two constant speeds, both directions | torque against position |
 | presliding | all joints, slow sines of growing amplitude | friction against distance after a reversal |
@@ -72,8 +72,7 @@ _SHOWS = {
     ),
 }
 EXPERIMENT_OF = {effect: purpose for purpose, effects in _SHOWS.items() for effect in effects}
-"""Effect of the contract -> the composite run that is the experiment which it asks for (`Effect.experiment`); what the
-others ask for is none."""
+"""Effect -> purpose of the composite run that its `Effect.experiment` asks for; the other effects ask for none."""
 
 LEAST_RANGE = 2 * max(AMPLITUDES_RAD)
 """rad (m): of a joint that may move over less, the largest of the slow sines has no room: in less, a joint does little

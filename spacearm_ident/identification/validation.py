@@ -1,4 +1,4 @@
-"""How well a model predicts data: per joint, moving and standing rows apart, and against the scatter of periods."""
+"""Validation of a model: residuals by joint, of moving and standing rows apart, and against the scatter of periods."""
 
 from __future__ import annotations
 

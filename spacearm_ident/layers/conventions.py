@@ -168,7 +168,7 @@ def _begin_late(state: Hypotheses) -> None:
 
 
 def _doubt_the_delay(state: Hypotheses) -> None:
-    """Begin without a delay that physics which was not known before makes needless."""
+    """Leave out a delay that is no longer certain beside physics that was found since."""
     if DELAY in state.found and state.log_odds(DELAY) < SURE:
         state.leave_out(DELAY)
 

@@ -192,12 +192,12 @@ class Hypotheses:
         return found
 
     def _of(self, linear: Linear, spread_s: float | None = None, blocks: np.ndarray | None = None) -> float:
-        """Log evidence of rows of a linear problem, another delay undone in it, under the present noise.
+        """Log evidence of a linear problem, from which another delay is removed, under the present noise.
 
         Args:
             linear: The problem.
-            spread_s: Standard deviation of the whole delay; None: it is this one, but for half a sampling period.
-            blocks: Of time; None: all.
+            spread_s: Prior standard deviation of the whole delay, s; None: half a sampling period about this one.
+            blocks: Blocks of time that count; None: all.
         """
         logs = []
         for scale in CAD_SCALES:

@@ -49,9 +49,10 @@ class Optional:
 
 
 EARLIER = ("torque_constant", "base_tilt", "payload", "friction_drift")
-"""Effects that the first two layers are about: a search for physics would find them in place of what is there. Torque
-that is late at all joints alike is not among them: before a contact, say, is known it need not be found, and then hides
-what else there is. It is fitted beside the findings (`is_physics`), and then asked of the wiring again."""
+"""Effects that belong to the first two layers. They are left out of the search for physics, where they would imitate
+other effects. A delay common to all joints is not among them: beside an unknown contact, for example, the first layer
+may miss it, and it then masks other effects. It is fitted beside the findings (`is_physics`), then tested in the first
+layer again."""
 OPTIONAL = (
     Optional("offset", "current_offset", "constant torque", frozenset({"asymmetric_friction", "base_tilt"})),
     Optional("f_b", "stribeck", "Stribeck friction f_b - f_c"),

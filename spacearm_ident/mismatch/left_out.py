@@ -69,7 +69,7 @@ class LeftOut:
 
     @property
     def known(self) -> bool:
-        """Whether there was enough to leave something out."""
+        """Whether the recordings were long enough for parts to be left out."""
         return bool(self.fits)
 
     @cached_property

@@ -75,7 +75,7 @@ def weighted(base: IdentifiedModel, motions: Sequence[Motion], near: Noise | Non
     Args:
         base: Model of the arm.
         motions: Recordings whose residual is noise.
-        near: Of the same motions under much the same model, from which to go on.
+        near: Noise of the same motions under a similar model, to start the iteration from.
 
     Raises:
         UnfitDataError: No joint moves for long enough.

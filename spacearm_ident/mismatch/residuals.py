@@ -99,7 +99,7 @@ class Residuals:
         return self.rms(self.scene.stacked_rows(reduced))
 
     def ordinary_Nm(self, model: TorqueModel, base: FloatArray) -> FloatArray:
-        """(n,) RMS of what friction ordinarily differs by between two recordings of an arm (`ordinary_shifts`).
+        """(n,) RMS of the usual difference of friction torque between two recordings, N·m (`ordinary_shifts`).
 
         Args:
             model: The base's.

@@ -128,7 +128,7 @@ def validation_figures(validation: Validation) -> dict[str, object]:
 
 
 def doubts_and_notes(session: Session) -> tuple[list[str], list[str]]:
-    """What speaks against using a result, and what else is to be said of it, a line each; as `spacearm identify` does.
+    """Reasons against the use of a result, and further notes on it, a line each, as `spacearm identify` prints them.
 
     Args:
         session: Result. Of unfit data the verdict is theirs, and the model has none; a verdict of poor or suspect is a

@@ -258,7 +258,7 @@ class TrajectoryNode(LiveNode):
                 stream.stop(wrong)
 
     def _consider(self) -> None:
-        """The arm is at rest after a stop that the driver may know to be harmless: ask it, unless too often."""
+        """With the arm at rest after a stop, ask the driver if the run may begin again, at most `restarts` times."""
         assert self._stream is not None
         self._may_restart = False
         if self._whole or self._started is None:

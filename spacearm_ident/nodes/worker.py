@@ -106,7 +106,7 @@ def _how_it_ended(code: int | None) -> str:
 
 
 def _work(connection: Connection) -> None:
-    """The process: receive a `Job`, report, end."""
+    """Main function of the process: receive a `Job`, do it, report, end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the node decides what becomes of this.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(CRASHED))  # Unwinds: no half-written folder stays behind.
     os.nice(_NICENESS)

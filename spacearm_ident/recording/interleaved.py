@@ -1,6 +1,6 @@
-"""Whether joint states come from two sources by turns, read off their positions in the order of arrival.
+"""Detect joint states of two sources in one stream, from the positions in the order of arrival.
 
-Two nodes that publish the same joints, of two arms or of one at two times, give positions that go to and fro between
+Two nodes that publish the same joints, of two arms or of one at two times, give positions that alternate between
 two courses. No motion does that from sample to sample, and neither do positions that are published twice, late or in
 batches.
 """

@@ -209,7 +209,7 @@ def _choice(item: dict[str, Any]) -> Choice:
 
 
 def _move(item: dict[str, Any]) -> Move:
-    """What an update made of a value; results of before 27 November 2026 call its variance reduction `told`."""
+    """A value before and after an update; results before 27 November 2026 call its variance reduction `told`."""
     return Move(**{"variance_reduction" if key == "told" else key: value for key, value in item.items()})
 
 

@@ -29,7 +29,7 @@ FEWEST: Final = 4
 DATE, TEMPERATURE = "date", "temperature"
 DAY_S, YEAR_DAYS = 86400.0, 365.25
 LONG_DAYS: Final = 90.0
-"""Longer spans are told by the year."""
+"""Span, days, from which slopes are stated per year."""
 
 Arm = tuple[str, ...]
 

@@ -94,7 +94,7 @@ def _other_gravity(healthy: ConventionReport, examined: ConventionReport) -> lis
 
 
 def _wrong(report: ConventionReport, least: float) -> list[Mistake]:
-    """Unfit findings that no physics looks like: read off, or inferred with these log odds or more."""
+    """Wrong conventions that no effect imitates: stated by the data, or inferred with at least these log odds."""
     unfit_ones = (one for one in report.findings if one.kind in MISTAKES and one.level is Level.UNFIT)
     return [one for one in unfit_ones if one.log_odds is None or one.log_odds >= least]
 

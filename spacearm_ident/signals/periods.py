@@ -92,7 +92,7 @@ def find_period(position: FloatArray, rate_hz: float) -> Period | None:
 
 
 def _alike(scaled: FloatArray, lag: int, slip: FloatArray, every: int = 1) -> np.ndarray:
-    """Where positions are what they are `lag` samples later, give or take what they move in half a sample."""
+    """Mask of the samples whose positions recur `lag` samples later, within the motion of half a sample (`slip`)."""
     apart = np.abs(scaled[lag::every] - scaled[:-lag:every]) - slip[:-lag:every]
     return np.asarray(apart.max(axis=1) < TOLERANCE)
 

@@ -1,4 +1,4 @@
-"""What a tracker eats: rows of residual torque with the columns of the parameters that may move.
+"""Input of a tracker: rows of residual torque, with the columns of the parameters that it follows.
 
 `TrackedModel` says which parameters of an identified model are followed and computes their columns; everything else
 is held where it was identified. Rows come from a stream of samples (`RowStream`, on a node) or from a recording

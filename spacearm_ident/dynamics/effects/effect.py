@@ -1,4 +1,4 @@
-"""`Effect`: physics that a model may have left out, as a term with what there is to know of it.
+"""`Effect`: a term for physics that a model may have left out, with its equation, source, experiment and remedy.
 
 An effect is one class in this package: its columns join any fit, its name any file, its words any report. What it
 adds to a torque is written here once; the simulated arm conceals the same physics in another writing.

@@ -207,7 +207,7 @@ def find_dialect(text: str, where: str) -> Dialect:
 
 
 def _as_laid_out(lines: list[str], separator: str, decimal: str) -> tuple[int, int, Dialect] | None:
-    """Numbers found, whether there are names, and the layout, under one separator and decimal mark."""
+    """Count of numbers, whether there are names, and the layout, for one separator and decimal mark."""
     first = next((k for k, line in enumerate(lines[:_MAX_PREAMBLE]) if _is_row(line, separator, decimal)), None)
     if first is None:
         return None
@@ -445,7 +445,7 @@ def _lists(texts: dict[str, list[str]]) -> dict[str, tuple[tuple[str, ...], ...]
 def _year_first(cells_of: list[str]) -> list[str]:
     """The cells of a column, dates that end with the year turned to begin with it.
 
-    With dots the day comes first, by the convention of every country that writes them so. With other marks both orders
+    With dots the day comes first, by convention. With other marks both orders
     are in use: a number above 12 is a day; where no number is, or in both places, the cells stay as they are.
     """
     found = [match for cell in cells_of if (match := _YEAR_LAST.fullmatch(cell))]
