@@ -36,8 +36,8 @@ from spacearm_ident.dynamics.effects.compliance import GRID_SIZE, STIFFNESS_GRID
 from spacearm_ident.dynamics.model import IdentifiedModel, TorqueModel
 from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.errors import UserError
+from spacearm_ident.mismatch.candidate import Candidate
 from spacearm_ident.mismatch.constants import grid_points
-from spacearm_ident.mismatch.evidence import Candidate
 from spacearm_ident.mismatch.scored import plausible
 
 # --- the catalogue --------------------------------------------------------------------------------------------------

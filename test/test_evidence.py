@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.mismatch.evidence import NEARER
+from spacearm_ident.mismatch.joint_refit import refit
 from spacearm_ident.mismatch.judgement import BEYOND_A_DAY
 from spacearm_ident.mismatch.preparation import banded, prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals
@@ -287,7 +288,7 @@ def test_a_gain_is_the_drop_of_the_sum_of_squares_of_everything_fitted_together(
     brute = Brute(evidence)
     without, *_ = brute.solve([])
     squares, residual, _, values = brute.solve(candidates)
-    found = evidence.refit(candidates)
+    found = refit(candidates)
     assert found.gain == pytest.approx(without - squares, rel=1e-6, abs=1e-5 * without)
     np.testing.assert_allclose(found.values, values, rtol=1e-5, atol=1e-7)
     np.testing.assert_allclose(evidence.residual_beside(candidates), residual, atol=1e-5 * np.abs(residual).max())
@@ -300,9 +301,9 @@ def test_columns_in_half_the_memory_lose_nothing_that_is_decided_on(prepared, ch
     exact = [candidates_of(evidence)[k] for k in chosen]
     rounded = [evidence.candidates(one.effect, [one.constants])[0] for one in exact]
     assert sum(one.stacked.kept.nbytes for one in exact) == 2 * sum(one.stacked.kept.nbytes for one in rounded)
-    want = evidence.refit(exact)
+    want = refit(exact)
     for some in (rounded, [*rounded[:1], *exact[1:]]):
-        found = evidence.refit(some)
+        found = refit(some)
         assert found.gain == pytest.approx(want.gain, rel=1e-6)
         np.testing.assert_allclose(found.values, want.values, rtol=1e-4, atol=1e-7)
 
@@ -323,11 +324,11 @@ def test_friction_of_another_day_is_least_squares_with_shifts_of_the_field_alone
     candidates = [candidates_of(evidence)[k] for k in chosen]
     without, *_ = brute.solve([])
     squares, _, _, values = brute.solve(candidates)
-    found = day.refit(day.again(candidates))
+    found = refit(day.again(candidates))
     assert found.gain == pytest.approx(without - squares, rel=1e-6, abs=1e-5 * without)
     np.testing.assert_allclose(found.values, values, rtol=1e-5, atol=1e-7)
     # What a day may bring is no longer the effect's, and the effect's size is less sure.
-    same = evidence.refit(candidates)
+    same = refit(candidates)
     assert found.gain < same.gain
     assert (np.diag(found.covariance) >= np.diag(same.covariance) * (1.0 - 1e-9)).all()
 
@@ -348,8 +349,8 @@ def test_a_course_of_friction_that_only_the_field_s_speeds_show_is_no_change_of_
     evidence = prepare_evidence(ARM, runs, straight).evidence
     candidate = evidence.candidate(EFFECTS["friction_drift"].at(ARM, {"joint": "elbow", "of": ["k_v1"]}), ())
     day = evidence.with_days(1.0)
-    assert evidence.refit([candidate]).gain > 100.0
-    assert (day.refit(day.again([candidate])).gain > BEYOND_A_DAY) == changed
+    assert refit([candidate]).gain > 100.0
+    assert (refit(day.again([candidate])).gain > BEYOND_A_DAY) == changed
 
 
 def test_in_thin_air_the_field_has_no_friction_of_high_order(prepared):
@@ -376,7 +377,7 @@ def test_unseen_residuals_are_those_of_the_fitted_model_on_other_rows(prepared, 
         first += len(own)
         stacked = stacked_effect(held_out.scene, candidate.effect, candidate.constants)
         want[stacked.rows] -= stacked.columns @ own
-    found = held_out.residual(candidates, evidence.refit(candidates).values)
+    found = held_out.residual(candidates, refit(candidates).values)
     np.testing.assert_allclose(found, want, atol=1e-5 * np.abs(want).max())
 
 

@@ -9,11 +9,12 @@ import pytest
 from changed_arm import ARM, HEALTHY, ripple, run
 
 from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.mismatch.candidate import Candidate
 from spacearm_ident.mismatch.competition import GATE, Competition, Round
 from spacearm_ident.mismatch.constants import polish, refine
-from spacearm_ident.mismatch.evidence import Candidate
 from spacearm_ident.mismatch.explain import explain
 from spacearm_ident.mismatch.finding import Alternative
+from spacearm_ident.mismatch.joint_refit import refit
 from spacearm_ident.mismatch.judgement import clears_up, contradicted, doubted, of_one_law, shows
 from spacearm_ident.mismatch.preparation import prepare_evidence
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
@@ -334,7 +335,7 @@ def test_what_shows_in_one_moment_alone_is_no_lasting_effect(extra, lasts):
     competition = Competition(prepared.evidence, prepared.held_out)
     scored = competition._scored(
         prepared.evidence.candidate(EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"}), [20.0]),
-        prepared.evidence.refit([]),
+        refit([]),
         competition._on_held_out([], np.zeros(0)),
     )
     assert scored.score > GATE

@@ -16,6 +16,7 @@ from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.mismatch.constants import grid_points
 from spacearm_ident.mismatch.evidence import NEARER, Evidence
 from spacearm_ident.mismatch.healthy import GROWS, UNNAMED, Healthy, healthy_levels
+from spacearm_ident.mismatch.joint_refit import refit
 from spacearm_ident.mismatch.judgement import beyond_healthy
 from spacearm_ident.mismatch.left_out import LEVEL, LeftOut, largest_rms
 from spacearm_ident.mismatch.noise import coloured, weighted
@@ -212,10 +213,10 @@ def test_an_effect_must_be_larger_in_the_field_than_it_seems_in_parts_of_the_ref
         effect = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
         found = max(
             (evidence.candidate(effect, point) for point in grid_points(effect, evidence.field.motions)),
-            key=lambda candidate: evidence.refit([candidate]).gain,
+            key=lambda candidate: refit([candidate]).gain,
         )
         left_out = LeftOut(evidence.healthy, Residuals(evidence.healthy, evidence.reference, prepared.plain))
-        return exceeds_null(found, share * evidence.refit([found]).values, evidence, left_out)
+        return exceeds_null(found, share * refit([found]).values, evidence, left_out)
 
     assert stands(changed, 1.0)
     assert not stands(changed, 0.01)

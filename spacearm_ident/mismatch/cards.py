@@ -8,11 +8,13 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
+from .candidate import with_own
 from .competition import Outcome
 from .constants import recorded_span
-from .evidence import Evidence, with_own
+from .evidence import Evidence
 from .finding import Alternative, Finding, Quantity
 from .intervals import Intervals, step_of
+from .joint_refit import refit
 from .residuals import Residuals, unwhitened
 from .rivals import UNKNOWN
 from .scored import TEMPER, TEMPER_SHARE, Scored, feels
@@ -136,8 +138,8 @@ class Cards:
         with_it = self.residuals.of(whole, self.accepted, values)
         if self.evidence.reference is None:
             # Nothing pins the base down but the field itself: without the effect it would have fitted otherwise.
-            refit = self.evidence.refit(others)
-            without = self.residuals.of(self.evidence.base_parameters(others, refit.values), others, refit.values)
+            alone = refit(others).values
+            without = self.residuals.of(self.evidence.base_parameters(others, alone), others, alone)
         else:
             without = self.residuals.of(whole, others, kept)
         names = self.evidence.base.model.arm.joint_names

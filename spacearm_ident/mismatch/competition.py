@@ -19,10 +19,13 @@ from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from ..dynamics.model import in_own_units
 from ..forks import each
+from .candidate import Candidate, with_own
 from .constants import Method, grid_points, polish, recorded_span, refine, search
-from .evidence import Candidate, Evidence, HeldOut, Refit, inner_each, with_own
+from .evidence import Evidence
 from .finding import Happened
 from .happened import happened, without
+from .held_out import HeldOut
+from .joint_refit import Refit, inner_each, refit, refit_each
 from .residuals import unwhitened
 from .rivals import UNKNOWN, Rival, rivals
 from .scene import Scene
@@ -183,7 +186,7 @@ class Competition:
         return Outcome(
             tuple(rounds),
             tuple(self.accepted),
-            self.evidence.refit(self.accepted),
+            refit(self.accepted),
             tuple(self.common),
             left,
             left_values,
@@ -198,14 +201,14 @@ class Competition:
         for number, moved in zip(numbers, each(self._searched, numbers)):
             # Beside what the others have become as well.
             others = self._all_but(number)
-            beside, one = self.evidence.refit(others), self.accepted[number]
+            beside, one = refit(others), self.accepted[number]
             if moved and self._gain(moved, beside, others) - self._gain(one, beside, others) > MOVES * self.gate:
                 self.accepted[number] = replace(moved, effect=one.effect)
 
     def _searched(self, number: int) -> Candidate | None:
         """An accepted effect with its constants searched again beside the others; None where none are better."""
         one, others = self.accepted[number], self._all_but(number)
-        beside = self.evidence.refit(others)
+        beside = refit(others)
 
         def gain(trial: Candidate) -> float:
             return self._gain(trial, beside, others)
@@ -225,7 +228,7 @@ class Competition:
     def _relinearise(self) -> None:
         """Accepted effects whose columns depend on their own parameters, around the values that they now have."""
         for _ in range(RELINEARISED):
-            own = with_own(self.accepted, self.evidence.refit(self.accepted).values)
+            own = with_own(self.accepted, refit(self.accepted).values)
             moved = [(one, one.effect.around(tuple(values.tolist()))) for one, values in own]
             if all(effect is one.effect for one, effect in moved):
                 return
@@ -244,7 +247,7 @@ class Competition:
                 continue
             effect = self.accepted[number].effect
             others = self._all_but(number)
-            beside = self.evidence.refit(others)
+            beside = refit(others)
             held_out_before = self._on_held_out(others, beside.values)
             accepted, self.accepted = self.accepted, others
             again = [
@@ -264,13 +267,13 @@ class Competition:
 
     def _is_possible(self, number: int) -> bool:
         """Whether one accepted effect has values that its physics has, fitted with all others."""
-        candidate, own = [*with_own(self.accepted, self.evidence.refit(self.accepted).values)][number]
+        candidate, own = [*with_own(self.accepted, refit(self.accepted).values)][number]
         return self._is_plausible(candidate, own)
 
     def _leave_out_events(self) -> None:
         """Judge nothing on held-out rows during an event like one that was found."""
         if self._with_events is not None:
-            values = self.evidence.refit(self.accepted).values
+            values = refit(self.accepted).values
             self.happened = happened(self._with_events, self.accepted, values, self.gate)
             self._judge_on(self._with_events)
 
@@ -328,11 +331,11 @@ class Competition:
         enough = NAMED_SHARE * (generic.gain + generic.held_out)
         if named[0].gain + named[0].held_out >= enough:
             return named[0]
-        before = self.evidence.refit(self.accepted)
+        before = refit(self.accepted)
         held_out_before = _squares(self._on_held_out(self.accepted, before.values))
         for one, other in combinations([s for s in named if s.candidate.effect.joints == generic.joints][:6], 2):
             both = [*self.accepted, one.candidate, other.candidate]
-            together = self.evidence.refit(both)
+            together = refit(both)
             gain = together.gain - before.gain + held_out_before - _squares(self._on_held_out(both, together.values))
             if gain > NAMED_PAIR * (generic.gain + generic.held_out):
                 return one
@@ -351,8 +354,8 @@ class Competition:
             if one.candidate.effect.kind == effect.imitated_by and set(one.joints) <= set(effect.joints):
                 best.setdefault(one.candidate.effect.joints, one)
         alone = [one.candidate for one in best.values()]
-        before, all_of_them = self.evidence.refit(self.accepted), [*self.accepted, *alone]
-        after = self.evidence.refit(all_of_them)
+        before, all_of_them = refit(self.accepted), [*self.accepted, *alone]
+        after = refit(all_of_them)
         score = after.gain - before.gain - sum(penalty(one.effect, self.evidence.rows) for one in alone)
         if self.held_out is not None:
             score += _squares(self._on_held_out(self.accepted, before.values))
@@ -362,7 +365,7 @@ class Competition:
     def _values_of(self, scored: Scored) -> FloatArray:
         """Parameters and constants of a candidate beside what is accepted."""
         count = len(scored.candidate.effect.parameters)
-        values = self.evidence.refit([*self.accepted, scored.candidate]).values[-count:]
+        values = refit([*self.accepted, scored.candidate]).values[-count:]
         return np.concatenate([values, scored.candidate.constants])
 
     def _acts_on(self, scored: Scored) -> Set[str]:
@@ -396,7 +399,7 @@ class Competition:
             return True
         # An event is small beside what goes on while it lasts: there the larger effect's law is most in doubt. What
         # lasts is seen without any event, too.
-        beside = [*with_own(self.accepted, self.evidence.refit(self.accepted).values)]
+        beside = [*with_own(self.accepted, refit(self.accepted).values)]
         beside = [one for one in beside if not (lasting and one[0].effect.event)]
         own = np.concatenate([np.zeros(0), *(values for _, values in beside)])
         large = self._energy([candidate for candidate, _ in beside], own, None if lasting else scored)
@@ -438,7 +441,7 @@ class Competition:
         field = self.evidence.residual_beside
         yield self.evidence.field, field(self.accepted), field(both)
         if self.held_out is not None:
-            before, after = (self._on_held_out(one, self.evidence.refit(one).values) for one in (self.accepted, both))
+            before, after = (self._on_held_out(one, refit(one).values) for one in (self.accepted, both))
             yield self.held_out.scene, before, after
 
     def _excess(self, effect: Effect) -> FloatArray:
@@ -482,7 +485,7 @@ class Competition:
             outcome,
             rounds=tuple(outcome.rounds[k] for k in kept),
             accepted=accepted,
-            refit=self.evidence.refit(accepted),
+            refit=refit(accepted),
         )
 
     def _was_there_before(self, winner: Scored) -> bool:
@@ -491,7 +494,7 @@ class Competition:
         if reference is None:
             return False
         effect, healthy = winner.candidate.effect, self.evidence.healthy
-        alone = healthy.refit([healthy.candidate(effect, winner.candidate.constants)])
+        alone = refit([healthy.candidate(effect, winner.candidate.constants)])
         gain = alone.gain - penalty(effect, len(reference))
         if gain <= 0.5 * self.gate:
             return False
@@ -500,7 +503,7 @@ class Competition:
 
     def _gain_at(self, winner: Scored, values: FloatArray) -> float:
         """Drop in chi-square of an effect with given parameters (k,), beside what is accepted and the base refitted."""
-        fitted = self.evidence.refit([*self.accepted, winner.candidate])
+        fitted = refit([*self.accepted, winner.candidate])
         off = values - fitted.values[-len(values) :]
         own = fitted.covariance[-len(values) :, -len(values) :]
         return winner.gain - float(off @ np.linalg.pinv(own, hermitian=True) @ off)
@@ -536,7 +539,7 @@ class Competition:
 
     def _ranked(self) -> list[Scored]:
         """The best of every effect at every place, best first."""
-        beside = self.evidence.refit(self.accepted)
+        beside = refit(self.accepted)
         held_out_before = self._on_held_out(self.accepted, beside.values)
         rough = self._rough(beside)
         named = [one for one in rough if one[1].effect.kind != UNKNOWN]
@@ -626,7 +629,7 @@ class Competition:
         """
         known = (self._inner.get((id(one), id(grid))) for one in others)
         inner = [inner_each(one, grid) if own is None else own[2] for one, own in zip(others, known)]
-        values, gains = self.evidence.refit_each(others, grid, beside, inner)
+        values, gains = refit_each(others, grid, beside, inner)
         for k in np.argsort(-gains).tolist():
             if np.isfinite(gains[k]) and self._is_plausible(grid[k], values[k]):
                 return float(gains[k] - beside.gain), k, inner
@@ -634,21 +637,21 @@ class Competition:
 
     def _gain(self, candidate: Candidate, beside: Refit, others: Sequence[Candidate]) -> float:
         """Drop in chi-square of a candidate beside others, which are fitted already."""
-        together = self.evidence.refit([*others, candidate], beside)
+        together = refit([*others, candidate], beside)
         values = together.values[len(beside.values) :]
         gain = together.gain - beside.gain
         return gain if np.isfinite(gain) and self._is_plausible(candidate, values) else -np.inf
 
     def _polished(self, scored: Scored) -> Scored:
         """The winner with its constants searched together; a touch's once more, for a simplex may end where none is."""
-        beside = self.evidence.refit(self.accepted)
+        beside = refit(self.accepted)
         (candidate,) = self._all_searched(polish, [scored.candidate], beside)
         if candidate is scored.candidate:
             return scored
         return self._scored(candidate, beside, self._on_held_out(self.accepted, beside.values))
 
     def _scored(self, candidate: Candidate, beside: Refit, held_out_before: FloatArray) -> Scored:
-        together = self.evidence.refit([*self.accepted, candidate], beside)
+        together = refit([*self.accepted, candidate], beside)
         gain = together.gain - beside.gain
         held_out_after = self._on_held_out([*self.accepted, candidate], together.values)
         # What happened in the field says nothing of other recordings, whatever the base becomes beside it. Of what has
@@ -685,10 +688,10 @@ class Competition:
 
     def _without_the_idle(self, rounds: list[Round]) -> list[Round]:
         """Drop what later effects have made idle."""
-        whole = self.evidence.refit(self.accepted).gain
+        whole = refit(self.accepted).gain
         for k in range(len(rounds) - 1):
             others = self._all_but(k)
-            lost = whole - self.evidence.refit(others).gain
+            lost = whole - refit(others).gain
             if lost - penalty(self.accepted[k].effect, self.evidence.rows) < 0.5 * self.gate:
                 self.accepted = others
                 return self._without_the_idle([r for number, r in enumerate(rounds) if number != k])

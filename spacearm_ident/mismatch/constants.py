@@ -12,7 +12,8 @@ from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
 from ..dynamics.term import Values
 from ..signals.motion import Motion
-from .evidence import Candidate, Evidence
+from .candidate import Candidate
+from .evidence import Evidence
 
 REFINEMENTS, REACHES = 10, 6
 """Trials of one constant between its neighbours on the grid, and of one with a reach, which matters less."""

@@ -21,13 +21,15 @@ from ..memory import give_back
 from ..recording.recording import Recording
 from ..signals.moving_span import cut_by_motion
 from .base_structure import choose_base
+from .candidate import with_own
 from .cards import Cards
 from .competition import GATE, Competition, Outcome
-from .evidence import Evidence, with_own
+from .evidence import Evidence
 from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Happened, Unexplained, joined, unfit
 from .healthy import Healthy, healthy_levels
 from .integrity import faults
+from .joint_refit import refit
 from .judgement import BEYOND_A_DAY, WEAKLY, beyond_healthy, clears_up, contradicted, doubted, harms, of_one_law, shows
 from .next_step import next_experiment, outside_held_out, sure_of_remedy
 from .null import exceeds_null
@@ -253,7 +255,7 @@ class _Judge:
             return False
         own = self._on_a_day.again(outcome.accepted)
         others = [one for k, one in enumerate(own) if k != number]
-        return self._on_a_day.refit(own).gain - self._on_a_day.refit(others).gain < BEYOND_A_DAY
+        return refit(own).gain - refit(others).gain < BEYOND_A_DAY
 
     def _exceeds_null(self, number: int, outcome: Outcome) -> bool:
         candidate, values = [*with_own(outcome.accepted, outcome.refit.values)][number]

@@ -12,7 +12,8 @@ from ..dynamics.effects.friction import VacuumFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..estimate.consistency import make_consistent
 from ..regression.prior import make_prior
-from .evidence import Candidate, Evidence, with_own
+from .candidate import Candidate, with_own
+from .evidence import Evidence
 from .rivals import UNKNOWN
 
 

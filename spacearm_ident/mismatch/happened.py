@@ -16,9 +16,10 @@ from ..dynamics.effects import EFFECTS
 from ..dynamics.effects.effect import Effect
 from ..dynamics.term import Values
 from ..signals.motion import Motion
+from .candidate import Candidate
 from .constants import grid_points
-from .evidence import Candidate, HeldOut
 from .finding import Happened
+from .held_out import HeldOut
 from .rivals import UNKNOWN
 from .scene import Scene
 from .scored import penalty

@@ -14,8 +14,10 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from ..arrays import FloatArray
+from .candidate import Candidate
 from .constants import grid_points
-from .evidence import Candidate, Evidence
+from .evidence import Evidence
+from .joint_refit import refit
 from .left_out import LEVEL, LeftOut
 from .scored import freedom
 from .stacked import Stacked, stacked_effect
@@ -45,7 +47,7 @@ def exceeds_null(candidate: Candidate, values: FloatArray, evidence: Evidence, l
         return False
     grid = grid_points(candidate.effect, healthy.field.motions) if candidate.constants else ()
     tried = chain([parts], (_parts(candidate, constants, healthy, left_out) for constants in grid))
-    gains = [sum(healthy.refit([part]).gain for part in one) for one in tried]
+    gains = [sum(refit([part]).gain for part in one) for one in tried]
     free = freedom(candidate.effect)
     # Noise alone gains one a free number and part.
     return size > float(fisher.ppf(1.0 - LEVEL, free, free * len(parts))) * max(*gains, free * len(parts))

@@ -34,7 +34,9 @@ from ..regression.held_out import LEVEL, bound, t_of_all
 from ..signals.motion import Motion
 from ..signals.prepare import prepare, reversal_cutoff_hz
 from .base_structure import GATE, choose_base
-from .evidence import Candidate, Evidence, HeldOut
+from .candidate import Candidate
+from .evidence import Evidence
+from .held_out import HeldOut
 from .left_out import LeftOfOwn, LeftOut
 from .noise import Noise, NoiseModel, coloured, in_field, of_field, weighted
 from .residuals import Residuals

@@ -14,7 +14,8 @@ from scipy.signal import butter, sosfiltfilt
 from ..arrays import FloatArray
 from ..dynamics.model import IdentifiedModel, TorqueModel
 from ..noise.between import ordinary_shifts
-from .evidence import Candidate, Evidence, without_effects
+from .candidate import Candidate, without_effects
+from .evidence import Evidence
 from .finding import Trace
 from .scene import FEWEST_ROWS, Scene, Whitener
 from .scored import BEST, PARTS

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
-from .evidence import Candidate
+from .candidate import Candidate
 from .rivals import UNKNOWN
 from .scene import Scene
 
