@@ -12,8 +12,8 @@ from planted_arm import two_link_run
 from scipy.signal import lfilter
 
 from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.mismatch.candidate import refit
 from spacearm_ident.mismatch.evidence import NEARER
-from spacearm_ident.mismatch.joint_refit import refit
 from spacearm_ident.mismatch.judgement import BEYOND_A_DAY
 from spacearm_ident.mismatch.preparation import banded, prepare_evidence
 from spacearm_ident.mismatch.residuals import Residuals

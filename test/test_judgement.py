@@ -9,17 +9,18 @@ import pytest
 from changed_arm import ARM, HEALTHY, ripple, run
 
 from spacearm_ident.dynamics.effects import EFFECTS
-from spacearm_ident.mismatch.candidate import Candidate
+from spacearm_ident.mismatch.candidate import Candidate, refit
+from spacearm_ident.mismatch.choice import simplest
 from spacearm_ident.mismatch.competition import GATE, Competition, Round
 from spacearm_ident.mismatch.constants import polish, refine
 from spacearm_ident.mismatch.explain import explain
 from spacearm_ident.mismatch.finding import Alternative
-from spacearm_ident.mismatch.joint_refit import refit
 from spacearm_ident.mismatch.judgement import clears_up, contradicted, doubted, of_one_law, shows
 from spacearm_ident.mismatch.preparation import prepare_evidence
+from spacearm_ident.mismatch.rejection import Case, is_dominated, is_momentary, is_rejected
 from spacearm_ident.mismatch.rivals import UNKNOWN, Rival
 from spacearm_ident.mismatch.run_set import RunSet
-from spacearm_ident.mismatch.scored import Scored, is_dominated, is_not_excited, simplest
+from spacearm_ident.mismatch.scored import Scored, is_not_excited
 from spacearm_ident.mismatch.stacked import Stacked
 
 
@@ -169,7 +170,7 @@ def test_a_contact_acts_on_the_joints_that_feel_it():
 
     def acts_on(kind, constants):
         candidate = prepared.evidence.candidate(EFFECTS[kind].at(ARM, {"joint": "elbow"}), constants)
-        return competition._acts_on(Scored(candidate, 0.0, 0.0, 0.0, plausible=True))
+        return competition.current.acts_on(candidate)
 
     assert acts_on("external_contact", (5.0, 3.0, 0.1, 0.0, 0.0, 0.0)) >= {"shoulder"}
     assert acts_on("torque_ripple", (20.0,)) == {"elbow"}
@@ -184,7 +185,7 @@ def test_constants_are_searched_again_beside_what_joins():
     prepared = prepare_evidence(ARM, RunSet([run(2, extra)], [HEALTHY], [run(3, extra)]))
     competition = Competition(prepared.evidence, prepared.held_out)
     elbow = EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"})
-    competition.accepted = [prepared.evidence.candidate(elbow, (19.4,))]
+    competition.current.accepted = [prepared.evidence.candidate(elbow, (19.4,))]
     outcome = competition.run(lambda share, what: None)
     assert {one.effect.kind for one in outcome.accepted} == {"torque_ripple", "current_offset"}
     assert outcome.accepted[0].constants == pytest.approx((20.0,), abs=0.05)
@@ -321,24 +322,24 @@ def test_an_effect_whose_values_are_impossible_in_the_end_gives_way_to_another_o
         )
         for kind in ("harness_spring", "current_offset")
     )
-    competition.accepted = [spring.candidate]
-    rounds = competition._with_possible_values([Round(spring, (offset,))])
+    competition.current.accepted = [spring.candidate]
+    rounds = competition.with_possible_values([Round(spring, (offset,))])
     assert [one.winner.candidate.effect.kind for one in rounds] == ["current_offset"]
-    assert [candidate.effect.kind for candidate in competition.accepted] == ["current_offset"]
-    competition.accepted = [spring.candidate]
-    assert competition._with_possible_values([Round(spring, ())]) == []
+    assert [candidate.effect.kind for candidate in competition.current.accepted] == ["current_offset"]
+    competition.current.accepted = [spring.candidate]
+    assert competition.with_possible_values([Round(spring, ())]) == []
 
 
 @pytest.mark.parametrize(("extra", "lasts"), [(ripple, True), (in_one_moment, False)])
 def test_what_shows_in_one_moment_alone_is_no_lasting_effect(extra, lasts):
     prepared = prepare_evidence(ARM, RunSet([run(2, extra)], [HEALTHY], [run(3, extra)]))
-    competition = Competition(prepared.evidence, prepared.held_out)
-    scored = competition._scored(
+    current = Competition(prepared.evidence, prepared.held_out).current
+    scored = current.scored(
         prepared.evidence.candidate(EFFECTS["torque_ripple"].at(ARM, {"joint": "elbow"}), [20.0]),
         refit([]),
-        competition._on_held_out([], np.zeros(0)),
+        current.on_held_out([], np.zeros(0)),
     )
     assert scored.score > GATE
-    assert competition._lasts(scored) == lasts
-    assert competition._stands(scored) == lasts
-    assert not competition._stands(replace(scored, gain=0.9 * GATE))
+    assert is_momentary(Case(scored, current)) != lasts
+    assert is_rejected(scored, current) != lasts
+    assert is_rejected(replace(scored, gain=0.9 * GATE), current)

@@ -13,10 +13,10 @@ from scipy.stats import t as student
 
 from spacearm_ident.dynamics.arm import load_arm
 from spacearm_ident.dynamics.effects import EFFECTS
+from spacearm_ident.mismatch.candidate import refit
 from spacearm_ident.mismatch.constants import grid_points
 from spacearm_ident.mismatch.evidence import NEARER, Evidence
 from spacearm_ident.mismatch.healthy import GROWS, UNNAMED, Healthy, healthy_levels
-from spacearm_ident.mismatch.joint_refit import refit
 from spacearm_ident.mismatch.judgement import beyond_healthy
 from spacearm_ident.mismatch.left_out import LEVEL, LeftOut, largest_rms
 from spacearm_ident.mismatch.noise import coloured, weighted

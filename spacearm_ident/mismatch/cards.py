@@ -8,13 +8,12 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.effects.effect import Effect
-from .candidate import with_own
+from .candidate import refit, with_own
 from .competition import Outcome
 from .constants import recorded_span
 from .evidence import Evidence
 from .finding import Alternative, Finding, Quantity
 from .intervals import Intervals, step_of
-from .joint_refit import refit
 from .residuals import Residuals, unwhitened
 from .rivals import UNKNOWN
 from .scored import TEMPER, TEMPER_SHARE, Scored, feels

@@ -25,8 +25,7 @@ from ..dynamics.term import Values
 from ..noise.between import ordinary_shifts
 from ..regression.prior import make_prior
 from ..signals.motion import Motion
-from .candidate import Candidate, with_own
-from .joint_refit import UNDERFLOW, refit
+from .candidate import UNDERFLOW, Candidate, refit, with_own
 from .reversals import learnt
 from .scene import Scene, quiet
 from .stacked import NUISANCE, Stacked, base_columns, nuisance_scale, sharpness, stacked_effect, stacked_effects

@@ -21,7 +21,7 @@ from ..memory import give_back
 from ..recording.recording import Recording
 from ..signals.moving_span import cut_by_motion
 from .base_structure import choose_base
-from .candidate import with_own
+from .candidate import refit, with_own
 from .cards import Cards
 from .competition import GATE, Competition, Outcome
 from .evidence import Evidence
@@ -29,7 +29,6 @@ from .extend import extended_model
 from .finding import MISMATCH, NO_MISMATCH, Explanation, Finding, Happened, Unexplained, joined, unfit
 from .healthy import Healthy, healthy_levels
 from .integrity import faults
-from .joint_refit import refit
 from .judgement import BEYOND_A_DAY, WEAKLY, beyond_healthy, clears_up, contradicted, doubted, harms, of_one_law, shows
 from .next_step import next_experiment, outside_held_out, sure_of_remedy
 from .null import exceeds_null
@@ -107,7 +106,7 @@ def explain(
         prepared = quieter
         competition.reweigh(prepared.evidence, prepared.held_out)
         outcome = competition.run(lambda share, what: report(0.75 + 0.15 * share, what))
-    competition.end()
+    competition.search.end()
     report(0.92, "writing the result")
     answer = _answer(prepared, competition, outcome, is_finding)
     report(1.0, "done")
@@ -122,7 +121,8 @@ def held_out_ends(recordings: Sequence[Recording]) -> tuple[list[Recording], lis
 
 
 def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_finding: IsFinding) -> Explanation:
-    evidence, held_out = competition.evidence, competition.held_out
+    current, tried = competition.current, competition.search.tried()
+    evidence, held_out = current.evidence, current.held_out
     assert held_out is not None
     joints = evidence.base.model.arm.joint_names
     residuals, in_field = (Residuals(evidence, scene, prepared.plain) for scene in (held_out.scene, evidence.field))
@@ -137,7 +137,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
     on_a_day = evidence.with_days(prepared.days) if prepared.days > 0.0 else evidence
     field_alone = _FieldAlone(in_field, healthy_field, joints)
     judge = _Judge(evidence, healthy, dict(zip(joints, rms_before.tolist())), on_a_day, field_alone)
-    outcome, made = judge.standing(competition, outcome, residuals, is_finding)
+    outcome, made = judge.standing(outcome, residuals, is_finding)
     accepted = outcome.accepted
     findings = _named(made, outcome, judge.floor)
     after = residuals.of(evidence.base_parameters(accepted, outcome.refit.values), accepted, outcome.refit.values)
@@ -180,7 +180,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
         model=extended_model(evidence, accepted, outcome.refit.values, is_finding) if accepted else None,
         traces=residuals.traces(before, added),
         cutoff_hz=prepared.cutoff_hz,
-        would_have_seen=would_have_seen(evidence, on_a_day, competition.tried(), findings, healthy, competition.gate),
+        would_have_seen=would_have_seen(evidence, on_a_day, tried, findings, healthy, current.gate),
     )
 
 
@@ -224,7 +224,7 @@ class _Judge:
         self._largest = dict(zip(joints, healthy.largest_Nm.tolist()))
 
     def standing(
-        self, competition: Competition, outcome: Outcome, residuals: Residuals, is_finding: IsFinding
+        self, outcome: Outcome, residuals: Residuals, is_finding: IsFinding
     ) -> tuple[Outcome, dict[int, Finding]]:
         """The outcome without what does not stand, and its findings, each by the number of its effect."""
         while True:
@@ -234,7 +234,7 @@ class _Judge:
             if not idle:
                 return outcome, made
             # What shows beside another may show no more without it.
-            outcome = competition.without(outcome, idle)
+            outcome = outcome.without(idle)
 
     def stands(self, number: int, findings: Mapping[int, Finding], outcome: Outcome) -> bool:
         """Whether one of the findings, each by the number of its effect in the outcome, does."""

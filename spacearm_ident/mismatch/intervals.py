@@ -31,9 +31,8 @@ from ..dynamics.effects.friction import (
 )
 from ..dynamics.effects.position import HarnessSpring
 from ..estimate.identified import GAIN_DEVIATION
-from .candidate import Candidate, with_own
+from .candidate import Candidate, inverse_among, with_own
 from .evidence import Evidence
-from .joint_refit import inverse_among
 from .scored import PARTS
 from .stacked import stacked_effect
 

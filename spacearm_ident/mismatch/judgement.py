@@ -9,9 +9,10 @@ from dataclasses import replace
 from scipy.stats import norm
 
 from ..dynamics.effects.effect import Effect
-from .competition import CLEARS_UP, GATE
+from .competition import GATE
 from .finding import Alternative, Finding, joined
 from .left_out import LEVEL
+from .rejection import CLEARS_UP
 from .rivals import UNKNOWN
 
 NAMES = 0.8

@@ -14,10 +14,9 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from ..arrays import FloatArray
-from .candidate import Candidate
+from .candidate import Candidate, refit
 from .constants import grid_points
 from .evidence import Evidence
-from .joint_refit import refit
 from .left_out import LEVEL, LeftOut
 from .scored import freedom
 from .stacked import Stacked, stacked_effect

@@ -15,11 +15,10 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..forks import each
-from .candidate import Candidate
+from .candidate import INVISIBLE, UNDERFLOW, Candidate
 from .evidence import Evidence
 from .finding import Detectable, Finding
 from .healthy import Healthy
-from .joint_refit import INVISIBLE, UNDERFLOW
 from .judgement import BEYOND_A_DAY, LEAST
 from .residuals import unwhitened
 from .scored import penalty

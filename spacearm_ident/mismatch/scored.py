@@ -1,8 +1,8 @@
-"""A candidate's score: what it explains, less what its freedom costs, and what it says against another's."""
+"""A candidate's score: what it explains, less what its freedom costs; and measures of where and when it shows."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,13 +13,9 @@ from .candidate import Candidate
 from .rivals import UNKNOWN
 from .scene import Scene
 
-DOMINATES = 1.15
-"""Ratio of scores from which a rejected effect dominates those that share a joint with it: they are rejected too."""
 TEMPER, TEMPER_SHARE = 10.0, 0.01
 """Score differences are worth less than chi-square says: neither the noise nor any law is quite what its model is. A
 difference of one in the exponent is this much, and this share of the score, together."""
-ENDED_SHARE = 0.003
-"""Of the score: so far apart two searches of the same optimum may end."""
 FELT = 0.05
 """A joint feels an effect that adds this share of the energy there that it does at the joint that feels it most."""
 NOT_EXCITED, HALF, PLAIN = 0.2, 0.5, 1.0
@@ -58,46 +54,6 @@ class Scored:
     def named(self) -> bool:
         """Whether it is an effect of the catalogue."""
         return self.candidate.effect.kind != UNKNOWN
-
-
-def is_dominated(scored: Scored, refused: Sequence[Scored], joints: Set[str]) -> bool:
-    """Whether a named effect is dominated by a rejected one that shares a joint with it.
-
-    Args:
-        scored: The effect in question.
-        refused: Candidates of the same round that were rejected.
-        joints: Names of the joints at which `scored` acts.
-    """
-
-    def better(other: Scored) -> bool:
-        return other.named and other.plausible and other.score > DOMINATES * scored.score
-
-    return scored.named and any(better(other) and joints & set(other.joints) for other in refused)
-
-
-def simplest(ranked: Sequence[Scored]) -> Scored:
-    """The best, or one with less freedom that is as good as far as scores can tell; of equal freedom, the least rare.
-
-    Of touches, the one on the innermost link: any further joint would feel it (De Luca and Mattone 2005).
-    """
-    first = min(_near(ranked, TEMPER_SHARE), key=_plainness)
-    if first.candidate.effect.exact:
-        first = min(_near(ranked, 0.0), key=_plainness)
-    if not first.candidate.effect.event:
-        return first
-    # Of one law: only where the search of their constants ended sets them apart.
-    same = [s for s in _near(ranked, ENDED_SHARE) if s.candidate.effect.kind == first.candidate.effect.kind] or [first]
-    return min(same, key=lambda s: s.candidate.stacked.stop)
-
-
-def _near(ranked: Sequence[Scored], share: float) -> list[Scored]:
-    """Those as good as the best, to a share of its score."""
-    best = ranked[0].score
-    return [s for s in ranked if best - s.score < TEMPER + share * best]
-
-
-def _plainness(scored: Scored) -> tuple[int, int]:
-    return freedom(scored.candidate.effect), scored.candidate.effect.rarity
 
 
 def freedom(effect: Effect) -> int:
