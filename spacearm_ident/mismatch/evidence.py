@@ -90,11 +90,6 @@ class Evidence:
         self._squares = float(sum(torque @ torque for torque in torques))
         self.residual: FloatArray = torques[0] - self._basis @ self._inside
 
-    @property
-    def squares_left(self) -> float:
-        """Weighted squares that the base leaves of reference and field, and of what is known before."""
-        return self._squares - float(self._inside @ self._inside)
-
     @cached_property
     def healthy(self) -> Evidence:
         """The reference alone, with what it shares with the field; where there is none, the field itself."""
