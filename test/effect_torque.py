@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 from planted_arm import THREE_LINKS, Link, multisine, urdf_of
@@ -85,6 +87,8 @@ def fitted(signal, time, omega):
 
 
 ARM = arm_of()
+# With gears, so that an effect that needs them has its places, too.
+ARM = replace(ARM, joints=tuple(replace(joint, gear_ratio=100.0) for joint in ARM.joints))
 
 
 def middle(effect):

@@ -71,7 +71,7 @@ def test_columns_are_finite_everywhere_and_zero_before_the_model_is_known(kind):
     motion = wave(ARM.joint_names, temperature=np.full((1000, 3), 35.0))
     background = background_of(ARM, motion, k_v1=3.0, k_v2=0.3, k_v3=-0.1, J_m=0.3)
     places = [place for name, place in PLACES if name == kind]
-    assert places
+    assert places, f"{kind} has no place at any joint of `effect_torque.ARM`: give that arm what the effect needs"
     felt = []
     for place in places:
         effect = one(kind, ARM, **place)

@@ -14,7 +14,8 @@ import yaml
 from spacearm_ident.cli.excite import METHODS
 from spacearm_ident.cli.main import main
 from spacearm_ident.dynamics.arm import arm_from_urdf
-from spacearm_ident.dynamics.model_file import save_model
+from spacearm_ident.dynamics.model import TorqueModel
+from spacearm_ident.dynamics.model_file import load_model, save_model
 from spacearm_ident.excitation.genetic import evolve
 from spacearm_ident.excitation.nominal import nominal_model
 from spacearm_ident.excitation.run import check_limits, limits_of, plan_run
@@ -106,6 +107,20 @@ def test_seeds_repeat_and_differ(arm, tmp_path, capsys):
         excite(capsys, "--arm", arm / "arm.yaml", "--out", tmp_path / name, *START, *QUICK, *words)
         series.append(yaml.safe_load((tmp_path / name).read_text()))
     assert series[0] == series[1] != series[2]
+
+
+def test_terms_that_the_optimiser_does_without_are_named(arm, tmp_path, capsys):
+    """A term of a kind that `smooth_columns` does not know, and a column of a kind that it does."""
+    known = load_model(arm / "model.yaml")
+    further = {"stribeck_friction": {"load": True}, "torque_ripple": {"at": [{"joint": "elbow"}]}}
+    wider = known.carried_to(TorqueModel(known.model.arm, {**known.model.structure, **further}))
+    save_model(wider, tmp_path / "wider.yaml")
+    quick = [word for word in QUICK if word != "--quiet"]
+    for model, named in ((arm / "model.yaml", False), (tmp_path / "wider.yaml", True)):
+        words = ("--arm", arm / "arm.yaml", "--model", model, "--out", tmp_path / "t.yaml", *START, *quick)
+        _, err = excite(capsys, *words)
+        assert ("optimised without these terms" in err) == named
+        assert ("friction that grows with the load, torque ripple over the joint's position" in err) == named
 
 
 def test_the_genetic_algorithm_can_be_asked_for(arm, tmp_path, capsys, monkeypatch):

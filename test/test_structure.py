@@ -9,8 +9,10 @@ import pytest
 from planted_arm import THREE_LINKS, Friction, incommensurate, plant, two_link_run
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
-from spacearm_ident.dynamics.model import structure_of
-from spacearm_ident.estimate.identified import Determination, Identified, OptionalTerm
+from spacearm_ident.dynamics.friction import StribeckFriction
+from spacearm_ident.dynamics.model import TorqueModel, structure_of
+from spacearm_ident.estimate.identified import Determination, Identified
+from spacearm_ident.estimate.optional_terms import OptionalTerm
 from spacearm_ident.identification.identify import Settings, identify
 from spacearm_ident.identification.joint_terms import JointTerms, structure_with
 
@@ -126,7 +128,7 @@ def test_recording_with_a_gap_in_its_speed_range_gets_no_curvature():
 def test_higher_orders_grow_linearly_beyond_the_identified_speed():
     planted = two_link_run(LAWS, seconds=5.0, seed=0, speed=2.0)
     arm = arm_from_urdf(planted.urdf)
-    laws = [JointTerms(quadratic="odd"), JointTerms(quadratic="even", cubic=True)]
+    laws = [JointTerms(frozenset(terms)) for terms in ({OptionalTerm.ODD}, {OptionalTerm.EVEN, OptionalTerm.CUBIC})]
     structure = structure_with(structure_of(arm), arm.joint_names, laws, [0.5, 0.5])
     result = identify([planted.recording(noise=0.1, seed=0)], arm, Settings(structure=structure))
     term = next(one for one in result.model.model.terms if one.kind == "viscous_friction")
@@ -159,3 +161,21 @@ def test_an_arm_of_one_joint_shares_nothing_and_is_identified():
     recording = plant((THREE_LINKS[0],), (Friction(),), motion, 250.0).recording(noise=0.1, seed=1)
     result = identify([recording], arm_from_urdf(recording.urdf))
     assert result.rows[0] > 0 and any(choice.joint == "waist" for choice in result.choices)
+
+
+@pytest.mark.parametrize("term", OptionalTerm)
+def test_a_row_of_the_optional_terms_is_of_its_class_and_puts_the_term_in_where_a_joint_has_it(term):
+    arm, row = arm_from_urdf(two_link_run(PLAIN, seconds=1.0, seed=0, speed=2.0).urdf), term.row
+    laws = [JointTerms(frozenset()), JointTerms(frozenset({term}))]
+    model = TorqueModel(arm, structure_with(structure_of(arm), arm.joint_names, laws, [2.0, 2.0]))
+    mine = [one for one in model.terms if isinstance(one, row.term)]
+    free = {(parameter.symbol, parameter.joint) for one in mine for parameter in one.parameters if not parameter.held}
+    searched = {(c.symbol[0], c.joint) for one in mine for c in one.constants if len(c.grid) > 1}
+    symbol = "k_v2" if term is OptionalTerm.ODD else row.symbol
+    if symbol:
+        assert {joint for name, joint in free if name == symbol} == {"elbow"}, f"{symbol} is not there by {row.option}"
+    if row.shape:
+        assert {joint for name, joint in searched if name == row.shape} == {"elbow"}
+    elif row.term is not StribeckFriction:
+        shaped = [one for one in mine if one.constants or one.depends]
+        assert not shaped, "a trial has one column of it: it must depend on no constant and on no other term"

@@ -9,7 +9,7 @@ import pytest
 
 from spacearm_ident.config import config_path
 from spacearm_ident.dynamics.arm import load_arm
-from spacearm_ident.estimate.identified import OptionalTerm
+from spacearm_ident.estimate.optional_terms import OptionalTerm
 from spacearm_ident.identification.identify import identify
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))

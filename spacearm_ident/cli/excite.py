@@ -30,6 +30,7 @@ from ..excitation.nominal import nominal_model
 from ..excitation.optimise import GENTLE, Excitation, gentle, optimise, optimise_harmonics
 from ..excitation.problem import Problem
 from ..excitation.segments import MotionLimits
+from ..excitation.smooth_columns import left_out
 from ..excitation.start_posture import possible_start, room_of
 from ..excitation.trajectory import Trajectory
 from ..excitation.trajectory_file import save_trajectory
@@ -144,6 +145,10 @@ def run(options: argparse.Namespace) -> int:
                 raise UserError("--joints goes with --for: a Fourier excitation moves all joints")
             excitation = best(options, identified, needs, home, within(report, 0.0, 0.95))
             trajectory = excitation.run
+            if words := ", ".join(left_out(identified.model)):
+                notes.append(
+                    f"optimised without these terms of the model, which the check and the figures have: {words}"
+                )
             if options.gentle:
                 first = gentle(excitation)
             if options.slow:

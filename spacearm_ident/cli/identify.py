@@ -13,7 +13,8 @@ from ..dynamics.model import FRICTION_LAWS
 from ..environment.gravity import GRAVITY_CHOICES, VECTOR
 from ..estimate.counts import counts
 from ..estimate.coupling import CouplingTrial
-from ..estimate.identified import GAIN_DEVIATION, Identified, OptionalTerm, Validation
+from ..estimate.identified import GAIN_DEVIATION, Identified, Validation
+from ..estimate.optional_terms import OptionalTerm
 from ..identification.verdict import judge_result
 from ..results.tables import validation_dict
 from ..sessions.bags import AUTO, Options, identify_bags
@@ -163,7 +164,7 @@ def _beyond_the_plain_law(identified: Identified) -> list[str]:
     joints: dict[str, list[str]] = {}
     for choice in identified.choices:
         if choice.accepted and choice.kind not in (None, OptionalTerm.OFFSET):
-            joints.setdefault(choice.kind.words, []).append(choice.joint)
+            joints.setdefault(choice.kind.row.words, []).append(choice.joint)
     return [
         f"in the model, because it predicts held-out data better: {term} at {', '.join(at)}"
         for term, at in joints.items()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from enum import Enum, StrEnum
+from enum import Enum
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from ..dynamics.model import IdentifiedModel
 from ..signals.bandwidth import Bandwidth
 from .coupling import CouplingTrial
 from .environment import Environment
+from .optional_terms import OptionalTerm
 
 GAIN_DEVIATION = 0.07
 """Relative standard deviation of a joint's torque gain (torque constant times ratio, or a sensor's) before anything is
@@ -77,36 +78,6 @@ class Estimate:
     def identifiable(self) -> bool:
         """Whether the data determine it by itself."""
         return self.determination is Determination.DATA
-
-
-class OptionalTerm(StrEnum):
-    """A term that the data decide on, joint by joint."""
-
-    OFFSET = "offset"
-    STRIBECK = "stribeck"
-    PRESLIDING = "presliding"
-    LOAD = "load"
-    EVEN = "even"
-    ODD = "odd"
-    CUBIC = "cubic"
-    SPRING = "spring"
-
-    @property
-    def words(self) -> str:
-        """As a page calls it."""
-        return _WORDS[self]
-
-
-_WORDS = {
-    OptionalTerm.OFFSET: "constant torque offset",
-    OptionalTerm.STRIBECK: "Stribeck friction (f_b, v_b)",
-    OptionalTerm.PRESLIDING: "presliding friction (d_s)",
-    OptionalTerm.LOAD: "friction that grows with the load",
-    OptionalTerm.EVEN: "quadratic friction k_v2 qd^2",
-    OptionalTerm.ODD: "quadratic friction k_v2 qd |qd|",
-    OptionalTerm.CUBIC: "cubic friction k_v3 qd^3",
-    OptionalTerm.SPRING: "spring k_1 q",
-}
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 What `criteria.Question.information` gives exactly for any motion, an optimiser needs differentiable and cheap: few
 samples a period, the direction of motion as qd / sqrt(qd^2 + s^2) with s what the speed changes by between samples.
 Static friction whose peak is narrower than that is left out, as identification leaves it out: slow segments show it.
-Terms beyond rigid body, rotor inertia, springs, offsets and friction are left out too; the exact report has them.
+Terms that have no shape here (`left_out`) are left out too; the exact report has them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ..dynamics.friction import ViscousFriction
+from ..dynamics.friction import StribeckFriction, ViscousFriction
+from ..dynamics.model import TorqueModel
+from ..dynamics.rigid_body import RigidBody
 from .criteria import Question
 from .regressor_gradient import DifferentiableRegressor
 from .segments import Motion
@@ -130,6 +132,17 @@ class Evaluated:
                 change[:counted] += bars[own.slot, own.joint]
             getattr(out, own.signal)[:, own.joint] += change * own_slope
         return out
+
+
+def left_out(model: TorqueModel) -> tuple[str, ...]:
+    """Terms of a model that an optimiser does without, in words, each once.
+
+    Args:
+        model: Whose torque is planned with.
+    """
+    without = [term.words for term in model.terms if term.kind not in (RigidBody.kind, *_SHAPES)]
+    loaded = any(isinstance(term, StribeckFriction) and term.loaded for term in model.terms)
+    return tuple(dict.fromkeys([*["friction that grows with the load"] * loaded, *without]))
 
 
 def _own_columns(question: Question, softness: FloatArray, rigid: list[int]) -> tuple[list[_Own], list[int]]:

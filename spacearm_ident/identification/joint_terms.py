@@ -2,91 +2,80 @@
 
 The plain law (Coulomb and viscous friction, rotor inertia, offset) is where every selection begins, so that its result
 is a plain model wherever nothing else predicts better. Rotor inertia, Coulomb and viscous friction are never optional.
+What the terms are is said in `estimate.optional_terms` alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from ..dynamics.friction import StribeckFriction, ViscousFriction
 from ..dynamics.model import Structure
-from ..dynamics.rigid_body import JointSpring
+from ..estimate.optional_terms import OptionalTerm
 
-FLAGS = ("offset", "stribeck", "presliding", "load", "cubic", "spring")
-"""Terms that are there or not; quadratic friction has a form."""
+QUADRATIC = (OptionalTerm.EVEN, OptionalTerm.ODD)
+"""Forms of one term: a joint has one of them or none."""
 
 
 @dataclass(frozen=True)
 class JointTerms:
-    """Optional terms of one joint.
+    """Optional terms of one joint."""
 
-    Attributes:
-        offset: A constant torque.
-        stribeck: Static friction f_b over a Stribeck velocity v_b.
-        presliding: Friction builds up over a distance d_s.
-        load: Coulomb friction grows with the torque of the links, mu.
-        quadratic: `even` (qd^2), `odd` (qd |qd|), or empty.
-        cubic: qd^3.
-        spring: k_1 q, as of a cable harness.
-    """
+    terms: frozenset[OptionalTerm] = frozenset({OptionalTerm.OFFSET})
 
-    offset: bool = True
-    stribeck: bool = False
-    presliding: bool = False
-    load: bool = False
-    quadratic: str = ""
-    cubic: bool = False
-    spring: bool = False
-
-    def neighbours(self, seen: frozenset[str]) -> Iterator[JointTerms]:
+    def neighbours(self, seen: frozenset[OptionalTerm]) -> Iterator[JointTerms]:
         """Laws that differ in one term, or have several of a curve more: often only together do they help.
 
         Args:
-            seen: Names of the terms that these data can show at all; others are not offered.
+            seen: Terms that these data can show at all; others are not offered.
         """
-        for name in FLAGS:
-            there = getattr(self, name)
-            if there or name in seen:
-                changes: dict[str, Any] = {name: not there}
-                yield replace(self, **changes)
-        # In this order in every process: a set of words has another each time.
-        for form in (one for one in ("", "even", "odd") if one != self.quadratic):
-            if not form or form in seen:
-                yield replace(self, quadratic=form)
-                if form and not self.quadratic and not self.cubic and "cubic" in seen:
-                    yield replace(self, quadratic=form, cubic=True)
-                    if not self.stribeck and "stribeck" in seen:
-                        yield replace(self, stribeck=True, quadratic=form, cubic=True)
+        for term in OptionalTerm:
+            if term not in QUADRATIC and (term in self.terms or term in seen):
+                yield JointTerms(self.terms ^ {term})
+        others = self.terms.difference(QUADRATIC)
+        if self.quadratic:
+            yield JointTerms(others)
+        for form in QUADRATIC:
+            if form in seen and form is not self.quadratic:
+                yield JointTerms(others | {form})
+                curve = {form}
+                for more in () if self.quadratic else (OptionalTerm.CUBIC, OptionalTerm.STRIBECK):
+                    if more in others or more not in seen:
+                        break
+                    curve.add(more)
+                    yield JointTerms(others | curve)
 
     def simpler(self) -> Iterator[JointTerms]:
         """Laws that lack one of its terms."""
-        for name in sorted(self.terms):
-            changes: dict[str, Any] = {"quadratic": ""} if name == self.quadratic else {name: False}
-            yield replace(self, **changes)
+        return (JointTerms(self.terms - {term}) for term in sorted(self.terms))
 
     @property
-    def terms(self) -> frozenset[str]:
-        """Names of its terms, values of `OptionalTerm`."""
-        flags = {name for name in FLAGS if getattr(self, name)}
-        return frozenset(flags | ({self.quadratic} if self.quadratic else set()))
+    def quadratic(self) -> OptionalTerm | None:
+        """The form of its quadratic friction; None where it has none."""
+        return next((form for form in QUADRATIC if form in self.terms), None)
 
     @property
     def tag(self) -> str:
         """Which shape its Coulomb column has: by Stribeck velocity and presliding distance."""
-        return ("v" if self.stribeck else "0") + ("d" if self.presliding else "0")
+        return "".join(term.row.shape if term in self.terms else "0" for term in OptionalTerm if term.row.shape)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of its columns in a `Trials`."""
-        names = [f"f_c {self.tag}"]
-        names += [f"f_b {self.tag}"] if self.stribeck else []
-        names += [f"mu {self.tag}"] if self.load else []
-        names += ["offset"] if self.offset else []
-        names += ["k_1"] if self.spring else []
-        names += [{"even": "k_v2", "odd": ViscousFriction.ODD}[self.quadratic]] if self.quadratic else []
-        return (*names, "k_v3") if self.cubic else tuple(names)
+        # In this order in every process, which a set has not: sums are rounded by it.
+        own = sorted((term for term in OptionalTerm if term in self.terms and term.row.symbol), key=_rank)
+        return (f"f_c {self.tag}", *(column(term, self.tag) for term in own))
+
+
+def _rank(term: OptionalTerm) -> int:
+    return {StribeckFriction.kind: 0, ViscousFriction.kind: 2}.get(term.row.term.kind, 1)
+
+
+def column(term: OptionalTerm, tag: str) -> str:
+    """Name of a term's column in a `Trials`; those of Stribeck friction have one for every shape (`JointTerms.tag`)."""
+    return f"{term.row.symbol} {tag}" if term.row.term is StribeckFriction else term.row.symbol
 
 
 def structure_with(
@@ -100,31 +89,21 @@ def structure_with(
         laws: n laws.
         fastest: (n,) largest speed in the data, rad/s: beyond it quadratic and cubic friction grow linearly.
     """
-
-    def having(name: str) -> list[str]:
-        return [joint for joint, law in zip(joints, laws) if getattr(law, name)]
-
     held: dict[str, list[str]] = {}
     for joint, law in zip(joints, laws):
-        absent = [*([] if law.quadratic else ["k_v2"]), *([] if law.cubic else ["k_v3"])]
+        absent = [*([] if law.quadratic else ["k_v2"]), *([] if OptionalTerm.CUBIC in law.terms else ["k_v3"])]
         if absent:
             held[joint] = absent
     viscous: dict[str, Any] = {
-        "quadratic": {joint: law.quadratic or "even" for joint, law in zip(joints, laws)},
+        "quadratic": {joint: str(law.quadratic or OptionalTerm.EVEN) for joint, law in zip(joints, laws)},
         "held": held,
         "fastest": {joint: float(speed) for joint, speed in zip(joints, fastest) if speed > 0},
     }
-    stribeck: Mapping[str, Any] = structure.get(StribeckFriction.kind, {})
-    chosen: Structure = {
-        **structure,
-        StribeckFriction.kind: {
-            **stribeck,
-            **{name: having(name) for name in ("stribeck", "presliding", "load")},
-        },
-        ViscousFriction.kind: viscous,
-    }
-    if having("spring"):
-        chosen[JointSpring.kind] = {"free": having("spring")}
-    if having("offset"):
-        chosen["torque_offset"] = {"joints": having("offset")}
+    chosen: Structure = {**structure, ViscousFriction.kind: viscous}
+    for term in OptionalTerm:
+        kind, option = term.row.term.kind, term.row.option
+        having = [joint for joint, law in zip(joints, laws) if term in law.terms]
+        # Stribeck friction is at every joint, its options say who has more; other terms are where a joint has them.
+        if option and (having or kind == StribeckFriction.kind):
+            chosen[kind] = {**chosen.get(kind, {}), option: having}
     return chosen

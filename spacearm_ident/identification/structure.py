@@ -19,21 +19,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..arrays import FloatArray
-from ..dynamics.friction import LARGEST_LOAD_SHARE
 from ..dynamics.model import Structure
-from ..estimate.identified import Choice, OptionalTerm
+from ..estimate.identified import Choice
+from ..estimate.optional_terms import POSITION, SPEED, OptionalTerm
 from ..regression.held_out import BEYOND, FEWEST_BLOCKS, LEVEL, bound, gain, t_of_drop
 from .fit import Fit
-from .joint_terms import FLAGS, JointTerms, structure_with
+from .joint_terms import QUADRATIC, JointTerms, column, structure_with
 from .trials import Trials
 
 ROUNDS = 12
-"""Changes in a row at one joint; there are seven terms."""
+"""Changes in a row at one joint; more than there are terms."""
 COVERED_SHARE = 0.25
 """Share of a joint's velocity limit that the data must reach before friction of second or third order in speed is
 considered: a curvature seen below a quarter of the range is hardly distinct from slopes of other terms, and the rest of
@@ -67,49 +66,49 @@ def choose_structure(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
     laws = [JointTerms() for _ in joints]
     trials = Trials(fit)
     offered = [_offered(trials, fit, number, float(speed)) for number, speed in enumerate(fastest)]
-    evidence: dict[tuple[int, str], float] = {}
+    evidence: dict[tuple[int, OptionalTerm], float] = {}
     if trials.blocks >= FEWEST_BLOCKS and trials.folds > 1:
         trials.settle(laws)
         laws = _searched(trials, laws, offered, fastest, evidence)
-        against: dict[tuple[int, str], float] = {}
+        against: dict[tuple[int, OptionalTerm], float] = {}
         reduced = _reduced(trials, _whole(trials, offered), against)
         possible = all(_possible(trials, reduced, joint, fastest) for joint in range(len(joints)))
         if possible and gain(trials.held_out(laws), trials.held_out(reduced)) > 0.0:
             laws, evidence = reduced, against
     choices = tuple(
         Choice(
-            term=f"{name.words} at {joint}",
-            gain=float(evidence.get((number, name), 0.0)),
-            accepted=name in laws[number].terms,
-            kind=name,
+            term=f"{term.row.words} at {joint}",
+            gain=float(evidence.get((number, term), 0.0)),
+            accepted=term in laws[number].terms,
+            kind=term,
             joint=joint,
         )
         for number, joint in enumerate(joints)
-        for name in OptionalTerm
-        if name in laws[number].terms or (number, name) in evidence
+        for term in OptionalTerm
+        if term in laws[number].terms or (number, term) in evidence
     )
     return structure_with(fit.regression.model.structure, joints, laws, fastest.tolist()), choices
 
 
-def _offered(trials: Trials, fit: Fit, joint: int, fastest: float) -> frozenset[str]:
-    """Names of the terms that a joint may get: those that are seen, and whose range the data cover."""
+def _offered(trials: Trials, fit: Fit, joint: int, fastest: float) -> frozenset[OptionalTerm]:
+    """Terms that a joint may get: those that are seen, and whose range the data cover."""
     described, motions = fit.regression.model.arm.joints[joint], fit.regression.motions
     positions = np.concatenate([motion.position[:, joint] for motion in motions])
     turn = 2.0 * np.pi if described.revolute else np.inf
-    unseen: set[str] = set()
+    uncovered: set[str] = set()
     if np.isfinite(described.velocity_limit) and fastest < COVERED_SHARE * described.velocity_limit:
-        unseen |= {"even", "odd", "cubic"}
+        uncovered.add(SPEED)
     if np.ptp(positions) < COVERED_SHARE * min(described.upper - described.lower, turn):
-        unseen |= {"spring"}
-    return trials.seen[joint] - unseen
+        uncovered.add(POSITION)
+    return frozenset(term for term in trials.seen[joint] if term.row.covers not in uncovered)
 
 
 def _searched(
     trials: Trials,
     laws: list[JointTerms],
-    offered: Sequence[frozenset[str]],
+    offered: Sequence[frozenset[OptionalTerm]],
     fastest: FloatArray,
-    evidence: dict[tuple[int, str], float],
+    evidence: dict[tuple[int, OptionalTerm], float],
 ) -> list[JointTerms]:
     """Make the best change at every joint until none is left; `evidence` takes t by joint and term."""
     current = trials.held_out(laws)
@@ -119,8 +118,8 @@ def _searched(
             tried = [_step(trials, laws, current, joint, law) for law in laws[joint].neighbours(offered[joint])]
             for step in tried:
                 changed_terms = step.law.terms ^ laws[joint].terms
-                for name in changed_terms if len(changed_terms) == 1 else ():
-                    evidence[joint, name] = step.t if name in step.law.terms else -step.t
+                for term in changed_terms if len(changed_terms) == 1 else ():
+                    evidence[joint, term] = step.t if term in step.law.terms else -step.t
             steps += [step for step in tried if step.gain > 0.0 and step.t > _needed(laws[joint], step.law, trials)]
         changed: set[int] = set()
         for step in sorted(steps, key=lambda one: -one.gain):
@@ -142,34 +141,35 @@ def _needed(before: JointTerms, after: JointTerms, trials: Trials) -> float:
     Zero where presliding is added: in no joint is friction discontinuous at a reversal. It acts in few blocks, so that
     held-out data need only not contradict it.
     """
-    return 0.0 if after.presliding > before.presliding else bound(LEVEL, trials.blocks)
+    return 0.0 if OptionalTerm.PRESLIDING in after.terms - before.terms else bound(LEVEL, trials.blocks)
 
 
-def _whole(trials: Trials, offered: Sequence[frozenset[str]]) -> list[JointTerms]:
+def _whole(trials: Trials, offered: Sequence[frozenset[OptionalTerm]]) -> list[JointTerms]:
     """Laws with every term that a joint may have, each quadratic one in the form that leaves less beside the others."""
 
-    def law(names: frozenset[str], form: str) -> JointTerms:
-        flags: dict[str, Any] = {name: name in names for name in FLAGS if name != "offset"}
-        return JointTerms(quadratic=form if form in names else "", **flags)
+    def law(terms: frozenset[OptionalTerm], form: OptionalTerm) -> JointTerms:
+        return JointTerms(JointTerms().terms | terms.difference(QUADRATIC) | terms.intersection({form}))
 
-    laws = [law(names, "even") for names in offered]
-    for joint, names in enumerate(offered):
-        odd = _with(laws, joint, law(names, "odd"))
+    laws = [law(terms, OptionalTerm.EVEN) for terms in offered]
+    for joint, terms in enumerate(offered):
+        odd = _with(laws, joint, law(terms, OptionalTerm.ODD))
         if gain(trials.held_out(laws), trials.held_out(odd)) > 0.0:
             laws = odd
     return laws
 
 
-def _reduced(trials: Trials, laws: list[JointTerms], evidence: dict[tuple[int, str], float]) -> list[JointTerms]:
+def _reduced(
+    trials: Trials, laws: list[JointTerms], evidence: dict[tuple[int, OptionalTerm], float]
+) -> list[JointTerms]:
     """Without the terms that do not help beyond chance beside all others; `evidence` takes t by joint and term."""
     for _ in range(ROUNDS):
         current, weakest = trials.held_out(laws), []
         for joint, whole in enumerate(laws):
             for law in whole.simpler():
                 t = t_of_drop(trials.held_out(_with(laws, joint, law))[:, joint], current[:, joint])
-                (name,) = whole.terms - law.terms
-                evidence[joint, name] = t
-                if t <= (-BEYOND if name == "offset" else _needed(law, whole, trials)):
+                (term,) = whole.terms - law.terms
+                evidence[joint, term] = t
+                if t <= (-BEYOND if term is OptionalTerm.OFFSET else _needed(law, whole, trials)):
                     weakest.append((t, joint, law))
         changed: set[int] = set()
         for _, joint, law in sorted(weakest, key=lambda one: one[0]):
@@ -195,12 +195,11 @@ def _possible(trials: Trials, laws: Sequence[JointTerms], joint: int, fastest: F
     """Whether the values that a joint's law takes are physical: f_b above f_c, friction that resists."""
     values = trials.values(laws, joint)
     law, speeds = laws[joint], np.linspace(0.0, float(fastest[joint]), SPEEDS)
-    if law.stribeck and values[f"f_b {law.tag}"] < 0.0:
-        return False
-    if law.load and not 0.0 <= values[f"mu {law.tag}"] <= LARGEST_LOAD_SHARE:
-        return False
-    if law.spring and values["k_1"] < 0.0:
-        return False
+    for term in law.terms:
+        if term.row.possible is not None:
+            lowest, highest = term.row.possible
+            if not lowest <= values[column(term, law.tag)] <= highest:
+                return False
     odd = values[f"f_c {law.tag}"] + values.get("k_v1", 0.0) * speeds + values.get("k_v3", 0.0) * speeds**3
     odd = odd + values.get("k_v2_odd", 0.0) * speeds**2
     even = values.get("k_v2", 0.0) * speeds**2

@@ -9,22 +9,22 @@ solved for, and the squares left in a held-out block are a quadratic form (Golub
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..arrays import FloatArray
-from ..dynamics.friction import StribeckFriction
+from ..dynamics.friction import StribeckFriction, ViscousFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
-from ..dynamics.rigid_body import JointSpring
+from ..estimate.optional_terms import OptionalTerm
 from ..noise.weights import common_correlation
 from ..regression.held_out import folds_of, time_blocks
 from ..regression.prior import Prior, make_prior
 from ..regression.regression import Regression
 from ..solvers.separable import Solution
 from .fit import Fit
-from .joint_terms import JointTerms
+from .joint_terms import JointTerms, column
 
 BLOCKS = 24
 """Most blocks of time: twice as many as a model as a whole is judged by, for what a single term does is confined to low
@@ -36,19 +36,12 @@ RIDGE = 1e-9
 SEEN = 1e-14
 """Information that the data have of a combination of shared parameters, relative to the best known one, below which it
 is rounding."""
-
-
-COLUMN_OF = {
-    "offset": "offset",
-    "stribeck": "f_c v0",
-    "presliding": "f_c 0d",
-    "load": "mu 00",
-    "even": "k_v2",
-    "odd": "k_v2_odd",
-    "cubic": "k_v3",
-    "spring": "k_1",
-}
-"""Optional term -> the column by whose presence it can be chosen."""
+TAGS = ("00", "0d", "v0", "vd")
+"""Shapes of the columns of Stribeck friction, see `JointTerms.tag`."""
+OPTIONAL = frozenset(
+    {f"f_c {tag}" for tag in TAGS} | {column(term, tag) for term in OptionalTerm for tag in TAGS if term.row.symbol}
+)
+"""Names of the columns that not every law has."""
 
 
 @dataclass
@@ -108,7 +101,7 @@ class Trials:
     Attributes:
         blocks: Number of blocks.
         folds: Number of folds that they are held out in.
-        seen: Per joint, names of the optional terms that these data can show.
+        seen: Per joint, the optional terms that these data can show.
     """
 
     def __init__(self, fit: Fit) -> None:
@@ -118,7 +111,7 @@ class Trials:
             fit: Fitted with all terms of the paper's law; its constants shape the columns.
         """
         constants = fit.solution.constants
-        regression = with_optional_terms(fit.regression, fit.solution, {JointSpring.kind: {"free": True}})
+        regression = with_optional_terms(fit.regression, fit.solution, OptionalTerm)
         self._model, self.joints = regression.model, regression.model.arm.joint_names
         prior = make_prior(regression.model, regression.motions)
         # Parameters that have a column which no constant shapes in the rows of several joints.
@@ -137,7 +130,9 @@ class Trials:
             for joint in range(len(self.joints))
         ]
         self.seen = [
-            frozenset(name for name, column in COLUMN_OF.items() if one.rows and column in one.own)
+            frozenset(
+                term for term in OptionalTerm if one.rows and one.own.keys() >= {*JointTerms(frozenset({term})).columns}
+            )
             for one in self._joints
         ]
         self._expected = self._reduce_shared(prior, shared)
@@ -226,22 +221,20 @@ class Trials:
         return np.maximum(left, 0.0)
 
 
-def with_optional_terms(regression: Regression, solution: Solution, beside: Structure) -> Regression:
-    """The regression of a fitted model with the columns of every optional friction term and of an offset.
+def with_optional_terms(regression: Regression, solution: Solution, terms: Iterable[OptionalTerm]) -> Regression:
+    """The regression of a fitted model with the columns of optional terms beside those of the paper's law.
 
     Args:
         regression: Of the fitted model.
         solution: Its parameters and constants, which shape the columns.
-        beside: Further terms of the structure.
+        terms: Which, at all joints; both forms of quadratic friction are always among them.
     """
     fitted = regression.model
-    structure: Structure = {
-        **fitted.structure,
-        "stribeck_friction": {**fitted.structure["stribeck_friction"], "load": True},
-        "viscous_friction": {"quadratic": "both"},
-        "torque_offset": {},
-        **beside,
-    }
+    structure: Structure = {**fitted.structure, ViscousFriction.kind: {"quadratic": "both"}}
+    for term in terms:
+        if term.beyond_law:
+            kind = term.row.term.kind
+            structure[kind] = {**structure.get(kind, {}), term.row.option: True}
     model = TorqueModel(fitted.arm, structure)
     full = Regression(model, regression.motions, regression)
     start = IdentifiedModel(fitted, solution.parameters, solution.constants).carried_to(model).parameters
@@ -277,8 +270,6 @@ def _joint(
             columns |= _friction_columns(regression, term, joint, constants[first : first + count], scale)
         else:
             columns |= {f"{names[n].name}": (column, float(scale[n])) for n, column in zip(found[0], found[1].T)}
-    optional = {name for tag in ("00", "0d", "v0", "vd") for name in (f"f_c {tag}", f"f_b {tag}", f"mu {tag}")}
-    optional |= {"offset", "k_v2", "k_v2_odd", "k_v3", "k_1"}
     residual = fit.residuals[joint]
     size = float(np.sqrt(np.mean(residual**2))) if len(residual) else 1.0
     weight = np.sqrt(fit.regression.rows[joint].trust)[:, None] / max(size, 1e-12)
@@ -291,7 +282,7 @@ def _joint(
     ridge = np.zeros(gram.shape[1])
     for name, (_, width) in columns.items():
         ridge[own[name]] = 1.0 / width**2 if width > 0 else 1e12
-    return _Joint(own, tuple(name for name in columns if name not in optional), gram, rest, ridge, len(rows.torque))
+    return _Joint(own, tuple(name for name in columns if name not in OPTIONAL), gram, rest, ridge, len(rows.torque))
 
 
 def _friction_columns(
@@ -300,7 +291,8 @@ def _friction_columns(
     """Coulomb, static and load columns, with and without what their constants add; f_b is relative to f_c."""
     stribeck, presliding, *rest = (float(value) for value in constants)
     columns: dict[str, tuple[FloatArray, float]] = {}
-    for tag, shape in {"00": (0, 0), "0d": (0, presliding), "v0": (stribeck, 0), "vd": (stribeck, presliding)}.items():
+    for tag in TAGS:
+        shape = stribeck * ("v" in tag), presliding * ("d" in tag)
         if ("v" in tag and stribeck <= 0) or ("d" in tag and presliding <= 0):
             continue
         numbers, shaped = regression.shaped(term, (*shape, *rest))[joint]

@@ -18,7 +18,8 @@ from scipy.linalg import lstsq
 from ..arrays import FloatArray
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import Structure, TorqueModel
-from ..estimate.identified import Choice, OptionalTerm
+from ..estimate.identified import Choice
+from ..estimate.optional_terms import OptionalTerm
 from ..identification.fit import Fit
 from ..identification.trials import with_optional_terms
 from ..regression.prior import make_prior
@@ -29,6 +30,8 @@ RESISTS = "quadratic friction that resists in both directions (qd |qd| instead o
 GATE = 30.0
 """Chi-square an option must gain. Far above the 5 % point of one parameter, 3.8: the whitening is approximate, and
 a column too many costs more on other motions than one too few."""
+OFFERED = tuple(term for term in OptionalTerm if term.beyond_law and term.row.in_base)
+"""What may join joint by joint, besides the paper's law, all of which is in the base."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class _Option:
 
     def judged(self, gain: float, accepted: bool) -> Choice:
         """As a decision with its evidence."""
-        words = f"{self.kind.words} at {self.joint}" if self.joint else RESISTS
+        words = f"{self.kind.row.words} at {self.joint}" if self.joint else RESISTS
         return Choice(words, gain, accepted, self.kind, self.joint)
 
 
@@ -91,13 +94,9 @@ def choose_base(fit: Fit) -> tuple[Structure, tuple[Choice, ...]]:
 
 def _options(model: TorqueModel) -> list[_Option]:
     joints = model.arm.joint_names
-    listed = (
-        (OptionalTerm.LOAD, "mu", "stribeck_friction", "load"),
-        (OptionalTerm.OFFSET, "offset", "torque_offset", "joints"),
-    )
     options = [
-        _Option(kind, joint, frozenset({f"{symbol}[{joint}]"}), frozenset(), _joint_adder(term, option, joint))
-        for kind, symbol, term, option in listed
+        _Option(term, joint, frozenset({f"{term.row.symbol}[{joint}]"}), frozenset(), _joint_adder(term, joint))
+        for term in OFFERED
         for joint in joints
     ]
     even, odd = (frozenset(f"{symbol}[{joint}]" for joint in joints) for symbol in ("k_v2", ViscousFriction.ODD))
@@ -105,8 +104,9 @@ def _options(model: TorqueModel) -> list[_Option]:
     return [*options, _Option(OptionalTerm.ODD, "", odd, even, lambda structure: {**structure, **quadratic})]
 
 
-def _joint_adder(kind: str, option: str, joint: str) -> Callable[[Structure], Structure]:
-    """A change of structure that adds one joint to the list under an option of a term."""
+def _joint_adder(term: OptionalTerm, joint: str) -> Callable[[Structure], Structure]:
+    """A change of structure that adds one joint to those that have a term."""
+    kind, option = term.row.term.kind, term.row.option
 
     def apply(structure: Structure) -> Structure:
         options = structure.get(kind, {})
@@ -117,7 +117,7 @@ def _joint_adder(kind: str, option: str, joint: str) -> Callable[[Structure], St
 
 def _everything(regression: Regression, solution: Solution) -> tuple[TorqueModel, FloatArray, FloatArray]:
     """The model with every option, and its compressed system under the weights and constants of the fitted one."""
-    full = with_optional_terms(regression, solution, {})
+    full = with_optional_terms(regression, solution, OFFERED)
     for rows, known in zip(full.rows, regression.rows):
         rows.set_weight(known.weight)
     matrix, vector = system(full, make_prior(full.model, regression.motions), solution.constants)

@@ -24,7 +24,8 @@ from ..dynamics.arm import Arm
 from ..dynamics.base_link import placed
 from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
-from ..estimate.identified import Choice, OptionalTerm
+from ..estimate.identified import Choice
+from ..estimate.optional_terms import OptionalTerm
 from ..identification.fit import Fit
 from ..identification.identify import Settings, identify
 from ..identification.structure import choose_structure

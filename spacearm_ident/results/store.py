@@ -31,11 +31,11 @@ from ..estimate.identified import (
     JointValidation,
     LackOfFit,
     Move,
-    OptionalTerm,
     Spectrum,
     Trace,
     Validation,
 )
+from ..estimate.optional_terms import OptionalTerm
 from ..signals.bandwidth import Bandwidth
 from .recorded_runs import RecordedRun
 
@@ -204,7 +204,8 @@ def _as_json(value: Any) -> Any:
 
 def _choice(item: dict[str, Any]) -> Choice:
     """A decision about the structure; results of before November 2026 do not say of which term and joint."""
-    kind = OptionalTerm(item["kind"]) if item.get("kind") else None
+    # mypy takes the look-up of a member for a new one.
+    kind = OptionalTerm(item["kind"]) if item.get("kind") else None  # type: ignore[call-arg]
     return Choice(item["term"], float(item["gain"]), item["accepted"], kind, item.get("joint", ""))
 
 
