@@ -25,7 +25,7 @@ from spacearm_ident.mismatch.finding import (
     Unexplained,
     unfit,
 )
-from spacearm_ident.report.mismatch_figures import TIME, signals, view_of
+from spacearm_ident.report.mismatch_figures import OVER, TIME, signals, view_of
 from spacearm_ident.report.mismatch_html import mismatch_html, typeset
 
 CYCLES = 24.0
@@ -225,6 +225,20 @@ def test_a_finding_is_drawn_over_what_it_depends_on() -> None:
     plain = signals((noise,))
     assert plain is not None
     assert view_of(finding("unknown", parameters={}), 0, plain).signal == TIME
+
+
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_an_effect_is_drawn_over_dependences_that_a_figure_has(kind) -> None:
+    assert set(EFFECTS[kind].shown_over or ()) <= set(OVER)
+
+
+def test_an_effect_of_one_quantity_is_drawn_over_that_alone() -> None:
+    drawn = signals((trace(),))
+    assert drawn is not None
+    of_position = view_of(finding("position_friction", JOINTS[1], parameters={}), 1, drawn)
+    assert (of_position.signal, of_position.along) == ("position", True)
+    assert view_of(finding("friction_drift", JOINTS[1], parameters={}), 1, drawn).signal != "position"
+    assert view_of(finding("time_delay", JOINTS[1], parameters={}), 1, drawn).signal == TIME
 
 
 def test_lines_break_between_recordings() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -124,11 +125,8 @@ def test_a_range_that_is_too_small_is_left_with_words_on_console_page_and_in_the
 
 def test_a_file_is_written_where_it_is_the_experiment_that_the_words_name_and_nowhere_else():
     for kind, effect in EFFECTS.items():
-        assert (
-            (f"--for {EXPERIMENT_OF[kind]})" in effect.experiment)
-            if kind in EXPERIMENT_OF
-            else ("--for" not in effect.experiment)
-        )
+        named = re.findall(r"--for (\w*)", effect.experiment)
+        assert named == [EXPERIMENT_OF[one] for one in (kind,) if one in EXPERIMENT_OF], f"no purpose: {named}"
     same = explanation(finding("torque_constant", close=["payload"]))
     assert same.next_experiment.startswith("the same motion")
     assert next_run(same, ARM, HEALTHY) is None

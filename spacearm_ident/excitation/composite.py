@@ -21,6 +21,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
+from ..dynamics.effects import EFFECTS
 from ..errors import UserError
 from .constraints import Requirements, allowed_torque, check, model_torque, require
 from .nominal import nominal_model
@@ -58,20 +59,12 @@ PURPOSES = {
 }
 """Purpose -> its motion, with the spectrum, in words."""
 
-_SHOWS = {
-    "temperature": ("friction_drift", "temperature_friction"),
-    "ripple": (
-        *("load_friction", "gear_efficiency", "position_friction", "torque_ripple"),
-        *("encoder_eccentricity", "harness_spring", "wrist_coupling"),
-    ),
-    "presliding": ("presliding_hysteresis",),
-    "stribeck": ("stribeck",),
-    "elasticity": (
-        *("joint_elasticity", "link_flexibility", "rotor_coupling", "floating_base"),
-        *("time_delay", "filter_lag"),
-    ),
+EXPERIMENT_OF = {
+    kind: purpose
+    for kind, effect in EFFECTS.items()
+    for purpose in PURPOSES
+    if f"--for {purpose})" in effect.experiment
 }
-EXPERIMENT_OF = {effect: purpose for purpose, effects in _SHOWS.items() for effect in effects}
 """Effect -> purpose of the composite run that its `Effect.experiment` asks for; the other effects ask for none."""
 
 LEAST_RANGE = 2 * max(AMPLITUDES_RAD)

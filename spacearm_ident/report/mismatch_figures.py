@@ -7,7 +7,7 @@ of the residual varied most and no longer does. Where none stands out, over time
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
+from ..dynamics.effects import EFFECTS
 from ..mismatch.finding import Explanation, Finding, Trace
 from .figures import cloud, joined, name_axes, short
 from .plotting import CLOUD_MOVING, COLOUR, gapped_line, grid, stacked, thinned, to_svg
@@ -37,27 +38,11 @@ MOST_LABELS, LONGEST_LABEL = 3, 24
 LINE_POINTS = 900
 
 POSITION, VELOCITY, ACCELERATION, TIME = "position", "velocity", "acceleration", "time"
-EVERYTHING = (
-    *((POSITION, False), (VELOCITY, False), (ACCELERATION, False)),
-    *((POSITION, True), (VELOCITY, True), (TIME, True)),
-)
-_POSE, _SPEED = ((POSITION, False),), ((VELOCITY, False),)
-_LOAD = ((POSITION, True), (POSITION, False))
-SHOWN_OVER: dict[str, tuple[tuple[str, bool], ...]] = {
-    **dict.fromkeys(("torque_ripple", "harness_spring", "base_tilt", "payload", "link_mass"), _POSE),
-    **dict.fromkeys(("encoder_eccentricity", "encoder_zero", "motor_saturation", "torque_constant"), _POSE),
-    **dict.fromkeys(("friction_drift", "stribeck", "asymmetric_friction", "vacuum_friction", "wrist_coupling"), _SPEED),
-    **dict.fromkeys(("load_friction", "gear_efficiency"), _LOAD),
-    **dict.fromkeys(("presliding_hysteresis", "current_offset"), _SPEED),
-    "position_friction": ((POSITION, True),),
-    "temperature_friction": ((TIME, True),),
-    "rotor_coupling": ((ACCELERATION, False),),
-    **dict.fromkeys(("external_contact", "time_delay", "filter_lag"), ()),
+OVER = {
+    **{signal: (signal, False) for signal in (POSITION, VELOCITY, ACCELERATION)},
+    **{f"friction_{signal}": (signal, True) for signal in (POSITION, VELOCITY, TIME)},
 }
-"""Effect -> (signal, whether the residual is taken in the direction of motion); everything for any other effect."""
-
-BODILY = frozenset({"payload", "link_mass", "base_tilt", "floating_base", "base_flexibility", "external_contact"})
-"""Effects that move the torque of every joint, wherever they sit."""
+"""Dependence, as in `Effect.shown_over` -> (signal, whether the residual is taken in the direction of motion)."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +184,7 @@ def dependence(finding: Finding, arm: Arm, of: Signals, floor: FloatArray) -> tu
 
 def _strongest(finding: Finding, names: Sequence[str], of: Signals) -> list[int]:
     """Rows of the joints to draw: those where most went away, among all for what moves the torque of all."""
-    if finding.effect in BODILY or not finding.joints:
+    if not finding.joints or (finding.effect in EFFECTS and EFFECTS[finding.effect].bodily):
         before, after = (np.where(np.isfinite(y), y, 0.0) for y in (of.before, of.after))
         taken = dict(zip(names, np.sum(before**2 - after**2, axis=0)))
     else:
@@ -225,13 +210,13 @@ def view_of(finding: Finding, row: int, of: Signals) -> View:
         The view that explains most of the residual's variance; over time where none is clear, and of an event.
     """
     cycles = finding.parameters.get("cycles")
-    if finding.effect == "torque_ripple" and cycles is not None and np.isfinite(cycles.value) and cycles.value > 0:
+    if cycles is not None and np.isfinite(cycles.value) and cycles.value > 0:
         return View(POSITION, row, cycles=cycles.value)
     best, most = View(TIME, row), CLEAR
-    choices = () if finding.event else SHOWN_OVER.get(finding.effect, EVERYTHING)
+    choices = () if finding.event else _dependences(finding.effect)
     for driver in (row, *(k for k in range(of.before.shape[1]) if k != row)):
         margin = 0.0 if driver == row or best.signal == TIME else PREFERRED
-        for signal, along in choices:
+        for signal, along in (OVER[name] for name in choices):
             if signal == TIME and driver != row:
                 continue
             view = View(signal, driver, along)
@@ -239,6 +224,14 @@ def view_of(finding: Finding, row: int, of: Signals) -> View:
             if share > most + margin:
                 best, most = view, share
     return best
+
+
+def _dependences(effect: str) -> Iterable[str]:
+    """Names in `OVER` of what an effect's residual may be drawn over; all for what is no effect of the catalogue."""
+    known = EFFECTS.get(effect)
+    if known is None or (known.shown_over is None and known.follows not in OVER):
+        return OVER
+    return (known.follows,) if known.shown_over is None else known.shown_over
 
 
 def _shown_by(view: View, row: int, of: Signals) -> float:

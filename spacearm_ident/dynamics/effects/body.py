@@ -29,6 +29,8 @@ class Payload(Effect):
     """A body fixed to a link, the last one as a rule: mass and first moment, and inertia in the fuller form."""
 
     kind: ClassVar[str] = "payload"
+    shown_over = ("position",)
+    bodily: ClassVar[bool] = True
     words: ClassVar[str] = "an unknown payload"
     equation: ClassVar[str] = "Y_k [m, m c]"
     source: ClassVar[str] = "Khalil, Gautier and Lemoine 2007"
@@ -162,6 +164,8 @@ class BaseTilt(Effect):
     """Gravity does not come from where the model has it."""
 
     kind: ClassVar[str] = "base_tilt"
+    shown_over = ("position",)
+    bodily: ClassVar[bool] = True
     words: ClassVar[str] = "the base is tilted"
     equation: ClassVar[str] = "G(q; tilt x g)"
     source: ClassVar[str] = "gravity as a prior, paper §2.2.2"
@@ -223,6 +227,7 @@ class FloatingBase(Effect):
     """
 
     kind: ClassVar[str] = "floating_base"
+    bodily: ClassVar[bool] = True
     words: ClassVar[str] = "the base floats and reacts"
     equation: ClassVar[str] = "-M_mb M_bb^-1 (M_bm qdd + c_b)"
     source: ClassVar[str] = "Umetani and Yoshida 1989"
@@ -337,6 +342,8 @@ class ExternalContact(Effect):
     """Something pushed a link for a while, at one point of it, in one direction of the base frame."""
 
     kind: ClassVar[str] = "external_contact"
+    shown_over = ()
+    bodily: ClassVar[bool] = True
     one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "something touched the arm for a while"
     equation: ClassVar[str] = "J(q, p)^T F between t_0 and t_1, with soft edges"

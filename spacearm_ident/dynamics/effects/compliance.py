@@ -374,6 +374,7 @@ class BaseFlexibility(Compliance):
     """The arm stands on something soft."""
 
     kind: ClassVar[str] = "base_flexibility"
+    bodily: ClassVar[bool] = True
     words: ClassVar[str] = "the base rocks"
     equation: ClassVar[str] = "-(M d'' + C d' + G d) about a horizontal axis at the base, or about both alike"
     source: ClassVar[str] = "lumped first mode of the mounting"

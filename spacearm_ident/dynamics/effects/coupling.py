@@ -32,6 +32,7 @@ class RotorCoupling(Effect):
     """
 
     kind: ClassVar[str] = "rotor_coupling"
+    shown_over = ("acceleration",)
     words: ClassVar[str] = "the spinning rotor couples joints"
     equation: ClassVar[str] = "J (z_i . z_j) qdd_j at joint i, and i, j exchanged; J qdd_j by bevel gears"
     source: ClassVar[str] = "Murphy, Wen and Saridis 1991"
@@ -101,6 +102,7 @@ class WristCoupling(Effect):
     """
 
     kind: ClassVar[str] = "wrist_coupling"
+    shown_over = ("velocity",)
     words: ClassVar[str] = "a joint feels its neighbour's motion through the gears"
     equation: ClassVar[str] = (
         "[f sgn + k] (q_d,other) at the joint; or the same of the sum of both, at both, "

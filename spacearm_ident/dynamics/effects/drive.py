@@ -28,6 +28,7 @@ class TorqueConstant(Effect):
     """A torque constant that is not what the drive file says: all of a joint's torque is off by a factor."""
 
     kind: ClassVar[str] = "torque_constant"
+    shown_over = ("position",)
     words: ClassVar[str] = "the torque constant is off"
     equation: ClassVar[str] = "e tau (with temperature: e tau (T - T_0))"
     source: ClassVar[str] = "demagnetisation, calibration; Gautier and Briot 2014"
@@ -88,6 +89,7 @@ class MotorSaturation(Effect):
     """Torque grows less than current where the iron saturates: the recorded torque is too large at high load."""
 
     kind: ClassVar[str] = "motor_saturation"
+    shown_over = ("position",)
     one_form: ClassVar[bool] = True
     words: ClassVar[str] = "the motor saturates: more current than torque at high load"
     equation: ClassVar[str] = "s tau^3 (deep in saturation: + s_5 tau^5)"
@@ -121,6 +123,7 @@ class CurrentOffset(Effect):
     """The current sensor's zero is off."""
 
     kind: ClassVar[str] = "current_offset"
+    shown_over = ("velocity",)
     exact: ClassVar[bool] = True
     words: ClassVar[str] = "constant offset of the current sensor"
     equation: ClassVar[str] = "offset"
@@ -144,6 +147,7 @@ class _Late(Effect):
     """The recorded torque is later than the motion it belongs to."""
 
     of_all: ClassVar[bool] = True
+    shown_over = ()
 
     def late(self, torque: np.ndarray, samples: float) -> np.ndarray:
         """The torque (N, k) after a lag of so many samples."""

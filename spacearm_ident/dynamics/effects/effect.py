@@ -30,7 +30,8 @@ class Effect(Term):
     """One effect at one place.
 
     Subclasses set `kind` (its name in the contract), `words`, `equation`, `source`, `experiment` (what tells it from
-    others), and implement `at` (the effect at one place) and `columns`.
+    others; ends in `--for PURPOSE)` where `spacearm excite` makes that run), and implement `at` (the effect at one
+    place) and `columns`.
     In a model's structure the options are `{"at": [place, ...]}`, one a term.
     """
 
@@ -67,6 +68,11 @@ class Effect(Term):
     follows: ClassVar[str] = ""
     """What it is a function of at its joint, if of one thing alone: `velocity`, `position`, or `friction_position`,
     which is position times the direction of motion."""
+    shown_over: ClassVar[tuple[str, ...] | None] = None
+    """What its figure may draw the residual over (`report.mismatch_figures.OVER`); empty: time alone; None: what it
+    `follows`, or whatever shows it best."""
+    bodily: ClassVar[bool] = False
+    """Whether it moves the torque of every joint, wherever it sits."""
     depends = True
     """Effects act on what the rest of the model says."""
     place: Options = ()  # type: ignore[assignment]

@@ -123,6 +123,7 @@ class TemperatureFriction(_Friction):
     """Friction follows the joint's temperature."""
 
     kind: ClassVar[str] = "temperature_friction"
+    shown_over = ("friction_time",)
     one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "friction follows temperature"
     equation: ClassVar[str] = "[alpha_c sgn(qd) + alpha_v qd] (T - T_0)"
@@ -157,6 +158,7 @@ class LoadFriction(_Friction):
     """Friction that grows with the load on the gear: on its output, or (`side: motor`) on its input, with friction."""
 
     kind: ClassVar[str] = "load_friction"
+    shown_over = ("friction_position", "position")
     words: ClassVar[str] = "friction grows with the load on the gear"
     equation: ClassVar[str] = "mu |tau_load| sgn(qd); by the input: tau_load = load + all friction, this one included"
     source: ClassVar[str] = "Hamon, Gautier and Garrec 2010"
@@ -199,6 +201,7 @@ class GearEfficiency(_Friction):
     """A gear that loses a share of what it transmits, another driving than driven."""
 
     kind: ClassVar[str] = "gear_efficiency"
+    shown_over = ("friction_position", "position")
     words: ClassVar[str] = "the gear loses a share of the power it transmits"
     equation: ClassVar[str] = "tau_load (1/eta - 1) driving, tau_load (eta - 1) driven"
     source: ClassVar[str] = "Chevallereau and Khalil 1987"
@@ -232,6 +235,7 @@ class PreslidingHysteresis(_Friction):
     """After a reversal friction builds up over a distance, not at once."""
 
     kind: ClassVar[str] = "presliding_hysteresis"
+    shown_over = ("velocity",)
     words: ClassVar[str] = "friction builds up over a distance after each reversal"
     equation: ClassVar[str] = "f (z - sgn(qd)), dz/ds = (sgn(qd) - z)/d_s"
     source: ClassVar[str] = "Dahl 1968; Canudas de Wit et al. 1995"
@@ -391,6 +395,7 @@ class VacuumFriction(_Friction):
     """In vacuum the terms of higher order vanish, at every joint at once."""
 
     kind: ClassVar[str] = "vacuum_friction"
+    shown_over = ("velocity",)
     one_cause: ClassVar[bool] = True
     words: ClassVar[str] = "the high-order terms of friction are gone"
     imitated_by: ClassVar[str] = FrictionDrift.kind

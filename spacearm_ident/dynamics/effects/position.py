@@ -160,6 +160,7 @@ class EncoderEccentricity(Effect):
     """An encoder off its centre reads a position that is wrong by a sine of itself."""
 
     kind: ClassVar[str] = "encoder_eccentricity"
+    shown_over = ("position",)
     words: ClassVar[str] = "the encoder is off its centre: its reading errs once a turn"
     equation: ClassVar[str] = "q_read = q + a sin(n q) + b cos(n q), through inertia, gravity and viscosity"
     source: ClassVar[str] = "encoder data sheets"
@@ -216,6 +217,7 @@ class EncoderZero(Effect):
     """The zero of an encoder is elsewhere than it was: it slipped, or was set anew."""
 
     kind: ClassVar[str] = "encoder_zero"
+    shown_over = ("position",)
     words: ClassVar[str] = "the encoder's zero has moved"
     equation: ClassVar[str] = "q_read = q + e, through inertia and gravity"
     source: ClassVar[str] = "the model's gradient by position"
