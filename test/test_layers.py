@@ -19,6 +19,7 @@ from spacearm_ident.dynamics.model import TorqueModel
 from spacearm_ident.dynamics.model_file import save_model
 from spacearm_ident.dynamics.regressor import INERTIAL_SYMBOLS
 from spacearm_ident.errors import UserError
+from spacearm_ident.estimate.optional_terms import OptionalTerm
 from spacearm_ident.layers.compare import compare
 from spacearm_ident.layers.comparison import Comparison
 from spacearm_ident.layers.conventions import Wired, find_wiring
@@ -28,7 +29,7 @@ from spacearm_ident.layers.item import Item
 from spacearm_ident.layers.joint_fit import JointFit, in_newton_metres
 from spacearm_ident.layers.linear import Linear
 from spacearm_ident.layers.parameters import Change, changes, combinations
-from spacearm_ident.layers.physics import optional_terms, with_friction_terms
+from spacearm_ident.layers.physics import OPTIONAL, optional_terms, with_friction_terms
 from spacearm_ident.layers.wiring import Wiring
 from spacearm_ident.mismatch.finding import NO_MISMATCH, Finding
 from spacearm_ident.mismatch.noise import model_error_share
@@ -467,6 +468,13 @@ def test_stribeck_friction_that_the_search_named_is_in_the_model_once(simulation
     assert speeds["v_b[elbow]"] == 0.0
     assert whole.value("k_v2", "shoulder") == 1.5
     assert whole.value("k_v2", "elbow") == 0.0
+
+
+def test_every_optional_term_of_identify_may_be_missing_from_a_simulation_or_is_left_out_for_a_reason() -> None:
+    absent = {term for term in OptionalTerm if term.row.symbol not in {one.symbol for one in OPTIONAL}}
+    # The other form of k_v2; what acts beside reversals, where no row counts; what the search for effects finds.
+    reasons = {OptionalTerm.ODD, OptionalTerm.PRESLIDING, OptionalTerm.SPRING}
+    assert absent == reasons, "a term that identify may choose has no line in layers.physics.OPTIONAL, and is dropped"
 
 
 def test_stribeck_velocity_is_fitted_with_the_friction_beside_it(simulation: Simulation) -> None:

@@ -21,6 +21,7 @@ from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import IdentifiedModel, Structure, TorqueModel
 from ..dynamics.term import Parameter
 from ..estimate.identified import Choice
+from ..estimate.optional_terms import OptionalTerm
 from ..identification.fit import Fit
 from ..mismatch.explain import explain
 from ..mismatch.finding import Explanation, Finding
@@ -60,7 +61,8 @@ OPTIONAL = (
     Optional("k_v2", "viscous_second_order", "quadratic friction", frozenset({"asymmetric_friction", "stribeck"})),
     Optional("k_v3", "viscous_third_order", "cubic friction", frozenset({"motor_saturation", "stribeck"})),
 )
-"""Presliding is not among them: rows beside a reversal do not count in the joint fit."""
+"""Presliding is not among them: rows beside a reversal do not count in the joint fit. Nor is a spring, which the search
+for effects finds."""
 
 
 @dataclass(frozen=True)
@@ -174,27 +176,26 @@ def with_friction_terms(
         return not any((effect, joint) in taken for effect in (term.effect, *term.rivals))
 
     by_symbol = {term.symbol: term for term in OPTIONAL}
-    stribeck, viscous = chosen["stribeck_friction"], dict(chosen["viscous_friction"])
+    viscous = dict(chosen["viscous_friction"])
     joints = extended.model.arm.joint_names
     held = {joint: list(symbols) for joint, symbols in viscous.get("held", {}).items()}
     for joint in joints:
         for symbol in ("k_v2", "k_v3"):
             if not free(by_symbol[symbol], joint) and symbol not in held.setdefault(joint, []):
                 held[joint].append(symbol)
-    offsets = [joint for joint in chosen.get("torque_offset", {}).get("joints", ()) if free(by_symbol["offset"], joint)]
     structure: Structure = {
         **extended.model.structure,
-        "stribeck_friction": {
-            "presliding": False,
-            "stribeck": [j for j in stribeck.get("stribeck", ()) if free(by_symbol["f_b"], j)],
-            "load": [j for j in stribeck.get("load", ()) if free(by_symbol["mu"], j)],
-        },
+        "stribeck_friction": {"presliding": False},
         "viscous_friction": {**viscous, "held": {joint: symbols for joint, symbols in held.items() if symbols}},
     }
-    if offsets or "torque_offset" in base:
-        structure["torque_offset"] = {
-            "joints": [*dict.fromkeys([*offsets, *base.get("torque_offset", {}).get("joints", ())])]
-        }
+    for term in OptionalTerm:
+        kind, option = term.row.term.kind, term.row.option
+        if not option or term.row.symbol not in by_symbol:
+            continue
+        having = [j for j in chosen.get(kind, {}).get(option, ()) if free(by_symbol[term.row.symbol], j)]
+        if having or kind in base:
+            having += base.get(kind, {}).get(option) or ()
+            structure[kind] = {**structure.get(kind, {}), option: [*dict.fromkeys(having)]}
     model = TorqueModel(extended.model.arm, structure)
     values = _starting_values(model, extended, identified)
     terms = model.terms
