@@ -227,6 +227,23 @@ def test_friction_that_rises_at_most_joints_is_said_to_have_one_cause(elbow, sai
     assert {finding.joints for finding in answer.findings} == {("shoulder",), ("elbow",)}
     alike = [reason for reason in answer.reasons if "one cause of all" in reason]
     assert len(alike) == bool(said) and all(said in reason for reason in alike)
+    assert all("record the joints' temperatures" in reason for reason in alike)
+
+
+def test_friction_that_rises_at_most_joints_is_said_beside_the_temperatures_that_are_known():
+    def cold(planted):
+        return np.sign(planted.qd) * [0.5 * LAWS[0].f_c, 0.4 * LAWS[1].f_c]
+
+    def at(celsius, recording):
+        time = recording.time[::100]
+        warmth = zip(recording.joints, celsius)
+        return replace(recording, temperatures={name: Series(time, np.full(len(time), c)) for name, c in warmth})
+
+    field = [at((0.0, 4.5), run(seed, cold)) for seed in (2, 3)]
+    runs = RunSet(field[:1], [at((20.0, 20.0), HEALTHY)], field[1:])
+    answer = explain(ARM, runs, (*SLOW_ONES, "temperature_friction"))
+    (alike,) = [reason for reason in answer.reasons if "one cause of all" in reason]
+    assert "-20.0 to -15.5 K from the reference's temperature" in alike and "record" not in alike
 
 
 def test_a_coarse_encoder_hides_no_more_than_its_noise_does():

@@ -1,4 +1,7 @@
-"""`choose`: which of the candidates that no criterion rejects is accepted."""
+"""`choose`: which of the candidates that no criterion rejects is accepted.
+
+`outdone`: whether effects of one joint each explain more than one of all of them.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,8 @@ def choose(ranked: Sequence[Scored], current: CurrentModel) -> Scored | None:
     named = [s for s in above if s.named]
     generic = next((s for s in above if not s.named), None)
     if named:
-        first = _joint_by_joint(simplest(named), named, current)
+        first = simplest(named)
+        first = outdone(first, named, current) or first
         named = [first, *(s for s in named if s is not first)]
     if generic is None or not named:
         return named[0] if named else generic
@@ -70,17 +74,23 @@ def _plainness(scored: Scored) -> tuple[int, int]:
     return freedom(scored.candidate.effect), scored.candidate.effect.rarity
 
 
-def _joint_by_joint(first: Scored, named: Sequence[Scored], current: CurrentModel) -> Scored:
-    """The first, or what explains as much of its joints one by one: the best of these then.
+def outdone(scored: Scored, ranked: Sequence[Scored], current: CurrentModel) -> Scored | None:
+    """The best of what explains the joints of an effect one by one, where together that explains more; else None.
 
     An effect of several joints is ranked beside effects of one, which explain less of the whole.
+
+    Args:
+        scored: The effect; `imitated_by` is the kind that is compared with it.
+        ranked: Candidates of the same round, best first.
+        current: What they are beside.
     """
-    effect = first.candidate.effect
+    effect = scored.candidate.effect
     if not effect.imitated_by or len(effect.joints) < 2:
-        return first
+        return None
     best: dict[tuple[str, ...], Scored] = {}
-    for one in named:
-        if one.candidate.effect.kind == effect.imitated_by and set(one.joints) <= set(effect.joints):
+    for one in ranked:
+        alike = one.candidate.effect.kind == effect.imitated_by and set(one.joints) <= set(effect.joints)
+        if alike and one.plausible and one.score > current.gate:
             best.setdefault(one.candidate.effect.joints, one)
     alone = [one.candidate for one in best.values()]
     before, all_of_them = refit(current.accepted), [*current.accepted, *alone]
@@ -88,4 +98,4 @@ def _joint_by_joint(first: Scored, named: Sequence[Scored], current: CurrentMode
     score = after.gain - before.gain - sum(penalty(one.effect, current.evidence.rows) for one in alone)
     score += current.squares_on_held_out(current.accepted, before.values)
     score -= current.squares_on_held_out(all_of_them, after.values)
-    return max(best.values(), key=lambda one: one.score) if best and score > first.score else first
+    return max(best.values(), key=lambda one: one.score) if best and score > scored.score else None

@@ -19,7 +19,7 @@ from ..dynamics.effects.effect import Effect
 from ..forks import each
 from .already_there import was_there_before, with_shared
 from .candidate import Candidate, Refit, refit, with_own
-from .choice import choose, simplest
+from .choice import choose, outdone, simplest
 from .current_model import CurrentModel
 from .evidence import Evidence
 from .finding import Happened
@@ -119,6 +119,8 @@ class Competition:
             rejects = [is_rejected(scored, current) for scored in ranked]
             rejected = [scored for scored, bad in zip(ranked, rejects) if bad]
             sound = [scored for scored, bad in zip(ranked, rejects) if not bad]
+            # One of several joints has a large score because it has several.
+            rejected = [scored for scored in rejected if outdone(scored, sound, current) is None]
             sound = [s for s in sound if not is_dominated(s, rejected, current.acts_on(s.candidate))]
             winner = choose(sound, current)
             if winner is None:

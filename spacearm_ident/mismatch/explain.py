@@ -175,7 +175,7 @@ def _answer(prepared: Prepared, competition: Competition, outcome: Outcome, is_f
             *((LEVEL_UNKNOWN,) if prepared.modelled and prepared.own is None else ()),
             *_not_judged(competition.happened, len({motion.source for motion in evidence.field.motions})),
             *(() if findings else _moments(joints, rms_after, healthy)),
-            *_in_common(findings, joints),
+            *_in_common(findings, joints, _warmer(evidence)),
         ),
         model=extended_model(evidence, accepted, outcome.refit.values, is_finding) if accepted else None,
         traces=residuals.traces(before, added),
@@ -312,17 +312,40 @@ def _moments(joints: Sequence[str], after: FloatArray, healthy: Healthy) -> tupl
     )
 
 
-def _in_common(findings: Sequence[Finding], joints: Sequence[str]) -> tuple[str, ...]:
-    """What lasting changes of friction at most joints have in common, where all are of one sign."""
+def _warmer(evidence: Evidence) -> FloatArray | None:
+    """(n,) by how much the joints are warmer in the field than in the reference, K; None where not all is recorded."""
+    if evidence.reference is None or not (evidence.field.temperatures_known and evidence.reference.temperatures_known):
+        return None
+    means = [
+        np.mean(np.concatenate([motion.temperature for motion in scene.motions]), axis=0)
+        for scene in (evidence.field, evidence.reference)
+    ]
+    return np.asarray(means[0] - means[1])
+
+
+def _in_common(findings: Sequence[Finding], joints: Sequence[str], warmer: FloatArray | None) -> tuple[str, ...]:
+    """What lasting changes of friction at most joints have in common, where all are of one sign.
+
+    Args:
+        findings: All of them.
+        joints: Names of the arm's n joints.
+        warmer: (n,) K, as `_warmer` has it.
+    """
     drifts = [finding for finding in findings if finding.effect == FrictionDrift.kind and not finding.event]
     rises = {value.value > 0.0 for finding in drifts for value in finding.parameters.values()}
     where = {joint for finding in drifts for joint in finding.joints}
     if len(where) < 2 or 2 * len(where) <= len(joints) or len(rises) != 1:
         return ()
     level = "higher" if rises == {True} else "lower"
-    return (
+    alike = (
         f"friction is {level} at {len(where)} of {len(joints)} joints: one cause of all, such as their temperature, "
-        "is more likely than one at each; record the joints' temperatures",
+    )
+    if warmer is None:
+        return (alike + "is more likely than one at each; record the joints' temperatures",)
+    apart = [kelvin for joint, kelvin in zip(joints, warmer) if joint in where]
+    return (
+        alike + f"is more likely than one at each; they were {min(apart):+.1f} to {max(apart):+.1f} K from the "
+        "reference's temperature",
     )
 
 

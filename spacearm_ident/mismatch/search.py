@@ -55,6 +55,7 @@ class Search:
             for one, count in ((named, REFINED), (generic, RIVALS))
             for candidate in self._shortlisted(one, count, beside, held_out_before)
         ]
+        shortlist += _imitators(shortlist, named)
         refined = self._all_searched(refine, shortlist, beside)
         scored = [current.scored(candidate, beside, held_out_before) for candidate in refined]
         largest = max((s.score for s in scored), default=0.0)
@@ -211,6 +212,26 @@ class Search:
             if np.isfinite(gains[k]) and self._current.is_plausible(grid[k], values[k]):
                 return float(gains[k] - beside.gain), k, inner
         return -np.inf, len(grid) - 1, inner
+
+
+def _imitators(shortlist: Sequence[Candidate], named: Sequence[tuple[float, Candidate]]) -> list[Candidate]:
+    """Of what imitates an effect of several joints on the shortlist, the best at each that is not there.
+
+    The choice compares them all together with it; one alone may explain little of the whole.
+
+    Args:
+        shortlist: Candidates.
+        named: Drop in chi-square less penalty, and candidate, of the named effects; the best first.
+    """
+    imitated = [one.effect for one in shortlist if one.effect.imitated_by]
+    wanted = {(effect.imitated_by, (joint,)) for effect in imitated for joint in effect.joints}
+    best: dict[object, Candidate] = {}
+    for gain, candidate in named:
+        where = candidate.effect.kind, candidate.effect.joints
+        if where in wanted and np.isfinite(gain):
+            best.setdefault(where, candidate)
+    there = {id(one) for one in shortlist}
+    return [candidate for candidate in best.values() if id(candidate) not in there]
 
 
 def _competitors(evidence: Evidence, excluded: Sequence[str]) -> Iterator[Effect]:
