@@ -446,6 +446,19 @@ class TestTemperature:
         phase = np.arange(len(motion.position)) / 200.0
         np.testing.assert_allclose(motion.temperature[:, 0], 20 + (phase + 15.0) / 10, atol=1e-9)
 
+    @pytest.mark.parametrize("rate", [200.0, 200.03])
+    def test_of_averaged_periods_is_not_a_number_where_a_joint_reports_none(self, rate):
+        """The second rate makes a period no whole number of samples: a spline brings it to one."""
+        time = even(rate, 40.0)
+        bag = recording_of(time, multisine(time, 2, 3)[0], temperatures=self.temperatures(time))
+        both, one = (
+            prepare([replace(bag, temperatures=told)], JOINTS)[0][0]
+            for told in (bag.temperatures, {"one": bag.temperatures["one"]})
+        )
+        assert both.periods == one.periods > 1
+        np.testing.assert_array_equal(one.temperature[:, 0], both.temperature[:, 0])
+        assert np.isnan(one.temperature[:, 1]).all()
+
     def test_is_not_a_number_where_a_joint_reports_none(self):
         time = even(200.0, 20.0)
         bag = recording_of(time, incommensurate(time, 2, 1)[0], temperatures=self.temperatures(time))

@@ -102,27 +102,28 @@ def test_what_cannot_be_used_is_counted_and_spoils_nothing():
         assert abs(values(spoilt)[name][0] - value) < 0.1 * error
 
 
-def test_temperatures_count_once_all_joints_have_told_theirs():
+def test_the_temperature_of_a_joint_counts_once_it_has_told_it():
     payloads = small_arm.payloads(small_arm.recording(40.0))
     stream = TrackingStream(small_arm.identified(), TrackingChoice(temperature=True))
 
-    def told() -> float:
-        item = next(item for item in stream.state().parameters if item.name == "alpha_c[shoulder]")
+    def told(joint: str) -> float:
+        item = next(item for item in stream.state().parameters if item.name == f"alpha_c[{joint}]")
         return item.standard_error
 
     def warm(joint: str, celsius: float) -> bytes:
         return cdr.encode_temperature(0, joint, celsius)
 
     feed(stream, payloads[:2000])
-    unknown = told()
+    unknown = {joint: told(joint) for joint in ("shoulder", "elbow")}
     broken = [b"", b"\x00\x01\x00\x00junk", warm("knee", 30.0), warm("elbow", float("nan")), warm("shoulder", 50.0)]
     assert stream.add(payloads[2000:2400], broken) == []
     feed(stream, payloads[2400:4000])
-    assert told() == pytest.approx(unknown, rel=1e-9) and stream.figures()["temperatures"] == "1 of 2"
+    assert told("elbow") == pytest.approx(unknown["elbow"], rel=1e-9) and stream.figures()["temperatures"] == "1 of 2"
+    assert told("shoulder") < 0.9 * unknown["shoulder"]
     stream.add(payloads[4000:4400], [warm("elbow", 35.0)])
     feed(stream, payloads[4400:])
     assert stream.figures()["temperatures"] == "2 of 2"
-    assert told() < 0.9 * unknown
+    assert told("elbow") < 0.9 * unknown["elbow"]
 
 
 class Slow:

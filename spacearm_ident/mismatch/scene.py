@@ -257,8 +257,17 @@ class Scene:
     @property
     def temperatures_known(self) -> bool:
         """Whether the temperature of every joint was recorded throughout."""
+        return len(self.warm_joints) == len(self.motions[0].joints)
+
+    @property
+    def warm_joints(self) -> frozenset[str]:
+        """Joints whose temperature was recorded throughout."""
         measured = [motion.temperature for motion in self.motions]
-        return all(signal is not None and bool(np.isfinite(signal).all()) for signal in measured)
+        return frozenset(
+            joint
+            for k, joint in enumerate(self.motions[0].joints)
+            if all(signal is not None and bool(np.isfinite(signal[:, k]).all()) for signal in measured)
+        )
 
     def part(self, count: int) -> np.ndarray:
         """(R,) the part of the time, out of so many equal ones, in which each stacked row is."""

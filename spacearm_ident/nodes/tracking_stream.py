@@ -40,7 +40,7 @@ class TrackingStream:
         self._rows: RowStream | None = None
         self._taken = 0
         self._newest_s = float("nan")
-        # NaN until a joint has told: the stream then goes on as if no temperature were known.
+        # NaN until a joint has told: its friction is then as if no temperature were known.
         self._temperature = np.full(len(self._tracked.joints), np.nan)
 
     def add(self, payloads: Sequence[bytes], temperatures: Sequence[bytes] = ()) -> list[Change]:

@@ -325,11 +325,22 @@ def _averaged(
         cutoff_hz=cutoff,
         stride=max(1, int(rate / block / (4 * cutoff))),
         periods=period.count,
-        temperature=None if stretch.temperature is None else fold(stretch.temperature, period).mean(axis=0),
+        temperature=_averaged_temperature(stretch.temperature, period),
         source=source,
     )
     rows = np.stack([motion.reduce(one) for one in torque])
     return replace(motion, noise_Nm=np.sqrt(rows.var(axis=0, ddof=1).mean(axis=0) / period.count))
+
+
+def _averaged_temperature(temperature: FloatArray | None, period: Period) -> FloatArray | None:
+    """(M, n) °C, mean of the periods of (N, n); a joint without one keeps its NaN, which no spline takes."""
+    if temperature is None:
+        return None
+    known = np.isfinite(temperature).all(axis=0)
+    folded = fold(temperature[:, known], period).mean(axis=0)
+    averaged = np.full((len(folded), len(known)), np.nan)
+    averaged[:, known] = folded
+    return averaged
 
 
 def _low_passed(signal: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:

@@ -182,7 +182,7 @@ class RowStream:
 
     Attributes:
         stream: The filters.
-        temperature: (n,) latest °C of each joint, to be set by the caller; None where not all are known.
+        temperature: (n,) latest °C of each joint, to be set by the caller, NaN where unknown; None: of none.
     """
 
     def __init__(self, tracked: TrackedModel, rate_hz: float) -> None:
@@ -201,7 +201,7 @@ class RowStream:
             time: (K,) s.
             position: (K, n) rad.
             effort: (K, n) N·m.
-            temperature: (n,) °C now, if there is news of it.
+            temperature: (n,) °C now, NaN where unknown, if there is news of it.
 
         A sample that is not finite is left out, which leaves a gap where several are.
         """
@@ -225,7 +225,7 @@ class RowStream:
 
     def _columns(self, motion: Motion) -> FloatArray:
         """(N, n, k): predicted torque, columns of what is followed, and whether the joint is slow."""
-        if self.temperature is not None and np.isfinite(self.temperature).all():
+        if self.temperature is not None:
             motion = replace(motion, temperature=np.broadcast_to(self.temperature, motion.position.shape))
         own, shared = self.tracked.columns(motion)
         blur = REVERSAL_SHARE * np.abs(motion.acceleration) / (2 * np.pi * self.stream.cutoff_hz)
