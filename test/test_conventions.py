@@ -736,6 +736,61 @@ def test_what_no_data_can_tell_is_listed(run, arm):
     assert "encoder zero of waist" in text
 
 
+def interrupted(run: Recording, start: float, stop: float, jump: float = 0.0, joint: int = 2) -> Recording:
+    """Without what lies between two times, s, and with one joint's position `jump` rad off after it."""
+    place = int(np.searchsorted(run.time, start))
+    after = int(np.searchsorted(run.time, stop))
+    position = run.position.copy()
+    position[after:, joint] += jump
+    rows = np.r_[0:place, after : len(run.time)]
+    cut = kept(replace(run, position=position), rows)
+    return replace(cut, velocity=None, segments=(slice(0, place), slice(place, len(rows))))
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_zero_that_is_another_one_after_a_gap_makes_the_data_unfit(joint, run, arm):
+    report = check_conventions([interrupted(run, 8.0, 13.0, 0.5, joint)], arm)
+    (found,) = of_kind(report, "position_jump")
+    assert unfit(report) == [("position_jump", (NAMES[joint],))] and report.certain
+    assert found.values["jump_rad"] == pytest.approx(0.5, abs=0.05)
+    assert found.values["at_s"] == pytest.approx(8.0, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_an_arm_that_was_moved_in_a_gap_has_the_zeros_it_had(seed, arm):
+    report = check_conventions([interrupted(sound(seed), 8.0, 13.0)], arm)
+    assert report.fit and of_kind(report, "position_jump") == []
+
+
+def test_a_zero_after_a_gap_that_the_motion_there_does_not_tell_is_listed(run, arm):
+    cut = interrupted(run, 8.0, 28.5)
+    assert any("same before and after the gap" in text for text in check_conventions([cut], arm).undecided)
+
+
+@pytest.mark.parametrize("segments", [1, 2])
+def test_a_step_that_no_speed_covers_is_read_off_with_joint_time_and_size(segments, run, arm):
+    """Between two samples, and over a gap of 50 ms, at a joint that may move by 4 rad/s."""
+    jumped = interrupted(run, 10.0, 10.05 if segments > 1 else 10.0, -0.5)
+    whole = jumped if segments > 1 else replace(jumped, segments=(slice(0, len(jumped.time)),))
+    report = check_conventions([whole], arm)
+    assert unfit(report)[0] == ("position_jump", ("elbow",)) and report.certain
+    assert re.search(r"elbow jumps by -0\.[45]\d+ rad within .* at (9\.99|10\.0)", report.findings[0].statement)
+    assert report.findings[0].values["jump_rad"] == pytest.approx(-0.5, abs=0.1)
+
+
+def test_positions_that_are_wrapped_at_a_turn_are_no_lost_zero(run, arm):
+    wrapped = interrupted(run, 10.0, 10.0, 2 * np.pi)
+    found = of_kind(check_conventions([replace(wrapped, segments=(slice(0, len(run.time)),))], arm), "position_jump")
+    assert "beyond a turn" in found[0].remedy
+
+
+def test_samples_that_are_lost_while_the_clock_goes_on_are_no_jump_of_an_encoder(run, arm):
+    """A third of a second of all joints is missing, and no stamp tells."""
+    lost = kept(run, np.r_[0:2000, 2060 : len(run.time)])
+    report = check_conventions([replace(lost, velocity=None, time=run.time[: len(lost.time)])], arm)
+    assert of_kind(report, "position_jump") == []
+
+
 def real(name: str) -> Recording:
     """A recording of a real arm, joints in its order."""
     path = REAL / f"{name}.mcap"

@@ -30,23 +30,29 @@ from .description import compare_description
 from .evidence import MASS_SD, log_mass
 from .finding import Alternative, ConventionReport, Finding, Level, merged
 from .fixed_joints import moving_though_fixed
+from .jumps import impossible_steps, moved_zeros
 from .plain import CLOCK_JITTER, Plain, read_off, two_sources, without_motion
 from .plausible import EFFORT_SLACK
 from .rows import rows_of
 from .scorer import Scored, Scorer, carried, loaded_joints
 from .search import SUSPECTED, Step, search
 from .setup import Setup
-from .values import LEAST_TILT_RAD, SHORTEST_DELAY_S, delay_past_reversals, direction_error, zero_error
+from .values import (
+    LEAST_TILT_RAD,
+    SHORTEST_DELAY_S,
+    ZERO_LARGE,
+    ZERO_SMALL,
+    ZERO_UNKNOWN,
+    delay_past_reversals,
+    direction_error,
+    zero_error,
+)
 from .words import corrections, is_unit, joint_names, rated_factors, remedy, statement
 
 SURE_PROBABILITY = 0.99
 """What a change at the limit of certainty is called; log odds are scaled to it."""
 SUSPECTED_PROBABILITY = 0.8
 """Probability below which a suspicion names nothing."""
-ZERO_SMALL, ZERO_LARGE = 0.03, 0.1
-"""Encoder zero below which nothing is said, and from which the data are unfit, rad."""
-ZERO_UNKNOWN = 0.15
-"""Standard error of an encoder zero from which the data cannot tell it, rad."""
 VELOCITY_BONUS = 5.0
 """Log-likelihood of a position mistake that explains a recorded velocity as well, a joint."""
 OTHER_SCALES = (0.5, 0.5**0.5, 2.0**0.5, 2.0)
@@ -58,6 +64,7 @@ BASE_FRAME = "base_frame"
 """Kind of a finding that the frame of a moving base's sensor is not fixed to the base link."""
 INFERRED = "signs, units, order, zeros and gravity"
 """What the arm's dynamics decide."""
+_TWO_ZEROS = f"{INFERRED} (positions have two zeros)"
 
 Progress = Callable[[float, str], None]
 
@@ -102,7 +109,10 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
     unmodelled = moving_though_fixed(recording, arm)
     findings = [*_base_frame(recording, arm), *compare_description(recording, arm), *unmodelled, *plain.findings]
     undecided: list[str] = []
-    if recording.base is not None:
+    if jumps := impossible_steps(ordered, arm):
+        # What else is found of them follows from that.
+        findings, undecided = [*jumps, *findings], [_TWO_ZEROS]
+    elif recording.base is not None:
         undecided.append(f"{INFERRED} (the base moves: give --fixed-base where it does not)")
     elif any(one.level is Level.UNFIT for one in unmodelled):
         undecided.append(f"{INFERRED} (joints move that carry the arm or belong to it)")
@@ -173,6 +183,9 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     final = steps[-1].before
     if (odd := _no_unit(scorer, final)) is not None:
         return [odd], [f"{INFERRED} (the unit of the positions)"]
+    moved, unknown = moved_zeros(scorer, final, recording)
+    if any(one.level is Level.UNFIT for one in moved):
+        return moved, [_TWO_ZEROS]
     findings = [finding for step in steps if (finding := _finding(scorer, step, final)) is not None]
     units = [one for one in findings if one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN)]
     if all(one.level is Level.NOTE for one in units):
@@ -183,7 +196,7 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
         elif not units:
             findings += far or _beyond_the_limit(scorer, final)
     findings += without_motion(recording, [arm.joint_names[k] for k in sorted(scorer.idle)], plain.clock_error_s)
-    return findings, _undecided(scorer, steps[-1], plain)
+    return findings + moved, _undecided(scorer, steps[-1], plain) + unknown
 
 
 def _no_unit(scorer: Scorer, final: Scored) -> Finding | None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..dynamics.regressor import rigid_body_torque
 from .change import PRIOR, Change, Kind, gravities
 from .evidence import FRICTION, OWN, predicted, rms
@@ -20,6 +20,10 @@ from .setup import torque_of
 
 ZERO_SD, ZERO_SCALE = 0.5, 0.1
 """Standard deviation of an encoder's zero, rad, and the CAD scale at which zeros are searched."""
+ZERO_SMALL, ZERO_LARGE = 0.03, 0.1
+"""Encoder zero below which nothing is said, and from which the data are unfit, rad."""
+ZERO_UNKNOWN = 0.15
+"""Standard error of an encoder zero from which the data cannot tell it, rad."""
 BADLY_EXPLAINED = 0.15
 """Share of a joint's torque left unexplained from which zeros off by a quarter turn are tried, too."""
 DELAY_SD = 0.05
@@ -57,7 +61,7 @@ def zeros(scorer: Scorer, start: Scored) -> list[Scored]:
     for joint, one in enumerate(scorer.arm.joints):
         if not one.revolute:
             continue
-        step, gain = _zero_step(scorer, base, joint, 0.0)
+        step, gain = zero_step(scorer, base, joint, 0.0)
         ways = [_zero_from(scorer, base, joint, step)] if gain > 1.0 or firsts else []
         ways += [_zero_from(scorer, base, joint, first) for first in firsts]
         if ways:
@@ -74,7 +78,7 @@ def _zero_from(scorer: Scorer, start: Scored, joint: int, first: float) -> Score
         tried.append(here)
         if here.score < start.score - 100.0:
             break
-        step = float(np.clip(_zero_step(scorer, here, joint, zero)[0], -0.4, 0.4))
+        step = float(np.clip(zero_step(scorer, here, joint, zero)[0], -0.4, 0.4))
         zero = float(np.clip(zero + step, -2.0, 2.0))
         if abs(step) < 0.01:
             break
@@ -91,26 +95,39 @@ def zero_prior(zero: float, n: int) -> float:
     return float(np.log(PRIOR / n) - 0.5 * (zero / ZERO_SD) ** 2 - 3.0)
 
 
-def zero_error(scorer: Scorer, here: Scored, joint: int) -> float:
+def zero_error(scorer: Scorer, here: Scored, joint: int, part: BoolArray | None = None) -> float:
     """Standard error of a joint's zero with all parameters free, before any belief about it, rad.
 
     Args:
         scorer: Scores.
         here: The scored setup about which the torque is linearised.
         joint: Number of a revolute joint, in the arm's order.
+        part: (M,) rows that have the zero; None: all.
     """
-    square = float(_zero_normal(scorer, here, joint)[0][0, 0])
+    square = float(_zero_normal(scorer, here, joint, part)[0][0, 0])
     return float(1.0 / np.sqrt(max(square, 1e-9)))
 
 
-def _zero_step(scorer: Scorer, here: Scored, joint: int, zero: float) -> tuple[float, float]:
-    """Gauss-Newton step of one joint's zero with all parameters free, rad, and the log-likelihood it should gain."""
-    square, product = _zero_normal(scorer, here, joint)
+def zero_step(
+    scorer: Scorer, here: Scored, joint: int, zero: float, part: BoolArray | None = None
+) -> tuple[float, float]:
+    """Gauss-Newton step of one joint's zero with all parameters free, rad, and the log-likelihood it should gain.
+
+    Args:
+        scorer: Scores.
+        here: The scored setup about which the torque is linearised.
+        joint: Number of a revolute joint, in the arm's order.
+        zero: That the setup, or the rows, have already, rad.
+        part: (M,) rows that have the zero; None: all.
+    """
+    square, product = _zero_normal(scorer, here, joint, part)
     square, product = square + 1.0 / ZERO_SD**2, product - zero / ZERO_SD**2
     return float(product[0] / square[0, 0]), 0.5 * float(product[0] ** 2 / square[0, 0])
 
 
-def _zero_normal(scorer: Scorer, here: Scored, joint: int) -> tuple[FloatArray, FloatArray]:
+def _zero_normal(
+    scorer: Scorer, here: Scored, joint: int, part: BoolArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Normal matrix (1, 1) and vector (1,) of a joint's zero with all parameters free."""
     design = scorer.design(here.setup)
     motion = design.motion
@@ -122,6 +139,8 @@ def _zero_normal(scorer: Scorer, here: Scored, joint: int) -> tuple[FloatArray, 
         rigid_body_torque(arm, inertials, moved, motion.velocity, motion.acceleration)
         - rigid_body_torque(arm, inertials, motion.position, motion.velocity, motion.acceleration)
     ) / 1e-4
+    if part is not None:
+        slope[~part] = 0.0
     return reduced(scorer, here, slope[:, :, None])
 
 
