@@ -109,15 +109,16 @@ def _read_off(recording: Recording, joint: int, place: int, count: int, fastest:
         POSITION_JUMP,
         Level.UNFIT,
         (name,),
-        f"the position of {name} jumps by {size:+.3f} rad within {length:.3g} s at {at:.3f} s{more}; it moves by {speed}",
+        f"the position of {name} jumps by {size:+.3f} rad within {length:.3g} s at {at:.3f} s{more}; "
+        f"it moves by {speed}",
         remedy,
         values={"jump_rad": round(size, 6), "at_s": round(at, 4), "within_s": round(length, 6), "count": count},
     )
 
 
 _AGAIN = (
-    "an encoder may have lost its zero (a power-off, a drive that restarted): home the joint and record again, or cut the "
-    "log there and use one of the pieces"
+    "an encoder may have lost its zero (a power-off, a drive that restarted): home the joint and record again, or cut "
+    "the log there and use one of the pieces"
 )
 """Remedy where positions have two zeros."""
 
@@ -201,7 +202,7 @@ def _over(scorer: Scorer, final: Scored, gap: Gap, gaps: int) -> tuple[list[Find
 def _best_shift(
     scorer: Scorer, final: Scored, joint: int, after: BoolArray, gap: Gap, gaps: int
 ) -> tuple[float, float, Scorer]:
-    """Score, zero (rad) and scorer of the best zero of a joint after a gap: from none, and from one that stood still."""
+    """Score, zero (rad) and scorer of a joint's best zero after a gap: from none, and as if it had stood still."""
     # A zero for the whole recording is what the search took for that of one of its parts.
     changes = tuple(one for one in final.changes if one.kind is not Kind.ENCODER_ZERO or one.joints != (joint,))
     setup = Setup.as_recorded(scorer.arm)

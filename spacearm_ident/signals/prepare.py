@@ -10,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..errors import UnfitDataError, UserError
 from ..recording.recording import Recording
 from .bandwidth import BOUNDS_HZ, WINDOW_S, Bandwidth, choose_bandwidth
@@ -336,7 +336,7 @@ def _averaged_temperature(temperature: FloatArray | None, period: Period) -> Flo
     """(M, n) °C, mean of the periods of (N, n); a joint without one keeps its NaN, which no spline takes."""
     if temperature is None:
         return None
-    known = np.isfinite(temperature).all(axis=0)
+    known: BoolArray = np.asarray(np.isfinite(temperature).all(axis=0))
     folded = fold(temperature[:, known], period).mean(axis=0)
     averaged = np.full((len(folded), len(known)), np.nan)
     averaged[:, known] = folded
