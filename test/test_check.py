@@ -200,6 +200,7 @@ def with_key(text: str, name: str, key: str, value: str) -> str:
         (lambda t: with_key(t, "6060", "DataType", "0x0003"), Level.FAIL, "0x6060:0 (16 bits, not 8)"),
         (lambda t: with_key(t, "1000", "DefaultValue", "0x00000191"), Level.FAIL, "of a CiA 401 device"),
         (lambda t: t.replace("[6065]", "[5065]").replace("=0x6065", "=0x5065"), Level.WARN, "0x6065:0 (missing)"),
+        (lambda t: with_key(t, "6502", "DefaultValue", "3"), Level.WARN, "does not list mode 8"),
         (lambda t: t[:3000] + "[1018]\nrubbish", Level.FAIL, "EDS: "),
     ],
 )

@@ -347,6 +347,30 @@ def test_rated_values_that_differ_are_a_warning(drives):
         assert "node 1 states a rated value of 5 A" in run.master.warnings[0]
 
 
+def test_a_rated_value_in_micro_units_is_told_and_no_warning(drives):
+    scale = replace(SCALE, rated=0.005)
+    with running(replace(ARM, axes=(replace(ARM.axes[0], scale=scale), *ARM.axes[1:]))) as run:
+        assert run.master.warnings == []
+        (note,) = run.master.notes
+        assert "node 1 states 0x6075 in µA" in note and "0.005 A, as configured" in note
+
+
+def test_a_temperature_is_asked_for_where_the_configuration_names_it_until_the_drive_has_none(drives):
+    axes = (
+        replace(ARM.axes[0], temperature_object=None),
+        replace(ARM.axes[1], temperature_object=0x2345),
+        *ARM.axes[2:],
+    )
+    with running(replace(ARM, axes=axes)) as run:
+        found = []
+        asker = threading.Thread(target=lambda: found.extend(run.master.temperature(k) for k in (0, 1, 1, 2)))
+        asker.start()
+        run.until(lambda: not asker.is_alive())
+        assert found[:3] == [None, None, None] and found[3] == pytest.approx(22.0)
+        (warning,) = run.master.warnings
+        assert "node 2 has no object 0x2345" in warning and "temperature_object" in warning
+
+
 def test_an_overloaded_bus_is_refused_before_anything_is_sent():
     arm = ArmBus(tuple(Axis(1 + k, SCALE) for k in range(6)))
     with LocalBus("a") as bus, pytest.raises(UserError, match="2 buses of 3 axes"):

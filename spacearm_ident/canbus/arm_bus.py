@@ -52,6 +52,7 @@ class Axis:
         following_error: Distance of target and actual position that is a fault in the drive, rad.
         following_error_time: For how long, s.
         quick_stop_deceleration: Of the drive's ramp, rad/s².
+        temperature_object: Index of the maker's object that has the winding temperature, signed, in 0.1 °C; None: none.
     """
 
     node_id: int
@@ -61,6 +62,7 @@ class Axis:
     following_error: float = math.inf
     following_error_time: float = 0.01
     quick_stop_deceleration: float = 20.0
+    temperature_object: int | None = None
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,10 @@ START: Final = 0x01
 PRE_OPERATIONAL: Final = 0x80
 #: Deviation of a drive's rated value from the configured one that is worth a warning.
 RATED_TOLERANCE: Final = 0.01
-WINDING_TEMPERATURE: Final = 0x2000
+#: Factor by which drives that count in micro-units (0x6076 of an EPOS4: µN·m) exceed CiA 402's thousandths.
+MICRO: Final = 1000.0
+#: SDO abort codes of an object and of a sub-index that do not exist (CiA 301, table 22).
+NO_SUCH_OBJECT: Final = (0x06020000, 0x06090011)
 #: EMCY of a drive that has missed its master's heartbeat (CiA 301, table 26).
 HEARTBEAT_ERROR: Final = 0x8130
 #: Longest object that is read, bytes; a drive that goes on sending segments is cut off (CiA 301, table 22).
@@ -56,7 +59,9 @@ class DriveMaster:
         arm: What it was told about them.
         buses: Open buses, as numbered by the axes.
         networks: Of the same, as `canopen` has them.
-        warnings: What a user should know after `boot`: settings a drive refused, rated values that differ.
+        warnings: What a user should know after `boot`: settings a drive refused, rated values that differ;
+            `temperature` adds to them.
+        notes: What is worth knowing, and no reason for concern.
     """
 
     def __init__(self, arm: ArmBus, buses: Sequence[can.BusABC], eds: str = "spacearm_drive.eds") -> None:
@@ -75,6 +80,8 @@ class DriveMaster:
         self.loads = arm.loads()
         self.arm = arm
         self.warnings: list[str] = []
+        self.notes: list[str] = []
+        self._asked = [axis.temperature_object for axis in arm.axes]
         self.buses = list(buses)
         self.networks = [canopen.Network(bus) for bus in buses]
         self._booted: set[tuple[int, int]] = set()
@@ -107,6 +114,7 @@ class DriveMaster:
                 the cycle needs.
         """
         self.warnings.clear()
+        self.notes.clear()
         with self._pumping():
             self._refuse_second_master(3.0 * self.arm.heartbeat if listen is None else listen)
             self._ours = True
@@ -123,13 +131,32 @@ class DriveMaster:
         self._cycle = Cycle(self.arm, self.buses, self.networks, self._statuswords)
         return self._cycle
 
-    def temperature(self, number: int) -> float:
+    def temperature(self, number: int) -> float | None:
         """Winding temperature of an axis, °C; asks by SDO, so call it beside a running cycle, not in it.
 
+        None where the configuration names no object for it, or the drive has said that it has none: then it is asked no
+        more.
+
+        Args:
+            number: Of the axis.
+
         Raises:
-            SdoError: The drive does not answer, or has no such object.
+            SdoError: The drive does not answer, or not now.
         """
-        raw = _upload(self.nodes[number], WINDING_TEMPERATURE)
+        index = self._asked[number]
+        if index is None:
+            return None
+        try:
+            raw = _upload(self.nodes[number], index)
+        except canopen.SdoAbortedError as error:
+            if error.code not in NO_SUCH_OBJECT:
+                raise
+            self._asked[number] = None
+            self.warnings.append(
+                f"node {self.arm.axes[number].node_id} has no object 0x{index:04X}: no temperature is published; "
+                "correct temperature_object in the CAN YAML, or leave it out"
+            )
+            return None
         return 0.1 * int.from_bytes(raw, "little", signed=True)
 
     def close(self) -> None:
@@ -199,7 +226,12 @@ class DriveMaster:
             rated = 1e-3 * int.from_bytes(_upload(node, index), "little")
         except canopen.SdoAbortedError:
             return
-        if abs(rated - axis.scale.rated) > RATED_TOLERANCE * axis.scale.rated:
+        if abs(rated / MICRO - axis.scale.rated) <= RATED_TOLERANCE * axis.scale.rated:
+            self.notes.append(
+                f"node {axis.node_id} states 0x{index:04X} in µ{unit}, not in m{unit} as CiA 402 has it: "
+                f"{rated / MICRO:g} {unit}, as configured"
+            )
+        elif abs(rated - axis.scale.rated) > RATED_TOLERANCE * axis.scale.rated:
             self.warnings.append(
                 f"node {axis.node_id} states a rated value of {rated:g} {unit} (0x{index:04X}), configured "
                 f"are {axis.scale.rated:g} {unit}: torques are scaled with the configured one"

@@ -24,6 +24,8 @@ from .yaml_file import empty_keys, read_yaml, to_fill_in
 FULL: Final = 0.9
 """Worst-case load above which a bus has no room for a repeated frame or a diagnosis."""
 CIA_402: Final = 402
+SUPPORTED_MODES: Final = 0x6502
+"""Supported drive modes: bit n - 1 is mode n (CiA 402-2)."""
 LISTEN_S: Final = 0.25
 LARGEST_OVERLOAD: Final = 10.0
 """Times its rated torque that a drive may be asked for before a unit is suspected."""
@@ -125,11 +127,19 @@ def check_eds(bus: ArmBus, eds: str, path: Path) -> Iterator[CheckResult]:
         *_lacking(dictionary, required_writes(axis, bus)),
         *_unmappable(dictionary, (*bus.feedback.fields, *bus.set_point.fields)),
     ]
+    modes = _find(dictionary, SUPPORTED_MODES, 0)
+    supported = None if modes is None or modes.default is None else int(modes.default)
     if lacking:
         yield fail(
             "EDS",
             f"{file.name} does not allow {', '.join(lacking)}",
             "the cycle needs them: another firmware, `slim` or `mode` in the CAN file, or another drive",
+        )
+    elif supported and not supported >> (bus.mode - 1) & 1:
+        yield warn(
+            "EDS",
+            f"{file.name} does not list mode {bus.mode} as supported (0x6502 is 0x{supported:X} by default)",
+            "see in the drive's manual whether it has the mode; 'mode' in the CAN file may be 8 or 7",
         )
     else:
         yield ok("EDS", f"{file.name}: PDO mapping, SYNC, heartbeats, mode {bus.mode} and interpolation time are there")

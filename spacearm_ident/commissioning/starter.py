@@ -47,6 +47,10 @@ _CHANNELS: Final = {"socketcan": "can", "local": "arm"}
 _HEAD = "# URDF: taken from there. ASSUMED: cautious default, to be reviewed. FILL IN: needed, and has no default."
 
 
+SIMULATED_EDS = "spacearm_drive.eds"
+"""Data sheet of the simulated drive."""
+
+
 @dataclass(frozen=True)
 class DataSheet:
     """What the makers of gears, motors and drives say; each a number for all joints, one a joint, or none.
@@ -254,6 +258,7 @@ def _can_yaml(arm: Arm, eds: str | None, sheet: DataSheet, interface: str) -> st
     count = len(arm.joints)
     buses, load = buses_for(count)
     each = -(-count // buses)
+    simulated = interface == "local" and eds in (None, SIMULATED_EDS)
     channel = _CHANNELS.get(interface, "")
     lines = [
         f"# How the drives of {arm.name} are wired and how they count.",
@@ -279,6 +284,8 @@ def _can_yaml(arm: Arm, eds: str | None, sheet: DataSheet, interface: str) -> st
         "# Further keys of a joint: rated_torque_Nm instead of rated_current_A where 0x6077 is per mille of the rated",
         "# torque; peak_factor (1.414 where the drive reports RMS and the torque constant is for peak), direction and",
         "# torque_sign (1 or -1), zero_counts (0x6064 at joint angle zero), tracking_error_rad, any limit of the arm.",
+        "# torque_sign is within the drive: -1 where positive torque drives towards falling counts, whatever direction",
+        "# is. temperature_object: the maker's object with the winding temperature, signed, in 0.1 °C; none: not asked for.",
         "joints:",
     ]
     for number, joint in enumerate(arm.joints):
@@ -294,6 +301,7 @@ def _can_yaml(arm: Arm, eds: str | None, sheet: DataSheet, interface: str) -> st
                     "current at 1000 per mille of 0x6077",
                 )
             ),
+            *(["    temperature_object: 0x2000  # of the simulated drive"] if simulated else []),
         ]
     return "\n".join(lines) + "\n"
 

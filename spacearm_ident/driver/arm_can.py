@@ -42,7 +42,7 @@ _LIMITS: Final = {
 }
 _SCALE: Final = {"counts_per_turn", "peak_factor", "direction", "torque_sign", "zero_counts"}
 _RATED: Final = {"rated_current_A": "rated_current", "rated_torque_Nm": "rated_torque"}
-_JOINT: Final = {"bus", "node", "tracking_error_rad", *_SCALE, *_RATED, *_LIMITS}
+_JOINT: Final = {"bus", "node", "tracking_error_rad", "temperature_object", *_SCALE, *_RATED, *_LIMITS}
 
 
 @dataclass(frozen=True)
@@ -198,6 +198,9 @@ def _axis(joint: Joint, keys: Mapping[str, Any], where: str) -> Axis:
     )
     stop = QUICK_STOP * joint.acceleration_limit
     window = DRIVE_WINDOW * _tracking(joint, keys)
+    warm = keys.get("temperature_object")
+    if warm is not None and not 0x2000 <= int(warm) <= 0x5FFF:
+        raise UserError(f"{where}: temperature_object is 0x{int(warm):X}: a maker's objects are 0x2000 to 0x5FFF")
     return Axis(
         int(keys["node"]),
         scale,
@@ -205,6 +208,7 @@ def _axis(joint: Joint, keys: Mapping[str, Any], where: str) -> Axis:
         limits=(joint.lower, joint.upper),
         following_error=window,
         quick_stop_deceleration=stop if np.isfinite(stop) else 20.0,
+        temperature_object=None if warm is None else int(warm),
     )
 
 

@@ -85,6 +85,7 @@ class ArmDriver:
         """
         self.config = config
         self.warnings: list[str] = []
+        self.notes: list[str] = []
         self._latch = Latch()
         self._silence = Silence(config.bus.heartbeat, config.bus.heartbeat_timeout)
         self.connection = "not started"
@@ -304,7 +305,8 @@ class ArmDriver:
             master = DriveMaster(self.config.bus, self.config.open(), self.config.eds)
             self._master = master
             master.boot(timeout=BOOT_S)
-            self.warnings = list(master.warnings)
+            # The same lists: a drive may refuse its temperature later.
+            self.warnings, self.notes = master.warnings, master.notes
             self._astray = False
 
     def _disconnect(self) -> None:

@@ -82,6 +82,7 @@ class CanopenDriver(LiveNode):
         self.offer("driver/halt", lambda: self._said(driver.halt))
         self.offer("driver/recover", lambda: self._said(driver.recover))
         self.offer("driver/resume", lambda: self._said(driver.resume))
+        self._logged: set[str] = set()
         self._waiting_s = 0.0
         self.refuse_simulated_time("drives keep the time of this machine, and so do the stamps here")
         self.every(_WATCH_S, self._watch)
@@ -96,6 +97,8 @@ class CanopenDriver(LiveNode):
         message = str(status.fault) if status.fault else status.phase.value
         if status.phase is Phase.CONNECTING:
             message = status.connection
+        if status.warnings and status.phase not in _LEVELS:
+            message = f"{message}; warning: {'; '.join(status.warnings)}"
         level = _LEVELS.get(status.phase, Level.WARN if status.warnings else Level.OK)
         return (Status(level, message, _values(status)),)
 
@@ -148,6 +151,7 @@ class CanopenDriver(LiveNode):
         if self._driver.reconnections != self._reconnections:
             self._reconnections = self._driver.reconnections
             self.get_logger().warning(self._driver.connection)
+        self._log_once()
         self._waiting_s = self._waiting_s + _WATCH_S if phase is Phase.CONNECTING else 0.0
         refused = self._driver.refused
         if refused is None and self._patience and self._waiting_s > self._patience:
@@ -155,6 +159,15 @@ class CanopenDriver(LiveNode):
         if refused is not None:
             self.get_logger().fatal(refused)
             self.exit_code = 2
+
+    def _log_once(self) -> None:
+        """What the drives said when they were connected, or since: each once, however often they are."""
+        log = self.get_logger()
+        for said, texts in ((log.warning, self._driver.status().warnings), (log.info, tuple(self._driver.notes))):
+            for text in texts:
+                if text not in self._logged:
+                    self._logged.add(text)
+                    said(text)
 
 
 def _values(status: DriverStatus) -> dict[str, object]:
