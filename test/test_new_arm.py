@@ -49,13 +49,21 @@ def test_filled_in_from_data_sheets_it_is_the_arm_we_configured_by_hand(tmp_path
     assert new_arm(tmp_path / "arm", "--interface", "local", *WORDS) == 0
     mine, ours = load_arm_can(tmp_path / "arm" / "arm_can.yaml"), load_arm_can(CONFIG / "paper_arm_can.yaml")
     assert mine.buses == ours.buses
-    assert [(axis.node_id, axis.bus, axis.scale, axis.limits) for axis in mine.bus.axes] == [
-        (axis.node_id, axis.bus, axis.scale, axis.limits) for axis in ours.bus.axes
+    assert [(axis.node_id, axis.bus, axis.scale, axis.limits, axis.temperature_object) for axis in mine.bus.axes] == [
+        (axis.node_id, axis.bus, axis.scale, axis.limits, axis.temperature_object) for axis in ours.bus.axes
     ]
     assert mine.bus.period == ours.bus.period and mine.bus.heartbeat_timeout == ours.bus.heartbeat_timeout
     for joint, known in zip(mine.arm.joints, ours.arm.joints):
         assert (joint.velocity_limit, joint.effort_limit) == (known.velocity_limit, known.effort_limit)
         assert joint.acceleration_limit <= known.acceleration_limit
+
+
+def test_drives_that_count_in_rated_torque_need_no_rated_current(tmp_path):
+    words = ["--rated-torque" if word == "--rated-current" else word for word in WORDS]
+    assert new_arm(tmp_path, "--interface", "local", *words) == 0
+    scales = load_arm_can(tmp_path / "arm_can.yaml").bus.scales
+    assert [scale.rated for scale in scales] == list(SHEET["--rated-current"])
+    assert {scale.torque_source for scale in scales} == {"rated_torque"}
 
 
 def test_what_nobody_can_guess_is_refused_by_name_until_it_is_there(tmp_path, capsys):
@@ -133,6 +141,7 @@ def test_nothing_is_overwritten_unless_it_is_said(tmp_path, capsys):
     [
         (["--gear-ratio", "100", "50"], "--gear-ratio has 2 numbers"),
         (["--rated-current", "-3"], "--rated-current -3 must be above zero"),
+        (["--rated-current", "3", "--rated-torque", "0.3"], "--rated-current and --rated-torque: give one"),
         (["--eds", "nowhere.eds"], "cannot read the EDS nowhere.eds"),
     ],
 )

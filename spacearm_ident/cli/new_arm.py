@@ -36,6 +36,7 @@ SHEET = {
     "gear_ratio": "motor turns a joint turn (also taken from the URDF's transmissions)",
     "torque_constant": "N m/A at the motor",
     "rated_current": "A: current at 1000 per mille of object 0x6077",
+    "rated_torque": "N m at the motor: instead of it, where 0x6077 is per mille of the rated torque (0x6076)",
     "counts_per_turn": "encoder counts a motor turn",
 }
 
@@ -98,6 +99,8 @@ def run(options: argparse.Namespace) -> int:
     texts = {options.urdf.name: urdf}
     if options.eds is not None:
         texts[options.eds.name] = _read(options.eds, "EDS")
+    if options.rated_current and options.rated_torque:
+        raise UserError("--rated-current and --rated-torque: give one, what 1000 per mille of 0x6077 stands for")
     sheet = DataSheet(**{key: getattr(options, key) for key in SHEET})
     eds = None if options.eds is None else options.eds.name
     canopen = bool(eds or options.interface or any(getattr(options, key) for key in SHEET))

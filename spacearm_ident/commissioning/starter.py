@@ -59,6 +59,7 @@ class DataSheet:
         gear_ratio: Motor turns a joint turn.
         torque_constant: N·m/A at the motor.
         rated_current: A: what 1000 per mille of 0x6077 stand for.
+        rated_torque: N·m of the motor: the same of drives that count in rated torque.
         counts_per_turn: Encoder counts a motor turn.
     """
 
@@ -66,6 +67,7 @@ class DataSheet:
     torque_constant: Sequence[float] = field(default=())
     rated_current: Sequence[float] = field(default=())
     counts_per_turn: Sequence[float] = field(default=())
+    rated_torque: Sequence[float] = field(default=())
 
     def of(self, key: str, joint: int, joints: int) -> float | None:
         """The value for a joint; None where it is not known.
@@ -285,7 +287,7 @@ def _can_yaml(arm: Arm, eds: str | None, sheet: DataSheet, interface: str) -> st
         "# torque; peak_factor (1.414 where the drive reports RMS and the torque constant is for peak), direction and",
         "# torque_sign (1 or -1), zero_counts (0x6064 at joint angle zero), tracking_error_rad, any limit of the arm.",
         "# torque_sign is within the drive: -1 where positive torque drives towards falling counts, whatever direction",
-        "# is. temperature_object: the maker's object with the winding temperature, signed, in 0.1 °C; none: not asked for.",
+        "# is; temperature_object: the maker's object with the winding temperature (signed, 0.1 °C), or none is read.",
         "joints:",
     ]
     for number, joint in enumerate(arm.joints):
@@ -294,16 +296,18 @@ def _can_yaml(arm: Arm, eds: str | None, sheet: DataSheet, interface: str) -> st
             str(Entry("bus", number // each, "ASSUMED: number in the list of buses")),
             str(Entry("node", number + 1, "ASSUMED: CANopen node id")),
             str(Entry("counts_per_turn", sheet.of("counts_per_turn", number, count), "encoder counts a motor turn")),
-            str(
-                Entry(
-                    "rated_current_A",
-                    sheet.of("rated_current", number, count),
-                    "current at 1000 per mille of 0x6077",
-                )
-            ),
+            str(_rated(sheet, number, count)),
             *(["    temperature_object: 0x2000  # of the simulated drive"] if simulated else []),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _rated(sheet: DataSheet, joint: int, joints: int) -> Entry:
+    """What 1000 per mille of 0x6077 stand for: a torque where one is given, else a current."""
+    torque = sheet.of("rated_torque", joint, joints)
+    if torque is not None:
+        return Entry("rated_torque_Nm", torque, "motor torque at 1000 per mille of 0x6077")
+    return Entry("rated_current_A", sheet.of("rated_current", joint, joints), "current at 1000 per mille of 0x6077")
 
 
 def buses_for(axes: int) -> tuple[int, BusLoad]:
