@@ -14,20 +14,17 @@ RATED = "node 2 states a rated value of 6.1 A (0x6075), configured are 3.05 A"
 REFUSED = "node 3 refuses 0x6065:0"
 
 
-def a_node(phase: Phase, warnings: list[str], notes: tuple[str, ...] = ()) -> tuple[Any, list[tuple[str, str]]]:
+def a_node(phase: Phase, warnings: list[str], notes: tuple[str, ...] = ()) -> tuple[Any, list[tuple[Level, str]]]:
     """A driver node without a graph, and what it logs."""
     plain = dict.fromkeys((field.name for field in fields(DriverStatus)), 0)
-    logged: list[tuple[str, str]] = []
+    logged: list[tuple[Level, str]] = []
 
     def status() -> DriverStatus:
         other = {"phase": phase, "fault": None, "connection": "connected", "warnings": tuple(warnings)}
         return DriverStatus(**(plain | {"states": {}, "lateness_s": (0.0,) * 3, "loads": ()} | other))  # type: ignore[arg-type]
 
-    log = SimpleNamespace(
-        warning=lambda text: logged.append(("warn", text)), info=lambda text: logged.append(("info", text))
-    )
     driver = SimpleNamespace(status=status, notes=notes)
-    return SimpleNamespace(_driver=driver, _logged=set(), get_logger=lambda: log), logged
+    return SimpleNamespace(_driver=driver, _logged=set(), log=lambda *said: logged.append(said)), logged
 
 
 @pytest.mark.parametrize("phase", [Phase.ENABLED, Phase.DISABLED])
@@ -45,7 +42,7 @@ def test_a_warning_is_logged_once_however_often_the_drives_are_connected():
     node, logged = a_node(Phase.DISABLED, warnings, ("node 6 states 0x6076 in µN·m",))
     CanopenDriver._log_once(node)
     CanopenDriver._log_once(node)
-    assert logged == [("warn", RATED), ("info", "node 6 states 0x6076 in µN·m")]
+    assert logged == [(Level.WARN, RATED), (Level.OK, "node 6 states 0x6076 in µN·m")]
     warnings.append(REFUSED)
     CanopenDriver._log_once(node)
-    assert logged[2:] == [("warn", REFUSED)]
+    assert logged[2:] == [(Level.WARN, REFUSED)]

@@ -162,12 +162,12 @@ class CanopenDriver(LiveNode):
 
     def _log_once(self) -> None:
         """What the drives said when they were connected, or since: each once, however often they are."""
-        log = self.get_logger()
-        for said, texts in ((log.warning, self._driver.status().warnings), (log.info, tuple(self._driver.notes))):
-            for text in texts:
-                if text not in self._logged:
-                    self._logged.add(text)
-                    said(text)
+        said = [(Level.WARN, text) for text in self._driver.status().warnings]
+        said += [(Level.OK, text) for text in tuple(self._driver.notes)]
+        for level, text in said:
+            if text not in self._logged:
+                self._logged.add(text)
+                self.log(level, text)
 
 
 def _values(status: DriverStatus) -> dict[str, object]:
