@@ -259,6 +259,7 @@ def reasons_of(monkeypatch, field, in_field, in_reference):
         ([], [finding_of(Kind.EFFORT_SIGN, 60.0)], 1),
         ([finding_of("robot_description", None)], None, 1),
         ([finding_of("robot_description", None)], [], 1),
+        ([finding_of("position_jump", None)], [], 1),
         ([finding_of(Kind.EFFORT_SIGN, 60.0, level=Level.NOTE)], [], 0),
         ([finding_of(kind, 200.0) for kind in (Kind.EFFORT_GAIN, Kind.GRAVITY, Kind.ENCODER_ZERO, Kind.DELAY)], [], 0),
     ],

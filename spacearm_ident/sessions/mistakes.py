@@ -19,6 +19,7 @@ from ..conventions.check import POSITION_UNIT, check_conventions, recording_name
 from ..conventions.finding import DECISIVE, ConventionReport, Level
 from ..conventions.finding import Finding as Mistake
 from ..conventions.fixed_joints import KIND as FIXED_JOINT_MOVES
+from ..conventions.jumps import POSITION_JUMP
 from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
 from ..errors import UnfitDataError
@@ -30,7 +31,10 @@ from ..recording.interleaved import TWO_SOURCES
 from ..recording.recording import Recording
 from .identification import within
 
-MISTAKES = RIGHT_OR_WRONG | {Kind.EFFORT_UNIT, POSITION_UNIT, "robot_description", FIXED_JOINT_MOVES, TWO_SOURCES}
+MISTAKES = RIGHT_OR_WRONG | {
+    *(Kind.EFFORT_UNIT, POSITION_UNIT, "robot_description"),
+    *(FIXED_JOINT_MOVES, TWO_SOURCES, POSITION_JUMP),
+}
 """Mistakes of convention that no physics looks like: a gain, a zero, gravity, a delay are effects."""
 LARGEST_LEFT = 0.5
 """Share of the squares by which recorded torque differs from the healthy arm's that may be left, in the median of its
