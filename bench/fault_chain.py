@@ -59,7 +59,13 @@ class BreakableChain(Chain):
         return self._processes[name].poll() is None
 
     def revive(self) -> list[str]:
-        """Start the nodes that have ended anew; returns their names."""
+        """Start the nodes that have ended anew; returns their names.
+
+        With a new arm, which stands where it begins, the driver as well: it enables no arm that has moved unseen.
+        """
+        if not self.alive("simulated_arm") and self.alive("canopen_driver"):
+            self._processes["canopen_driver"].terminate()
+            self._processes["canopen_driver"].wait()
         dead = [name for name in self._processes if not self.alive(name)]
         for name in dead:
             self._statuses.pop(name, None)

@@ -113,8 +113,9 @@ class DrivenArm:
         self.start_arm()
         self.start_driver()
 
-    def start_arm(self):
-        self.arm = self.processes.node("simulated_arm", f"can_config:={self.can_config}")
+    def start_arm(self, position=(0.0,)):
+        start = "[" + ", ".join(f"{angle:.6f}" for angle in position) + "]"
+        self.arm = self.processes.node("simulated_arm", f"can_config:={self.can_config}", f"start_position:={start}")
 
     def start_driver(self):
         # What an earlier driver said last must not be taken for the new one's words.
@@ -157,6 +158,10 @@ class DrivenArm:
         """Out of whatever the last test left, enabled."""
         if self.arm.poll() is not None:
             self.start_arm()
+            # Only a new driver takes over an arm that stands elsewhere than the one before.
+            if self.driver.poll() is None:
+                self.driver.terminate()
+                self.driver.wait()
         if self.driver.poll() is not None:
             self.start_driver()
         self.wait_for(lambda: self.values.get("connection") == "connected", "a connection")

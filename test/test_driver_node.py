@@ -317,7 +317,7 @@ def test_a_killed_arm_stops_everything_and_a_new_one_is_taken_over(arm):
     done, message = arm.call("/driver/recover")
     assert not done and "not" in message
     assert not arm.call("/driver/enable", True)[0]
-    arm.start_arm()
+    arm.start_arm(arm.states(arm.payloads[-1:])[1][0])
     arm.wait_for(lambda: arm.call("/driver/recover")[0], "recovery with the new arm")
     arm.healthy()
 

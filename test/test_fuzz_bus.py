@@ -109,7 +109,15 @@ def configured(answers):
     network = booted.networks[0]
     bus = network.bus = Answering(network, answers)
     booted.nodes[0].sdo.RESPONSE_TIMEOUT = 0.001
-    return ends_well(lambda: booted._configure(arm.axes[0], booted.nodes[0])), bus.asked
+    return ends_well(lambda: set_up(booted)), bus.asked
+
+
+def set_up(booted):
+    """What `boot` asks of one drive that is without power."""
+    booted._identify(booted.arm.axes[0], booted.nodes[0])
+    booted._configure(0)
+    booted.prepare(0)
+    booted.error(0)
 
 
 @FEW
@@ -157,7 +165,7 @@ def test_a_drive_that_sends_segments_for_ever_is_refused():
     booted = master.DriveMaster(arm, [Played([])], EDS)
     bus = booted.networks[0].bus = Endless(booted.networks[0], [])
     with pytest.raises(UserError, match=r"node 1 cannot be configured: 0x1000 is longer than 8 bytes"):
-        booted._configure(arm.axes[0], booted.nodes[0])
+        set_up(booted)
     assert bus.asked < 10
 
 

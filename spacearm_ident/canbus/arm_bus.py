@@ -34,6 +34,8 @@ CYCLIC_MODE: Final = 8
 #: Extrapolation where none is given, and the longest that is believed, s.
 EXTRAPOLATION: Final = 0.06
 MOST_EXTRAPOLATION: Final = 1.0
+#: How long a drive may take to answer an SDO request where nothing is given, s: the canopen library's own.
+SDO_TIMEOUT: Final = 0.3
 _I32: Final = 2**31 - 1
 _U32: Final = 2**32 - 1
 STATUS_PDO: Final = Layout((STATUSWORD,))
@@ -82,6 +84,7 @@ class ArmBus:
         heartbeat_timeout: Without a heartbeat for so long, the other side is lost.
         stale_cycles: Cycles in a row without feedback after which an axis is reported.
         extrapolation: How long the drives go on with their last velocity when set-points fail to come; 0: they stand.
+        sdo_timeout: How long a drive may take to answer an SDO request.
         bit_rate: For the load of the buses.
     """
 
@@ -97,6 +100,7 @@ class ArmBus:
     heartbeat_timeout: float = 0.2
     stale_cycles: int = 20
     extrapolation: float = EXTRAPOLATION
+    sdo_timeout: float = SDO_TIMEOUT
     bit_rate: BitRate = field(default_factory=BitRate)
 
     def __post_init__(self) -> None:
@@ -118,6 +122,8 @@ class ArmBus:
             object.__setattr__(self, "set_point", Layout(fields))
         if not 0 <= self.extrapolation <= MOST_EXTRAPOLATION:
             raise UserError(f"extrapolation_s is {self.extrapolation:g}: give seconds from 0 to {MOST_EXTRAPOLATION:g}")
+        if not self.sdo_timeout > 0:
+            raise UserError(f"sdo_timeout_s is {self.sdo_timeout:g}: give a positive number of seconds")
         if not 0 < self.answer_time < self.period:
             raise UserError("answer_time must be positive and shorter than the period")
 
@@ -183,18 +189,18 @@ def required_writes(axis: Axis, arm: ArmBus) -> list[SdoWrite]:
     ]
 
 
-def optional_writes(axis: Axis, arm: ArmBus) -> list[SdoWrite]:
+def optional_writes(axis: Axis, arm: ArmBus, present: int | None = None) -> list[SdoWrite]:
     """What makes the drive itself stop in time; not every drive has all of it, and a refusal is reported.
 
     Args:
         axis: The drive that is written to, with its position limits, following error and quick-stop ramp.
         arm: Layouts, which leave some PDOs unused, and the SYNC period.
+        present: Where the drive is, counts; None: not known.
 
     Returns:
         Unused PDOs switched off, then the SYNC period, reactions, following-error window and position limits.
     """
     per_rad = 1.0 / abs(axis.scale.rad_per_count)
-    ends = sorted(_counts(limit, axis.scale) for limit in axis.limits)
     window = _U32 if math.isinf(axis.following_error) else min(round(axis.following_error * per_rad), _U32)
     unused = [(transmit, number) for number in (2, 3, 4) for transmit in (True, False)]
     if STATUSWORD not in arm.feedback.fields:
@@ -210,9 +216,22 @@ def optional_writes(axis: Axis, arm: ArmBus) -> list[SdoWrite]:
         SdoWrite(0x6085, 0, min(round(axis.quick_stop_deceleration * per_rad), _U32), 4),
         SdoWrite(0x6065, 0, window, 4),
         SdoWrite(0x6066, 0, round(1e3 * axis.following_error_time), 2),
-        SdoWrite(0x607D, 1, ends[0], 4),
-        SdoWrite(0x607D, 2, ends[1], 4),
+        *position_limits(axis, present),
     ]
+
+
+def position_limits(axis: Axis, present: int | None = None) -> list[SdoWrite]:
+    """The writes of 0x607D: an axis' position limits, widened to where it is.
+
+    Args:
+        axis: With its limits.
+        present: Where the drive is, counts: a drive that keeps its target within limits that exclude it moves as it is
+            enabled. None: not known.
+    """
+    low, high = sorted(_counts(limit, axis.scale) for limit in axis.limits)
+    if present is not None:
+        low, high = min(low, present), max(high, present)
+    return [SdoWrite(0x607D, 1, low, 4), SdoWrite(0x607D, 2, high, 4)]
 
 
 def interpolation_time(period: float) -> tuple[int, int]:

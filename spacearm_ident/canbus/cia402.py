@@ -117,7 +117,9 @@ _TOWARD: Final[dict[tuple[Goal, State], Command]] = {
 
 #: Bits of the statusword beside the state.
 VOLTAGE_ENABLED: Final = 0x0010
+WARNING: Final = 0x0080
 REMOTE: Final = 0x0200
+INTERNAL_LIMIT: Final = 0x0800
 #: In the interpolated and cyclic modes: the drive follows the set-points.
 FOLLOWING: Final = 0x1000
 FOLLOWING_ERROR: Final = 0x2000
@@ -136,6 +138,21 @@ _BY_LOW_BITS: Final = tuple(
 def state_of(statusword: int) -> State | None:
     """The state a statusword shows; None for a pattern CiA 402 does not define."""
     return _BY_LOW_BITS[statusword & 0x7F]
+
+
+def notes_of(statusword: int) -> str:
+    """What a statusword says beside the state of what keeps a drive from being enabled, for a person; may be empty.
+
+    Safe torque off has no bit of its own in CiA 402: drives show it as a missing voltage, if at all.
+    """
+    notes = (
+        (not statusword & VOLTAGE_ENABLED, "no voltage, or safe torque off (bit 4)"),
+        (not statusword & REMOTE, "remote off: another interface or tool controls it (bit 9)"),
+        (statusword & INTERNAL_LIMIT, "internal limit active (bit 11)"),
+        (statusword & WARNING, "warning (bit 7)"),
+    )
+    said = "; ".join(text for holds, text in notes if holds)
+    return f"its statusword 0x{statusword:04X} says: {said}" if said else ""
 
 
 def statusword_of(state: State) -> int:

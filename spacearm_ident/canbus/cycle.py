@@ -22,7 +22,7 @@ import can
 import canopen
 import numpy as np
 
-from spacearm_ident.arrays import FloatArray
+from spacearm_ident.arrays import BoolArray, FloatArray
 from spacearm_ident.canbus.arm_bus import INTERPOLATED_MODE, ArmBus
 from spacearm_ident.canbus.cia402 import Command, Goal, State, controlword_toward, state_of
 from spacearm_ident.canbus.events import Event, EventKind
@@ -132,6 +132,11 @@ class Cycle:
     def enabled(self) -> bool:
         """Whether every axis is in "operation enabled"."""
         return all(state is State.OPERATION_ENABLED for state in self.states)
+
+    @property
+    def powered(self) -> BoolArray:
+        """(n,) whether each axis was in "operation enabled" when it was heard last."""
+        return ~self._not_enabled
 
     def run(self, target: FloatArray | Callable[[int], FloatArray | None] | None = None) -> Feedback:
         """Send SYNC and set-points, and wait for the feedback.

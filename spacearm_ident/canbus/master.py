@@ -21,31 +21,54 @@ from typing import Final
 
 import can
 import canopen
+import numpy as np
 from canopen.emcy import EmcyError
-from canopen.sdo.exceptions import SdoCommunicationError, SdoError
+from canopen.sdo.exceptions import SdoError
 
-from spacearm_ident.canbus.arm_bus import ArmBus, Axis, optional_writes, required_writes
+from spacearm_ident.arrays import FloatArray
+from spacearm_ident.canbus.arm_bus import ArmBus, Axis, optional_writes, position_limits, required_writes
+from spacearm_ident.canbus.cia402 import Command, State, state_of
 from spacearm_ident.canbus.cycle import HEARTBEAT, Cycle, is_spoilt_sdo
 from spacearm_ident.canbus.eds import eds_path
 from spacearm_ident.canbus.events import EventKind
 from spacearm_ident.canbus.pdo import SYNC, SdoWrite
+from spacearm_ident.canbus.scaling import Scaling
+from spacearm_ident.canbus.sdo import NO_OBJECT, NO_SUB_INDEX, SdoTransferError, read, read_if_there, write
 from spacearm_ident.errors import UserError
 
 CIA_402: Final = 402
-RESET_NODE: Final = 0x81
+#: NMT "reset communication": PDOs, SYNC and heartbeats are again as at power-on, boot-up message. The application is
+#: left as it is: "reset node" (0x81) would make a drive with an incremental encoder lose its position.
+RESET_COMMUNICATION: Final = 0x82
 START: Final = 0x01
 PRE_OPERATIONAL: Final = 0x80
 #: Deviation of a drive's rated value from the configured one that is worth a warning.
 RATED_TOLERANCE: Final = 0.01
 #: Factor by which drives that count in micro-units (0x6076 of an EPOS4: µN·m) exceed CiA 402's thousandths.
 MICRO: Final = 1000.0
-#: SDO abort codes of an object and of a sub-index that do not exist (CiA 301, table 22).
-NO_SUCH_OBJECT: Final = (0x06020000, 0x06090011)
+#: How long a drive that is found under power may take to come to rest and leave it, s.
+POWER_OFF: Final = 3.0
+#: How long a drive may take to show a mode of operation it was told, s: it changes within a few of the drive's own
+#: cycles, of some milliseconds at most.
+MODE_CHANGE: Final = 0.2
+#: Names of modes of operation (CiA 402, 0x6060).
+MODES: Final = {
+    0: "none",
+    1: "profile position",
+    2: "velocity",
+    3: "profile velocity",
+    4: "profile torque",
+    6: "homing",
+    7: "interpolated position",
+    8: "cyclic synchronous position",
+    9: "cyclic synchronous velocity",
+    10: "cyclic synchronous torque",
+}
+#: Interval in which a joint is looked at, s, and speed below which it stands still, rad/s.
+REST_INTERVAL: Final = 0.05
+REST_SPEED: Final = 0.005
 #: EMCY of a drive that has missed its master's heartbeat (CiA 301, table 26).
 HEARTBEAT_ERROR: Final = 0x8130
-#: Longest object that is read, bytes; a drive that goes on sending segments is cut off (CiA 301, table 22).
-LONGEST_OBJECT: Final = 8
-TOO_LONG: Final = 0x06070012
 
 
 class OtherMasterError(UserError):
@@ -62,6 +85,9 @@ class DriveMaster:
         warnings: What a user should know after `boot`: settings a drive refused, rated values that differ;
             `temperature` adds to them.
         notes: What is worth knowing, and no reason for concern.
+        errors: What an axis that `boot` found in fault says of it.
+        emergencies: Last EMCY of an axis since then that reports an error, until it reports that none is left.
+        counts: (n,) 0x6064 of each drive as `boot` found it, before position limits were written.
     """
 
     def __init__(self, arm: ArmBus, buses: Sequence[can.BusABC], eds: str = "spacearm_drive.eds") -> None:
@@ -84,13 +110,19 @@ class DriveMaster:
         self._asked = [axis.temperature_object for axis in arm.axes]
         self.buses = list(buses)
         self.networks = [canopen.Network(bus) for bus in buses]
+        self.errors: dict[int, str] = {}
+        self.emergencies: dict[int, str] = {}
+        self.counts = np.zeros(len(arm.axes), dtype=np.int64)
         self._booted: set[tuple[int, int]] = set()
         self._others: set[int] = set()
+        self._refused: set[tuple[int, int]] = set()
         self._ours = False
         self._statuswords: list[int] | None = None
         self._cycle: Cycle | None = None
         path = str(eds_path(eds))
         self.nodes = [self.networks[axis.bus].add_node(axis.node_id, path) for axis in arm.axes]
+        for node in self.nodes:
+            node.sdo.RESPONSE_TIMEOUT = arm.sdo_timeout
         for number, node in enumerate(self.nodes):
             node.emcy.add_callback(self._emergency_reporter(number))
 
@@ -100,8 +132,15 @@ class DriveMaster:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def positions(self) -> FloatArray:
+        """(n,) rad where `boot` found the joints."""
+        out = np.empty(len(self.counts))
+        Scaling(self.arm.scales).to_position(self.counts.astype(np.int32), out)
+        return out
+
     def boot(self, timeout: float = 5.0, listen: float | None = None) -> None:
-        """Reset, identify, configure and start every drive.
+        """Reset the communication of every drive, identify, configure and start them; none is under power then.
 
         Args:
             timeout: How long a drive may take to boot, s.
@@ -120,11 +159,19 @@ class DriveMaster:
             self._ours = True
             self._reset_drives(timeout)
             for axis, node in zip(self.arm.axes, self.nodes):
-                self._configure(axis, node)
+                self._identify(axis, node)
+            for axis, node in zip(self.arm.axes, self.nodes):
+                self._stop(axis, node)
+            for number in range(len(self.nodes)):
+                self._take_power_off(number)
+            for number in range(len(self.nodes)):
+                self._configure(number)
             for axis in self.arm.axes:
                 self._nmt(axis, START)
             # Where they come only on change, the cycle begins with what they are now.
             self._statuswords = [self._statusword(axis, node) for axis, node in zip(self.arm.axes, self.nodes)]
+            faulty = [number for number, word in enumerate(self._statuswords) if state_of(word) is State.FAULT]
+            self.errors = {number: self.error(number) for number in faulty}
 
     def cycle(self) -> Cycle:
         """The cyclic exchange with the configured drives; from its first `run` on it reads the buses."""
@@ -141,15 +188,15 @@ class DriveMaster:
             number: Of the axis.
 
         Raises:
-            SdoError: The drive does not answer, or not now.
+            SdoTransferError: The drive does not answer, or not now.
         """
         index = self._asked[number]
         if index is None:
             return None
         try:
-            raw = _upload(self.nodes[number], index)
-        except canopen.SdoAbortedError as error:
-            if error.code not in NO_SUCH_OBJECT:
+            return 0.1 * read(self.nodes[number], index, signed=True)
+        except SdoTransferError as failure:
+            if failure.code not in (NO_OBJECT, NO_SUB_INDEX):
                 raise
             self._asked[number] = None
             self.warnings.append(
@@ -157,7 +204,80 @@ class DriveMaster:
                 "correct temperature_object in the CAN YAML, or leave it out"
             )
             return None
-        return 0.1 * int.from_bytes(raw, "little", signed=True)
+
+    def error_code(self, number: int) -> int | None:
+        """Error code (0x603F) of an axis; None where the drive has no such object. Beside a running cycle.
+
+        Args:
+            number: Of the axis.
+
+        Raises:
+            SdoTransferError: The drive does not answer.
+        """
+        return read_if_there(self.nodes[number], 0x603F)
+
+    def error(self, number: int) -> str:
+        """What an axis in fault says of it, for a person: error code, and the EMCY that was heard.
+
+        Args:
+            number: Of the axis.
+        """
+        node_id = self.arm.axes[number].node_id
+        try:
+            code = self.error_code(number)
+        except SdoTransferError:
+            code = None
+        said = "gives no error code (0x603F)"
+        if code is not None:
+            said = f"has error code 0x{code:04X} (0x603F: {EmcyError(code, 0, b'', 0.0).get_desc() or 'unknown'})"
+        heard = f", EMCY: {self.emergencies[number]}" if number in self.emergencies else ""
+        return f"node {node_id} {said}{heard}"
+
+    def prepare(self, number: int) -> None:
+        """Set a drive up for being enabled, and make sure that it will hold its joint; beside a running cycle.
+
+        The position limits 0x607D are written so that they contain where the joint stands, for a drive that keeps its
+        target within them would move as it is enabled; the mode of operation is written and read back.
+
+        Args:
+            number: Of the axis.
+
+        Raises:
+            UserError: The drive does not answer, refuses one of them, or is in another mode.
+        """
+        axis, node = self.arm.axes[number], self.nodes[number]
+        self.counts[number] = self._position(number)
+        try:
+            if (number, 0x607D) not in self._refused:
+                for item in position_limits(axis, int(self.counts[number])):
+                    write(node, item)
+            write(node, SdoWrite(0x6060, 0, self.arm.mode, 1))
+        except SdoTransferError as failure:
+            raise UserError(f"node {axis.node_id} cannot be configured: {failure}") from failure
+        self.check_mode(number)
+
+    def check_mode(self, number: int) -> None:
+        """Make sure that a drive is in the mode of operation that it was told; beside a running cycle.
+
+        Args:
+            number: Of the axis.
+
+        Raises:
+            UserError: It is in another one (0x6061) for `MODE_CHANGE`, or does not say.
+        """
+        axis, node = self.arm.axes[number], self.nodes[number]
+        deadline = time.monotonic() + MODE_CHANGE
+        try:
+            while (mode := read(node, 0x6061, signed=True)) != self.arm.mode:
+                if time.monotonic() > deadline:
+                    raise UserError(
+                        f"node {axis.node_id} is in mode of operation {mode}{_mode_name(mode)} (0x6061), wanted is "
+                        f"{self.arm.mode}{_mode_name(self.arm.mode)}: see in the drive's own tool what holds it there; "
+                        "'mode' under 'cycle' in the CAN YAML may be 8 or 7"
+                    )
+                time.sleep(0.01)
+        except SdoTransferError as failure:
+            raise UserError(f"node {axis.node_id} does not say its mode: {failure}") from failure
 
     def close(self) -> None:
         """Take the drives out of operation and leave the buses. Never raises; the cycle must have ended."""
@@ -183,49 +303,84 @@ class DriveMaster:
         self._booted.clear()
         deadline = time.monotonic() + timeout
         for axis in self.arm.axes:
-            self._nmt(axis, RESET_NODE)
+            self._nmt(axis, RESET_COMMUNICATION)
         while not wanted <= self._booted:
             if time.monotonic() > deadline:
                 missing = ", ".join(f"{node} on {self.buses[bus]}" for bus, node in sorted(wanted - self._booted))
                 raise UserError(f"no boot-up message of node {missing}: check power, wiring, bit rate and node ids")
             time.sleep(0.002)
 
-    def _configure(self, axis: Axis, node: canopen.RemoteNode) -> None:
+    def _identify(self, axis: Axis, node: canopen.RemoteNode) -> None:
         try:
-            kind = int.from_bytes(_upload(node, 0x1000), "little") & 0xFFFF
-            if kind != CIA_402:
-                raise UserError(f"node {axis.node_id} is a CiA {kind} device, not a CiA 402 drive: check its id")
-            for write in required_writes(axis, self.arm):
-                self._write(node, write)
-            for write in optional_writes(axis, self.arm):
+            kind = read(node, 0x1000) & 0xFFFF
+        except SdoTransferError as failure:
+            raise UserError(f"node {axis.node_id} cannot be configured: {failure}") from failure
+        if kind != CIA_402:
+            raise UserError(f"node {axis.node_id} is a CiA {kind} device, not a CiA 402 drive: check its id")
+
+    def _stop(self, axis: Axis, node: canopen.RemoteNode) -> None:
+        """Stop a drive that another master has left in operation."""
+        if state_of(self._statusword(axis, node)) is State.OPERATION_ENABLED:
+            self._command(axis, node, Command.QUICK_STOP)
+
+    def _take_power_off(self, number: int) -> None:
+        """Wait until a drive is at rest, then out of power: nothing is configured under power."""
+        axis, node = self.arm.axes[number], self.nodes[number]
+        deadline = time.monotonic() + POWER_OFF
+        while (state := state_of(self._statusword(axis, node))) is not None and state.powered:
+            if time.monotonic() > deadline:
+                raise UserError(
+                    f"node {axis.node_id} was found in {state.label} and stays under power: end the program that has "
+                    "enabled it, or take its power off"
+                )
+            before = self._position(number)
+            time.sleep(REST_INTERVAL)
+            moved = abs((self._position(number) - before) * axis.scale.rad_per_count)
+            if state is not State.FAULT_REACTION_ACTIVE and moved < REST_SPEED * REST_INTERVAL:
+                self._command(axis, node, Command.DISABLE_VOLTAGE)
+
+    def _command(self, axis: Axis, node: canopen.RemoteNode, command: Command) -> None:
+        try:
+            write(node, SdoWrite(0x6040, 0, command.value, 2))
+        except SdoTransferError as failure:
+            raise UserError(f"node {axis.node_id} cannot be stopped: {failure}") from failure
+
+    def _position(self, number: int) -> int:
+        try:
+            return read(self.nodes[number], 0x6064, signed=True)
+        except SdoTransferError as failure:
+            raise UserError(f"node {self.arm.axes[number].node_id} does not say where it is: {failure}") from failure
+
+    def _configure(self, number: int) -> None:
+        axis, node = self.arm.axes[number], self.nodes[number]
+        try:
+            for item in required_writes(axis, self.arm):
+                write(node, item)
+            self.counts[number] = self._position(number)
+            for item in optional_writes(axis, self.arm, int(self.counts[number])):
                 try:
-                    self._write(node, write)
-                except canopen.SdoAbortedError as error:
-                    self.warnings.append(f"node {axis.node_id} refuses 0x{write.index:04X}:{write.sub} ({error})")
+                    write(node, item)
+                except SdoTransferError as failure:
+                    if failure.code is None:
+                        raise
+                    self._refused.add((number, item.index))
+                    self.warnings.append(f"node {axis.node_id}: {failure}; the drive keeps its own")
             self._compare_rated(axis, node)
-        except SdoError as error:
-            raise UserError(f"node {axis.node_id} cannot be configured: {error}") from error
+        except SdoTransferError as failure:
+            raise UserError(f"node {axis.node_id} cannot be configured: {failure}") from failure
 
     def _statusword(self, axis: Axis, node: canopen.RemoteNode) -> int:
         try:
-            return int.from_bytes(_upload(node, 0x6041), "little") & 0xFFFF
-        except SdoError as error:
-            raise UserError(f"node {axis.node_id} does not report its state: {error}") from error
-
-    def _write(self, node: canopen.RemoteNode, write: SdoWrite) -> None:
-        try:
-            node.sdo.download(write.index, write.sub, write.data)
-        except canopen.SdoAbortedError as error:
-            # The library's text does not say which object.
-            error.args = (f"0x{write.index:04X}:{write.sub} = {write.value}", *error.args)
-            raise
+            return read(node, 0x6041) & 0xFFFF
+        except SdoTransferError as failure:
+            raise UserError(f"node {axis.node_id} does not report its state: {failure}") from failure
 
     def _compare_rated(self, axis: Axis, node: canopen.RemoteNode) -> None:
         index, unit = (0x6076, "N·m") if axis.scale.torque_source == "rated_torque" else (0x6075, "A")
-        try:
-            rated = 1e-3 * int.from_bytes(_upload(node, index), "little")
-        except canopen.SdoAbortedError:
+        raw = read_if_there(node, index)
+        if raw is None:
             return
+        rated = 1e-3 * raw
         if abs(rated / MICRO - axis.scale.rated) <= RATED_TOLERANCE * axis.scale.rated:
             self.notes.append(
                 f"node {axis.node_id} states 0x{index:04X} in µ{unit}, not in m{unit} as CiA 402 has it: "
@@ -288,30 +443,22 @@ class DriveMaster:
         def report(entry: EmcyError) -> None:
             # The library keeps every EMCY for ever.
             self.nodes[number].emcy.reset()
+            over = entry.code & 0xFF00 == 0
+            text = f"node {node_id} reports {entry} (error register 0x{entry.register:02X})"
+            if over:
+                self.emergencies.pop(number, None)
+            else:
+                self.emergencies[number] = text
             if self._cycle is None:
                 return
-            if entry.code & 0xFF00 == 0:
+            if over:
                 self._cycle.report(EventKind.EMERGENCY_OVER, number, f"node {node_id} reports no error left")
             else:
-                text = f"node {node_id} reports {entry} (error register 0x{entry.register:02X})"
                 kind = EventKind.MASTER_MISSED if entry.code == HEARTBEAT_ERROR else EventKind.EMERGENCY
                 self._cycle.report(kind, number, text)
 
         return report
 
 
-def _upload(node: canopen.RemoteNode, index: int) -> bytes:
-    """An integer object, as `SdoClient.upload` reads it, but never more than `LONGEST_OBJECT` bytes of one.
-
-    Raises:
-        SdoError: The drive does not answer, has no such object, or does not stop answering.
-    """
-    data = b""
-    with node.sdo.open(index, 0, "rb", buffering=0) as stream:
-        while part := stream.read(7):
-            data += part
-            if len(data) > LONGEST_OBJECT:
-                node.sdo.abort(TOO_LONG)
-                raise SdoCommunicationError(f"0x{index:04X} is longer than {LONGEST_OBJECT} bytes")
-    variable = node.object_dictionary.get_variable(index, 0)
-    return data if variable is None else data[: len(variable) // 8]
+def _mode_name(mode: int) -> str:
+    return f", {MODES[mode]}" if mode in MODES else ""

@@ -14,7 +14,7 @@ from typing import Any, Final
 import can
 import numpy as np
 
-from spacearm_ident.canbus.arm_bus import EXTRAPOLATION, ArmBus, Axis
+from spacearm_ident.canbus.arm_bus import EXTRAPOLATION, SDO_TIMEOUT, ArmBus, Axis
 from spacearm_ident.canbus.bus_load import BitRate
 from spacearm_ident.canbus.open_bus import open_bus
 from spacearm_ident.canbus.pdo import FEEDBACK, SET_POINT, SLIM_FEEDBACK, SLIM_SET_POINT
@@ -157,7 +157,7 @@ def _build(data: Mapping[str, Any], arm: Arm, path: Path) -> ArmCan:
 
 
 def _arm_bus(axes: tuple[Axis, ...], cycle: Mapping[str, Any], rate: BitRate, where: str) -> ArmBus:
-    _known(cycle, {*_CYCLE, "stale_feedback_s", "extrapolation_s"}, f"{where}: cycle")
+    _known(cycle, {*_CYCLE, "stale_feedback_s", "extrapolation_s", "sdo_timeout_s"}, f"{where}: cycle")
     period = float(cycle.get("period_s", 1e-3))
     slim = bool(cycle.get("slim", False))
     return ArmBus(
@@ -172,6 +172,7 @@ def _arm_bus(axes: tuple[Axis, ...], cycle: Mapping[str, Any], rate: BitRate, wh
         heartbeat_timeout=float(cycle.get("heartbeat_timeout_s", 0.25)),
         stale_cycles=max(2, round(float(cycle.get("stale_feedback_s", 0.05)) / period)),
         extrapolation=float(cycle.get("extrapolation_s", EXTRAPOLATION)),
+        sdo_timeout=float(cycle.get("sdo_timeout_s", SDO_TIMEOUT)),
         bit_rate=rate,
     )
 

@@ -26,14 +26,15 @@ from spacearm_ident.arrays import FloatArray
 from spacearm_ident.canbus.cia402 import Goal, State
 from spacearm_ident.canbus.cycle import Cycle
 from spacearm_ident.canbus.events import Event, EventKind
-from spacearm_ident.canbus.master import DriveMaster, OtherMasterError
+from spacearm_ident.canbus.master import HEARTBEAT_ERROR, DriveMaster, OtherMasterError
 from spacearm_ident.canbus.pdo import Feedback
 from spacearm_ident.canbus.realtime import Pacer, prepare_process, prepare_thread
-from spacearm_ident.driver.arm_can import ArmCan
+from spacearm_ident.driver.arm_can import QUICK_STOP, ArmCan
 from spacearm_ident.driver.bus_lock import BusLock
+from spacearm_ident.driver.last_seen import LastSeen
 from spacearm_ident.driver.playback import Playback
 from spacearm_ident.driver.resume import Latch, Silence, resumable
-from spacearm_ident.driver.safety import Fault, MotionMonitor, Rule, fault_of
+from spacearm_ident.driver.safety import STANDSTILL, Fault, MotionMonitor, Rule, fault_of, stands_outside
 from spacearm_ident.driver.set_points import SetPointStream
 from spacearm_ident.driver.status import DriverStatus, Phase, silent_joint, stuck_joint
 from spacearm_ident.driver.temperatures import OnTemperature, TemperatureReader
@@ -45,10 +46,15 @@ REST_S: Final = 3.0
 BOOT_S: Final = 2.0
 RECONNECT_S: Final = BOOT_S + 2.0
 _POLL_S: Final = 0.005
+#: How long all joints must stand before the arm is said to be held, s: a drive in another mode of operation than wanted
+#: leaves its place within some cycles.
+HOLD_S: Final = 0.1
 #: After these the drives' configuration is not to be trusted.
 _ASTRAY: Final = frozenset(
     (EventKind.RESTARTED, EventKind.HEARTBEAT_LOST, EventKind.STALE_FEEDBACK, EventKind.BUS_ERROR, EventKind.BAD_FRAME)
 )
+#: After these a drive may have another position than before.
+_UNSEEN: Final = frozenset((EventKind.RESTARTED, EventKind.STALE_FEEDBACK))
 #: One side has not heard the other for a while: no danger to an arm that was never under power, and no wonder while a
 #: machine starts all nodes at once. Then the drives are connected again; from the first enable on it is a fault.
 _PAUSES: Final = frozenset((EventKind.HEARTBEAT_LOST, EventKind.STALE_FEEDBACK, EventKind.MASTER_MISSED))
@@ -106,7 +112,15 @@ class ArmDriver:
         self._monitor = MotionMonitor(config.limits)
         self._stream: SetPointStream | None = None
         self._playback = Playback(config.bus.period, config.bus.extrapolation)
-        self._target = np.zeros(len(config.limits.joints))
+        self._seen = LastSeen(
+            config.limits,
+            [axis.quick_stop_deceleration / QUICK_STOP for axis in config.bus.axes],
+            config.bus.extrapolation,
+            config.bus.period,
+        )
+        self._elsewhere = ""
+        self._errors: dict[int, str] = {}
+        self._standing = 0
         self._wanted = self._resetting = self._reconnecting = self._astray = self._ever_enabled = False
         self._again = self._tried = ""
         self._latency: str | None = None
@@ -153,10 +167,22 @@ class ArmDriver:
             raise UserError(f"not enabled, the arm was stopped ({self.fault}): call /driver/recover first")
         if self._wanted:
             return "enabled already"
+        try:
+            self._require_fit(cycle)
+            self._beside(lambda master, joint: master.prepare(joint))
+        except UserError as error:
+            raise UserError(f"not enabled: {error}") from error
+        self._standing = 0
         self._wanted = self._ever_enabled = True
         if self._until(lambda: self._stream is not None or self.fault is not None, ENABLE_S) and self.fault is None:
-            return "enabled, the arm is held where it is"
-        stuck = self._not_in(State.OPERATION_ENABLED, cycle)
+            try:
+                # Some drives change their mode, or show it, only now.
+                self._beside(lambda master, joint: master.check_mode(joint))
+                return "enabled, the arm is held where it is"
+            except UserError as error:
+                self._wanted = False
+                raise UserError(f"not enabled: {error}") from error
+        stuck = self._not_in(State.OPERATION_ENABLED, cycle) or self._moving()
         self._wanted = False
         raise UserError(f"not enabled: {self.fault or stuck or 'a drive left operation'}")
 
@@ -201,7 +227,7 @@ class ArmDriver:
         return f"resumed after: {fault}"
 
     def _recover(self) -> str:
-        if self.fault is None and self._cycle is not None:
+        if self.fault is None and self._cycle is not None and not (self._elsewhere or self._faulty(self._cycle)):
             return "there is no fault to recover from"
         self._wanted = False
         if not self._until(lambda: self._monitor.at_rest or self._cycle is None, REST_S):
@@ -211,17 +237,26 @@ class ArmDriver:
             if not self._until(lambda: not self._reconnecting, RECONNECT_S):
                 raise UserError(f"not recovered: {self.connection}")
         cycle = self._connected()
+        if self._elsewhere:
+            raise UserError(f"not recovered: {self._elsewhere}")
+        said = self._said_of_faults(cycle)
+        try:
+            self._reset_faults(cycle)
+            self._beside(lambda master, joint: master.prepare(joint))
+        except UserError as error:
+            raise UserError(f"not recovered: {error}") from error
+        self._latch.clear()
+        return f"recovered{said and f' from: {said}'}, disabled: call /driver/enable"
+
+    def _reset_faults(self, cycle: Cycle) -> None:
+        """Bring all drives to "switch on disabled", out of their faults too."""
         self._resetting = True
         try:
             done = self._until(lambda: all(state is State.SWITCH_ON_DISABLED for state in cycle.states), ENABLE_S)
         finally:
             self._resetting = False
         if not done or self._silent():
-            raise UserError(
-                f"not recovered: {self._silent() or self._not_in(State.SWITCH_ON_DISABLED, cycle) or self.fault}"
-            )
-        self._latch.clear()
-        return "recovered, disabled: call /driver/enable"
+            raise UserError(str(self._silent() or self._not_in(State.SWITCH_ON_DISABLED, cycle) or self.fault))
 
     def command(self, stamp_ns: int, position: FloatArray) -> None:
         """Take a set-point (n,) rad; a refused one stops the arm. Ignored while not enabled."""
@@ -270,7 +305,7 @@ class ArmDriver:
             temperature_failures=self._reader.failures if self._reader else 0,
             reconnections=self.reconnections,
             loads=tuple(master.loads) if master else (),
-            warnings=tuple(self.warnings) + ((self._latency,) if self._latency else ()),
+            warnings=(*self.warnings, *self._obstacles(), *((self._latency,) if self._latency else ())),
         )
 
     # Connecting -----------------------------------------------------------------------------------------
@@ -307,7 +342,10 @@ class ArmDriver:
             master.boot(timeout=BOOT_S)
             # The same lists: a drive may refuse its temperature later.
             self.warnings, self.notes = master.warnings, master.notes
-            self._astray = False
+            self._elsewhere = self._seen.compare(master.positions)
+            # What `recover` is asked next is whether it is so still.
+            self._astray = bool(self._elsewhere)
+            self._errors = dict(master.errors)
 
     def _disconnect(self) -> None:
         self._cycle = self._stream = None
@@ -338,18 +376,21 @@ class ArmDriver:
             feedback = cycle.run(self._next_target(late))
             fresh = cycle.missing == 0
             monitor.observe(1e-9 * (cycle.sync_ns - begin_ns), feedback.position, feedback.torque, fresh)
-            self._judge(cycle, monitor, feedback)
+            target = cycle.set_points.position()
+            self._judge(cycle, monitor, feedback, target)
+            self._seen.observe(feedback.position, monitor.speed, fresh, target, cycle.powered)
             if fresh.all():
                 self.samples += 1
                 sample(cycle.sync_ns, feedback)
 
     def _lead(self, cycle: Cycle) -> None:
         """Set the goal of this cycle."""
-        if self.fault is not None:
+        if self._resetting:
             self._stream = None
-            if self._resetting:
-                cycle.goal = Goal.RESET
-            elif cycle.goal not in (Goal.QUICK_STOP, Goal.RESET):
+            cycle.goal = Goal.RESET
+        elif self.fault is not None:
+            self._stream = None
+            if cycle.goal not in (Goal.QUICK_STOP, Goal.RESET):
                 cycle.quick_stop()
         elif self._wanted:
             cycle.goal = Goal.ENABLED
@@ -366,11 +407,13 @@ class ArmDriver:
         # For when the slot began: a target for now would turn every lateness into a jerk.
         return lambda sync_ns: self._playback.target(stream, sync_ns - late_ns)
 
-    def _judge(self, cycle: Cycle, monitor: MotionMonitor, feedback: Feedback) -> None:
+    def _judge(self, cycle: Cycle, monitor: MotionMonitor, feedback: Feedback, target: FloatArray) -> None:
         self._silence.cycle(cycle.sync_ns)
         events = cycle.events
         while events:
             event = events.popleft()
+            if event.kind in _UNSEEN:
+                self._seen.distrust(event.axis)
             if event.kind in _PAUSES and not self._ever_enabled and self.fault is None:
                 self._connect_again(event)
                 continue
@@ -380,15 +423,23 @@ class ArmDriver:
                 self._latch.trip(fault, self._silence.explains(event))
         if self.fault is None and self._wanted and cycle.enabled:
             if self._stream is None:
-                monitor.limits = self.config.limits.around(feedback.position)
-                self._playback.begin()
-                self._stream = SetPointStream(monitor.limits, cycle.set_points.position(), self._delay)
-            fault = monitor.judge(cycle.set_points.position())
-            fault = fault or self._playback.starved(self._stream, cycle.sync_ns)
+                self._hold(monitor, feedback, target)
+            fault = monitor.judge(target)
+            if self._stream is not None:
+                fault = fault or self._playback.starved(self._stream, cycle.sync_ns)
             if fault is not None:
                 self._latch.trip(fault, resumable(fault, self._playback.bridging(cycle.sync_ns)))
         if self.fault is not None and cycle.goal is Goal.ENABLED:
             cycle.quick_stop()
+
+    def _hold(self, monitor: MotionMonitor, feedback: Feedback, target: FloatArray) -> None:
+        """Take set-points once all joints have stood under power for `HOLD_S`."""
+        if not self._standing:
+            monitor.limits = self.config.limits.around(feedback.position)
+        self._standing = self._standing + 1 if monitor.at_rest else 1
+        if self._standing > HOLD_S / self.config.bus.period:
+            self._playback.begin()
+            self._stream = SetPointStream(monitor.limits, target, self._delay)
 
     def _connect_again(self, event: Event) -> None:
         if not self._reconnecting:
@@ -406,6 +457,64 @@ class ArmDriver:
         with self._sdo:
             return None if self._master is None else self._master.temperature(joint)
 
+    def _beside(self, act: Callable[[DriveMaster, int], None]) -> None:
+        """Act on every joint's drive by SDO, beside the cycle."""
+        for joint in range(len(self.config.limits.joints)):
+            with self._sdo:
+                if self._master is None or self._cycle is None:
+                    raise UserError(f"the arm is not connected: {self.connection}")
+                act(self._master, joint)
+
+    def _require_fit(self, cycle: Cycle) -> None:
+        """Refuse to enable an arm that is elsewhere, outside of its limits, or in fault.
+
+        Raises:
+            UserError: It is, with the joint and what to do.
+        """
+        if not self._until(lambda: bool(cycle.received.all()), REST_S):
+            raise UserError(self._silent() or "a drive sends no feedback")
+        if said := self._elsewhere or stands_outside(self.config.limits, cycle.feedback.position):
+            raise UserError(said)
+        if said := self._said_of_faults(cycle):
+            with self._sdo:
+                codes = {self._master.error_code(joint) for joint in self._faulty(cycle)} if self._master else set()
+            if codes != {HEARTBEAT_ERROR}:
+                raise UserError(f"{said}: see to the cause, then call /driver/recover, which resets the fault")
+            # The answer to this driver's own pause, as it was connected: nothing was under power.
+            self._reset_faults(cycle)
+
+    def _faulty(self, cycle: Cycle) -> list[int]:
+        return [joint for joint, state in enumerate(cycle.states) if state is State.FAULT]
+
+    def _said_of_faults(self, cycle: Cycle) -> str:
+        """What the drives in fault say of it; empty if none is."""
+        faulty, joints = self._faulty(cycle), self.config.limits.joints
+        with self._sdo:
+            if (master := self._master) is not None:
+                self._errors |= {joint: master.error(joint) for joint in faulty}
+        return "; ".join(f"{joints[joint]} is in fault, {self._errors.get(joint, '')}" for joint in faulty)
+
+    def _obstacles(self) -> list[str]:
+        """Why the arm would not be enabled now, as far as that is known without asking a drive."""
+        cycle = self._cycle
+        if cycle is None or self._wanted or not cycle.received.all():
+            return []
+        joints = self.config.limits.joints
+        said = [self._elsewhere or stands_outside(self.config.limits, cycle.feedback.position)]
+        said += [f"{joints[k]} is in fault, {self._errors.get(k, 'for a reason that /driver/recover says')}: "
+                 "/driver/recover resets it" for k in self._faulty(cycle)]  # fmt: skip
+        return [text for text in said if text]
+
+    def _moving(self) -> str:
+        """The fastest joint that moves, as a clause; empty if none does."""
+        speed = np.nan_to_num(np.abs(self._monitor.speed))
+        joint = int(speed.argmax())
+        return (
+            f"{self.config.limits.joints[joint]} moves with {speed[joint]:.2g} rad/s though it is to stand still"
+            if speed[joint] >= STANDSTILL
+            else ""
+        )
+
     def _connected(self) -> Cycle:
         cycle = self._cycle
         if cycle is None:
@@ -420,7 +529,10 @@ class ArmDriver:
         return silent_joint(self.config.limits.joints, cycle.missing, self.config.bus.stale_cycles)
 
     def _not_in(self, wanted: State, cycle: Cycle) -> str:
-        return stuck_joint(self.config.limits.joints, cycle.states, wanted)
+        words = cycle.feedback.statusword.tolist()
+        stuck = stuck_joint(self.config.limits.joints, cycle.states, wanted, words)
+        said = self._said_of_faults(cycle)
+        return f"{stuck}; {said}" if stuck and said else stuck
 
     def _until(self, condition: Callable[[], bool], seconds: float) -> bool:
         deadline = time.monotonic() + seconds

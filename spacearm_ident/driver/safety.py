@@ -96,6 +96,24 @@ class Limits:
         return replace(self, lower=np.minimum(self.lower, position), upper=np.maximum(self.upper, position))
 
 
+def stands_outside(limits: Limits, position: FloatArray) -> str:
+    """Which joint is outside of its position limits by more than an overshoot, for a person; empty if none is.
+
+    Args:
+        limits: Of the arm; by `tracking` a joint may exceed them, as in motion.
+        position: (n,) rad.
+    """
+    outside = np.maximum(limits.lower - position, position - limits.upper) - limits.tracking
+    joint = int(np.argmax(outside))
+    if not outside[joint] > 0:
+        return ""
+    return (
+        f"{limits.joints[joint]} stands at {position[joint]:.4g} rad, its limits are {limits.lower[joint]:.4g} to "
+        f"{limits.upper[joint]:.4g}: if it does not, correct zero_counts (or direction, counts_per_turn) in the CAN "
+        "YAML; if it does, move it back with the drive's own tool"
+    )
+
+
 @dataclass(frozen=True)
 class Margins:
     """How far measured motion may exceed the limits, as multiples of them."""
@@ -183,6 +201,12 @@ class MotionMonitor:
         span = 0.5 * (time_s - self._time[oldest])
         change = (self._velocity - before) * (known & self._fresh[oldest])
         self._acceleration = change / span if np.isfinite(span) and span > 0 else self._nothing
+
+    @property
+    def speed(self) -> FloatArray:
+        """(n,) rad/s of every joint; NaN where its feedback is missing at an end of the window."""
+        known = self._fresh[self._now] & self._fresh[(self._now - self._window) % self._length]
+        return np.where(known, self._velocity, np.nan)
 
     @property
     def at_rest(self) -> bool:

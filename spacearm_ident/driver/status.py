@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spacearm_ident.canbus.bus_load import BusLoad
-from spacearm_ident.canbus.cia402 import State
+from spacearm_ident.canbus.cia402 import State, notes_of
 from spacearm_ident.driver.safety import Fault
 
 
@@ -85,18 +85,22 @@ def silent_joint(joints: Sequence[str], missing: NDArray[np.int64], stale: int) 
     return "" if missing[worst] < stale else f"{joints[worst]} sends no usable feedback"
 
 
-def stuck_joint(joints: Sequence[str], states: Sequence[State | None], wanted: State) -> str:
+def stuck_joint(
+    joints: Sequence[str], states: Sequence[State | None], wanted: State, words: Sequence[int] | None = None
+) -> str:
     """The first joint whose drive is not in the wanted state, as a clause; empty if all are.
 
     Args:
         joints: Names of the n joints.
         states: CiA 402 state of each drive, in the same order; None: unknown.
         wanted: State that every drive should be in.
+        words: Statusword of each drive, in the same order, for what else it says; None: not known.
 
     Raises:
         ValueError: `joints` and `states` differ in length.
     """
-    for joint, state in zip(joints, states, strict=True):
+    for number, (joint, state) in enumerate(zip(joints, states, strict=True)):
         if state is not wanted:
-            return f"{joint} stays in {state.label if state else 'an unknown state'}"
+            notes = notes_of(int(words[number])) if words is not None else ""
+            return f"{joint} stays in {state.label if state else 'an unknown state'}{notes and f' ({notes})'}"
     return ""

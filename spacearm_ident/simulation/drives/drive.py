@@ -28,7 +28,7 @@ from spacearm_ident.canbus.cia402 import (
     statusword_of,
 )
 from spacearm_ident.canbus.scaling import JointScale
-from spacearm_ident.simulation.drives.communication import Communication
+from spacearm_ident.simulation.drives.communication import Communication, NmtState
 from spacearm_ident.simulation.drives.dictionary import key
 from spacearm_ident.simulation.drives.motion import Motion
 
@@ -182,12 +182,22 @@ class SimulatedDrive(Communication):
         self._settled = None
 
     def reset(self, communication_only: bool = False) -> None:
-        """NMT reset: power off, objects at their defaults, boot-up, pre-operational."""
+        """NMT reset node: power off, objects at their defaults, boot-up, pre-operational.
+
+        Args:
+            communication_only: NMT reset communication: the application, its power state and its objects stay as they
+                are; a drive in operation has lost its master (0x6007).
+        """
+        if communication_only:
+            if self.nmt is NmtState.OPERATIONAL:
+                self.connection_lost(0)
+            super().reset(True)
+            return
         self._enter(State.NOT_READY_TO_SWITCH_ON)
         self._controlword = 0
         self._stop_latched = False
         self._settled = None
-        super().reset(communication_only)
+        super().reset()
         self._state_rated_values()
         self._enter(after_event(self.state, Event.INITIALISED))
 
