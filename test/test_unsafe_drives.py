@@ -7,19 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from canopen.objectdictionary import ODVariable
+from canopen.objectdictionary.datatypes import UNSIGNED8
+from canopen.sdo import SdoAbortedError
 from four_axes import ARM as FOUR
 from live_nodes import LIVE, wait_for
 from simulated_arm import CONFIG
 from simulated_bus import SCALE, simulated_drives
 
-from spacearm_ident.canbus.cia402 import State
+from spacearm_ident.canbus.arm_bus import optional_writes
+from spacearm_ident.canbus.cia402 import State, notes_of
 from spacearm_ident.driver.arm_can import ArmCan, BusAddress, load_arm_can
 from spacearm_ident.driver.arm_driver import ArmDriver
 from spacearm_ident.driver.last_seen import SAG, LastSeen
 from spacearm_ident.driver.safety import Limits
 from spacearm_ident.driver.status import Phase
 from spacearm_ident.errors import UserError
-from spacearm_ident.simulation.drives.dictionary import key
+from spacearm_ident.simulation.drives.dictionary import OUT_OF_RANGE, key
 from spacearm_ident.simulation.drives.drive import ERROR_CODE, MODE
 
 pytestmark = [*LIVE, pytest.mark.usefixtures("own_buses")]
@@ -421,3 +425,136 @@ def test_drives_of_a_killed_master_are_brought_to_rest_before_they_are_configure
         with driver_of(process) as driver:
             assert process.act(states) == [State.SWITCH_ON_DISABLED] * 4
             driver.enable()
+
+
+# What is refused and what is found -------------------------------------------------------------------------
+
+
+def refuses(index, sub, code):
+    """Drive 2 refuses the write of an object with an abort code."""
+
+    def habit(drives, arm):
+        def refuse(_):
+            raise SdoAbortedError(code)
+
+        drives[1].dictionary.before_write[key(index, sub)] = refuse
+
+    return habit
+
+
+@pytest.mark.parametrize(
+    "index, sub, code, words",
+    [
+        (0x1A00, 0, 0x06040042, [r"0x1A00:0 (TPDO 1 mapping) = 0 is refused", "PDO length exceeded", "slim: true"]),
+        (0x1600, 1, 0x08000022, ["0x1600:1 (RPDO 1 mapping)", "present device state", "fixed", "slim: true"]),
+        (0x6060, 0, 0x08000022, ["0x6060 (modes of operation) = 8", "end other tools"]),
+        (0x1016, 1, 0x06020000, ["0x1016:1 (consumer heartbeat time)", "does not exist", "spacearm check"]),
+    ],
+)
+def test_refused_object_is_named_with_what_was_written_why_and_what_to_do(index, sub, code, words):
+    with (
+        simulated_drives(("a", "b"), habit=refuses(index, sub, code)) as process,
+        driver_of(process, connected=False) as driver,
+    ):
+        wait_for(lambda: "last attempt" in driver.connection, "an attempt")
+        for word in ["node 2 cannot be configured: ", f"0x{code:08X}", *words]:
+            assert word in driver.connection
+
+
+def test_refused_setting_of_the_drives_own_watch_is_a_warning_with_its_name():
+    with driven(refuses(0x6065, 0, OUT_OF_RANGE)) as (_, driver):
+        assert any("node 2: 0x6065 (following error window) = " in text for text in driver.warnings)
+        assert driver.enable()
+
+
+def deaf_to(index):
+    """Drive 3 answers no SDO request for an object."""
+
+    def habit(drives, arm):
+        dictionary = drives[2].dictionary
+        answer = dictionary.on_sdo
+        dictionary.on_sdo = lambda data: None if int.from_bytes(data[1:3], "little") == index else answer(data)
+
+    return habit
+
+
+def test_object_that_is_not_answered_is_named_with_how_long_it_was_waited_for():
+    bus = replace(BUS, sdo_timeout=0.1)
+    words = "node 3 cannot be configured: 0x60C2:1 (interpolation time period) = 4: no answer within 0.1 s"
+    with (
+        simulated_drives(("a", "b"), habit=deaf_to(0x60C2)) as process,
+        driver_of(process, bus, connected=False) as driver,
+    ):
+        wait_for(lambda: words in driver.connection, "an attempt")
+
+
+def narrow(drives, arm):
+    drives[0].values[key(0x607D, 1)], drives[0].values[key(0x607D, 2)] = -100_000, 100_000
+
+
+def test_position_limits_of_the_drive_that_are_widened_are_a_warning_with_both_ranges():
+    with simulated_drives(("a", "b")) as process:
+        process.act(narrow)
+        with driver_of(process) as driver:
+            (text,) = driver.warnings
+            assert "node 1: its own position limits (0x607D) were -0.09587 to 0.09587 rad (-100000 to 100000" in text
+            assert "sets -1 to 1 rad" in text
+            process.act(power_cycle, 1, False)
+            wait_for(lambda: driver.fault, "the restart noticed")
+            driver.recover()
+            assert driver.warnings == [text]
+
+
+def inverted(drives, arm):
+    dictionary = drives[3].dictionary
+    polarity = ODVariable("Polarity", 0x607E)
+    polarity.data_type = UNSIGNED8
+    dictionary.object_dictionary.add_object(polarity)
+    dictionary._variables[key(0x607E)] = polarity
+    dictionary.values[key(0x607E)] = polarity.default = 0x80
+
+
+def test_polarity_of_a_drive_is_a_warning():
+    with driven(inverted) as (_, driver):
+        assert [text for text in driver.warnings if "node 4 has polarity 0x80 (0x607E)" in text]
+
+
+def remote_off(drives, arm):
+    drive = drives[1]
+    show = drive._show_status
+
+    def shown():
+        show()
+        drive.values[key(0x6041)] &= ~0x0200
+
+    drive._show_status, drive._apply = shown, lambda word: None
+
+
+def test_statusword_says_why_a_drive_cannot_be_enabled():
+    words = r"j2 stays in switch on disabled .*remote off"
+    with driven(remote_off) as (_, driver), pytest.raises(UserError, match=words):
+        driver.enable()
+
+
+@pytest.mark.parametrize(
+    "word, said",
+    [
+        (0x0250, ""),
+        (0x0240, "no voltage, or safe torque off (bit 4)"),
+        (0x0050, "remote off: another interface or tool controls it (bit 9)"),
+        (0x0AD0, "internal limit active (bit 11); warning (bit 7)"),
+    ],
+)
+def test_bits_of_the_statusword_in_words(word, said):
+    assert notes_of(word) == (said and f"its statusword 0x{word:04X} says: {said}")
+
+
+def test_quick_stop_deceleration_is_written_in_the_drives_unit():
+    axis = replace(BUS.axes[0], quick_stop_deceleration=3.0)
+    turns = 3.0 / (2 * math.pi) * SCALE.gear_ratio
+    wanted = {"counts/s2": round(turns * SCALE.counts_per_turn), "rpm/s": round(60 * turns), "none": None}
+    for unit, value in wanted.items():
+        writes = optional_writes(replace(axis, quick_stop_unit=unit), BUS)
+        assert [write.value for write in writes if write.index == 0x6085] == ([] if value is None else [value])
+    with pytest.raises(UserError, match="quick_stop_unit is 'deg': give one of"):
+        replace(axis, quick_stop_unit="deg")

@@ -34,6 +34,8 @@ CYCLIC_MODE: Final = 8
 #: Extrapolation where none is given, and the longest that is believed, s.
 EXTRAPOLATION: Final = 0.06
 MOST_EXTRAPOLATION: Final = 1.0
+#: Units of 0x6085 that drives have: counts of the encoder, or speed of the motor; or it is left as the drive has it.
+QUICK_STOP_UNITS: Final = ("counts/s2", "rpm/s", "none")
 #: How long a drive may take to answer an SDO request where nothing is given, s: the canopen library's own.
 SDO_TIMEOUT: Final = 0.3
 _I32: Final = 2**31 - 1
@@ -55,6 +57,7 @@ class Axis:
         following_error_time: For how long, s.
         quick_stop_deceleration: Of the drive's ramp, rad/s².
         temperature_object: Index of the maker's object that has the winding temperature, signed, in 0.1 °C; None: none.
+        quick_stop_unit: What the drive counts 0x6085 in, one of `QUICK_STOP_UNITS`; `none`: it is not written.
     """
 
     node_id: int
@@ -65,6 +68,16 @@ class Axis:
     following_error_time: float = 0.01
     quick_stop_deceleration: float = 20.0
     temperature_object: int | None = None
+    quick_stop_unit: str = "counts/s2"
+
+    def __post_init__(self) -> None:
+        """Refuse a unit that is not known.
+
+        Raises:
+            UserError: It is none of `QUICK_STOP_UNITS`.
+        """
+        if self.quick_stop_unit not in QUICK_STOP_UNITS:
+            raise UserError(f"quick_stop_unit is '{self.quick_stop_unit}': give one of {', '.join(QUICK_STOP_UNITS)}")
 
 
 @dataclass(frozen=True)
@@ -213,7 +226,7 @@ def optional_writes(axis: Axis, arm: ArmBus, present: int | None = None) -> list
         SdoWrite(0x6007, 0, ON_LOST_MASTER, 2),
         SdoWrite(0x605A, 0, AFTER_QUICK_STOP, 2),
         SdoWrite(0x605E, 0, IN_FAULT, 2),
-        SdoWrite(0x6085, 0, min(round(axis.quick_stop_deceleration * per_rad), _U32), 4),
+        *_quick_stop(axis),
         SdoWrite(0x6065, 0, window, 4),
         SdoWrite(0x6066, 0, round(1e3 * axis.following_error_time), 2),
         *position_limits(axis, present),
@@ -232,6 +245,15 @@ def position_limits(axis: Axis, present: int | None = None) -> list[SdoWrite]:
     if present is not None:
         low, high = min(low, present), max(high, present)
     return [SdoWrite(0x607D, 1, low, 4), SdoWrite(0x607D, 2, high, 4)]
+
+
+def _quick_stop(axis: Axis) -> list[SdoWrite]:
+    """The write of 0x6085, in the drive's unit."""
+    if axis.quick_stop_unit == "none":
+        return []
+    rpm = axis.scale.gear_ratio * 60.0 / (2.0 * math.pi)
+    per_rad = rpm if axis.quick_stop_unit == "rpm/s" else 1.0 / abs(axis.scale.rad_per_count)
+    return [SdoWrite(0x6085, 0, min(round(axis.quick_stop_deceleration * per_rad), _U32), 4)]
 
 
 def interpolation_time(period: float) -> tuple[int, int]:

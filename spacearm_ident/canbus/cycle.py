@@ -24,7 +24,7 @@ import numpy as np
 
 from spacearm_ident.arrays import BoolArray, FloatArray
 from spacearm_ident.canbus.arm_bus import INTERPOLATED_MODE, ArmBus
-from spacearm_ident.canbus.cia402 import Command, Goal, State, controlword_toward, state_of
+from spacearm_ident.canbus.cia402 import Command, Goal, State, controlword_toward, notes_of, state_of
 from spacearm_ident.canbus.events import Event, EventKind
 from spacearm_ident.canbus.frames import ERROR_BUS_OFF
 from spacearm_ident.canbus.pdo import (
@@ -358,7 +358,9 @@ class Cycle:
             if was_enabled and not enabled and self.goal is Goal.ENABLED:
                 node = self.arm.axes[number].node_id
                 label = state.label if state else f"an unknown state (0x{word:04X})"
-                self.report(EventKind.LEFT_OPERATION, number, f"node {node} went to {label} by itself")
+                notes = notes_of(word)
+                text = f"node {node} went to {label} by itself{notes and f' ({notes})'}"
+                self.report(EventKind.LEFT_OPERATION, number, text)
                 stop = True
         if stop:
             self.quick_stop()

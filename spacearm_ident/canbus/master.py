@@ -85,7 +85,9 @@ class DriveMaster:
         warnings: What a user should know after `boot`: settings a drive refused, rated values that differ;
             `temperature` adds to them.
         notes: What is worth knowing, and no reason for concern.
+        widened: What of an axis' own position limits is replaced by wider ones, since `boot`.
         errors: What an axis that `boot` found in fault says of it.
+        doing: What `boot` does now, for a person.
         emergencies: Last EMCY of an axis since then that reports an error, until it reports that none is left.
         counts: (n,) 0x6064 of each drive as `boot` found it, before position limits were written.
     """
@@ -110,7 +112,9 @@ class DriveMaster:
         self._asked = [axis.temperature_object for axis in arm.axes]
         self.buses = list(buses)
         self.networks = [canopen.Network(bus) for bus in buses]
+        self.widened: dict[int, str] = {}
         self.errors: dict[int, str] = {}
+        self.doing = ""
         self.emergencies: dict[int, str] = {}
         self.counts = np.zeros(len(arm.axes), dtype=np.int64)
         self._booted: set[tuple[int, int]] = set()
@@ -353,10 +357,13 @@ class DriveMaster:
 
     def _configure(self, number: int) -> None:
         axis, node = self.arm.axes[number], self.nodes[number]
+        self.doing = f"configuring node {axis.node_id}"
         try:
             for item in required_writes(axis, self.arm):
                 write(node, item)
             self.counts[number] = self._position(number)
+            self._note_own_limits(number)
+            self._note_polarity(number)
             for item in optional_writes(axis, self.arm, int(self.counts[number])):
                 try:
                     write(node, item)
@@ -368,6 +375,30 @@ class DriveMaster:
             self._compare_rated(axis, node)
         except SdoTransferError as failure:
             raise UserError(f"node {axis.node_id} cannot be configured: {failure}") from failure
+
+    def _note_own_limits(self, number: int) -> None:
+        """Say where a drive's own position limits are narrower than those it will be given."""
+        axis, node = self.arm.axes[number], self.nodes[number]
+        own = [read_if_there(node, 0x607D, sub, signed=True) for sub in (1, 2)]
+        low, high = (item.value for item in position_limits(axis, int(self.counts[number])))
+        # Equal ends, as zero and zero, mean that there is no limit.
+        if own[0] is None or own[1] is None or own[0] >= own[1] or (own[0] <= low and own[1] >= high):
+            return
+        self.widened[number] = (
+            f"node {axis.node_id}: its own position limits (0x607D) were {_range(axis, own[0], own[1])}; the driver "
+            f"sets {_range(axis, low, high)}, which is wider: take the drive's into the arm YAML (or the joint's "
+            "position_lower_rad and position_upper_rad in the CAN YAML) if they are meant"
+        )
+
+    def _note_polarity(self, number: int) -> None:
+        """Say where a drive inverts its positions or velocities by itself."""
+        node_id = self.arm.axes[number].node_id
+        polarity = read_if_there(self.nodes[number], 0x607E)
+        if polarity:
+            self.warnings.append(
+                f"node {node_id} has polarity 0x{polarity & 0xFF:02X} (0x607E): it inverts by itself, so direction and "
+                "torque_sign are right only if they were found with it; set it to 0, or check both"
+            )
 
     def _statusword(self, axis: Axis, node: canopen.RemoteNode) -> int:
         try:
@@ -462,3 +493,9 @@ class DriveMaster:
 
 def _mode_name(mode: int) -> str:
     return f", {MODES[mode]}" if mode in MODES else ""
+
+
+def _range(axis: Axis, low: int, high: int) -> str:
+    """A range of counts for a person, in rad and counts."""
+    ends = sorted((count - axis.scale.zero_counts) * axis.scale.rad_per_count for count in (low, high))
+    return f"{ends[0]:.4g} to {ends[1]:.4g} rad ({low} to {high} counts)"

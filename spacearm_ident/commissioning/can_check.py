@@ -143,6 +143,13 @@ def check_eds(bus: ArmBus, eds: str, path: Path) -> Iterator[CheckResult]:
         )
     else:
         yield ok("EDS", f"{file.name}: PDO mapping, SYNC, heartbeats, mode {bus.mode} and interpolation time are there")
+    polarity = _find(dictionary, 0x607E, 0)
+    if polarity is not None and polarity.default:
+        yield warn(
+            "EDS",
+            f"{file.name} sets polarity 0x607E to 0x{int(polarity.default):02X}: the drive inverts by itself",
+            "set it to 0, or find direction and torque_sign with it",
+        )
     if without := _lacking(dictionary, optional_writes(axis, bus)):
         yield warn(
             "EDS",

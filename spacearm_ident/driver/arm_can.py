@@ -42,7 +42,10 @@ _LIMITS: Final = {
 }
 _SCALE: Final = {"counts_per_turn", "peak_factor", "direction", "torque_sign", "zero_counts"}
 _RATED: Final = {"rated_current_A": "rated_current", "rated_torque_Nm": "rated_torque"}
-_JOINT: Final = {"bus", "node", "tracking_error_rad", "temperature_object", *_SCALE, *_RATED, *_LIMITS}
+_JOINT: Final = {
+    *("bus", "node", "tracking_error_rad", "temperature_object", "quick_stop_unit"),
+    *(*_SCALE, *_RATED, *_LIMITS),
+}
 
 
 @dataclass(frozen=True)
@@ -210,6 +213,7 @@ def _axis(joint: Joint, keys: Mapping[str, Any], where: str) -> Axis:
         following_error=window,
         quick_stop_deceleration=stop if np.isfinite(stop) else 20.0,
         temperature_object=None if warm is None else int(warm),
+        quick_stop_unit=str(keys.get("quick_stop_unit", "counts/s2")),
     )
 
 

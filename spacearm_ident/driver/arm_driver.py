@@ -90,7 +90,7 @@ class ArmDriver:
             OtherMasterError: Another driver on this machine has a bus.
         """
         self.config = config
-        self.warnings: list[str] = []
+        self._of_master: list[str] = []
         self.notes: list[str] = []
         self._latch = Latch()
         self._silence = Silence(config.bus.heartbeat, config.bus.heartbeat_timeout)
@@ -120,6 +120,7 @@ class ArmDriver:
         )
         self._elsewhere = ""
         self._errors: dict[int, str] = {}
+        self._widened: dict[int, str] = {}
         self._standing = 0
         self._wanted = self._resetting = self._reconnecting = self._astray = self._ever_enabled = False
         self._again = self._tried = ""
@@ -150,6 +151,22 @@ class ArmDriver:
         if self._wanted:
             return Phase.ENABLED if self._stream is not None else Phase.ENABLING
         return Phase.DISABLED
+
+    @property
+    def doing(self) -> str:
+        """What is done to connect the drives, for a person; may be empty."""
+        return self._master.doing if self._cycle is None and self._master is not None else ""
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user should know of the settings of the drives that were connected, or of what they refuse since."""
+        return [*self._of_master, *self._widened.values()]
+
+    @property
+    def findings(self) -> list[str]:
+        """The same, and which drives were found in fault."""
+        joints = self.config.limits.joints
+        return [*self.warnings, *(f"{joints[joint]} is in fault, {text}" for joint, text in self._errors.items())]
 
     # Verbs ----------------------------------------------------------------------------------------------
 
@@ -341,7 +358,9 @@ class ArmDriver:
             self._master = master
             master.boot(timeout=BOOT_S)
             # The same lists: a drive may refuse its temperature later.
-            self.warnings, self.notes = master.warnings, master.notes
+            self._of_master, self.notes = master.warnings, master.notes
+            # A drive that is connected again has the limits of before.
+            self._widened = master.widened | self._widened
             self._elsewhere = self._seen.compare(master.positions)
             # What `recover` is asked next is whether it is so still.
             self._astray = bool(self._elsewhere)

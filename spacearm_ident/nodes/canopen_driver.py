@@ -67,6 +67,7 @@ class CanopenDriver(LiveNode):
         self._reader = JointStateReader(joints)
         self._shown: tuple[Phase, Fault | None] | None = None
         self._reconnections = 0
+        self._logged: set[str] = set()
         self._closing = threading.Event()
         self._driver = ArmDriver(
             self._config,
@@ -155,14 +156,15 @@ class CanopenDriver(LiveNode):
         self._waiting_s = self._waiting_s + _WATCH_S if phase is Phase.CONNECTING else 0.0
         refused = self._driver.refused
         if refused is None and self._patience and self._waiting_s > self._patience:
-            refused = self._driver.connection
+            doing = f", {self._driver.doing}" if self._driver.doing else ""
+            refused = f"no connection within {self._patience:g} s (connect_timeout_s): {self._driver.connection}{doing}"
         if refused is not None:
             self.get_logger().fatal(refused)
             self.exit_code = 2
 
     def _log_once(self) -> None:
         """What the drives said when they were connected, or since: each once, however often they are."""
-        said = [(Level.WARN, text) for text in self._driver.status().warnings]
+        said = [(Level.WARN, text) for text in self._driver.findings]
         said += [(Level.OK, text) for text in tuple(self._driver.notes)]
         for level, text in said:
             if text not in self._logged:
