@@ -233,7 +233,8 @@ class DriveMaster:
             code = None
         said = "gives no error code (0x603F)"
         if code is not None:
-            said = f"has error code 0x{code:04X} (0x603F: {EmcyError(code, 0, b'', 0.0).get_desc() or 'unknown'})"
+            kind = EmcyError(code, 0, b"", 0.0).get_desc()
+            said = f"has error code 0x{code:04X} (0x603F{kind and f': {kind}'})"
         heard = f", EMCY: {self.emergencies[number]}" if number in self.emergencies else ""
         return f"node {node_id} {said}{heard}"
 
@@ -371,7 +372,7 @@ class DriveMaster:
                     if failure.code is None:
                         raise
                     self._refused.add((number, item.index))
-                    self.warnings.append(f"node {axis.node_id}: {failure}; the drive keeps its own")
+                    self.warnings.append(f"node {axis.node_id}: {failure}; the driver goes on without")
             self._compare_rated(axis, node)
         except SdoTransferError as failure:
             raise UserError(f"node {axis.node_id} cannot be configured: {failure}") from failure
