@@ -23,7 +23,7 @@ def a_node(phase: Phase, warnings: list[str], notes: tuple[str, ...] = ()) -> tu
         other = {"phase": phase, "fault": None, "connection": "connected", "warnings": tuple(warnings)}
         return DriverStatus(**(plain | {"states": {}, "lateness_s": (0.0,) * 3, "loads": ()} | other))  # type: ignore[arg-type]
 
-    driver = SimpleNamespace(status=status, notes=notes)
+    driver = SimpleNamespace(status=status, findings=warnings, notes=notes)
     return SimpleNamespace(_driver=driver, _logged=set(), log=lambda *said: logged.append(said)), logged
 
 

@@ -510,7 +510,7 @@ class ArmDriver:
         faulty, joints = self._faulty(cycle), self.config.limits.joints
         with self._sdo:
             if (master := self._master) is not None:
-                self._errors |= {joint: master.error(joint) for joint in faulty}
+                self._errors = self._errors | {joint: master.error(joint) for joint in faulty}
         return "; ".join(f"{joints[joint]} is in fault, {self._errors.get(joint, '')}" for joint in faulty)
 
     def _obstacles(self) -> list[str]:

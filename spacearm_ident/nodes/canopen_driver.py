@@ -83,7 +83,6 @@ class CanopenDriver(LiveNode):
         self.offer("driver/halt", lambda: self._said(driver.halt))
         self.offer("driver/recover", lambda: self._said(driver.recover))
         self.offer("driver/resume", lambda: self._said(driver.resume))
-        self._logged: set[str] = set()
         self._waiting_s = 0.0
         self.refuse_simulated_time("drives keep the time of this machine, and so do the stamps here")
         self.every(_WATCH_S, self._watch)
