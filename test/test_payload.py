@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.config import config_path
+from spacearm_ident.dynamics.model import IdentifiedModel
 from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.dynamics.regressor import rigid_body_blocks
 from spacearm_ident.errors import UnfitDataError, UserError
@@ -37,11 +38,13 @@ def run(
     moving: int = 6,
     centre: np.ndarray = CENTRE,
     size: float = 1.0,
+    model: IdentifiedModel = MODEL,
 ) -> Recording:
     """Twelve seconds of the paper's arm with a body on its last link; joints after the first `moving` stand still.
 
-    The body's inertia about its centre is `size` times that of INERTIA: none at 0, a point mass.
+    The body's inertia about its centre is `size` times that of INERTIA: none at 0, a point mass. `model` is the arm.
     """
+    arm = model.model.arm
     motion = sweep(ARM)
     motion = motion[0:1200]
     turns = np.arange(6) < moving
@@ -53,9 +56,9 @@ def run(
     )
     about = size * INERTIA * mass / MASS + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     phi = np.array([mass, *(mass * centre), *about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
-    blocks = rigid_body_blocks(ARM, motion.position, motion.velocity, motion.acceleration)
+    blocks = rigid_body_blocks(arm, motion.position, motion.velocity, motion.acceleration)
     extra = np.stack([phi @ blocks[row, len(ARM.joints) - 1] for row in range(len(ARM.joints))], axis=1)
-    torque = MODEL.torque(motion) + extra + friction * np.sign(motion.velocity)
+    torque = model.torque(motion) + extra + friction * np.sign(motion.velocity)
     torque = gain * torque + noise * np.random.default_rng(seed).standard_normal(torque.shape)
     time = np.arange(len(torque)) / motion.rate_hz
     return Recording(

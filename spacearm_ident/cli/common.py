@@ -41,12 +41,22 @@ def add_arm_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--arm", type=Path, metavar="FILE", help="URDF or arm YAML; default: /robot_description of the first bag"
     )
+    add_gravity_option(command, "default: the arm's, else 0 0 -9.81")
+
+
+def add_gravity_option(command: argparse.ArgumentParser, default: str) -> None:
+    """`--gravity`.
+
+    Args:
+        command: Parser of the command.
+        default: What holds without the option.
+    """
     command.add_argument(
         "--gravity",
         type=float,
         nargs=3,
         metavar=("X", "Y", "Z"),
-        help="gravity in the base frame, m/s^2 (0 0 0 in orbit); default: the arm's, else 0 0 -9.81",
+        help=f"gravity in the base frame, m/s^2 (0 0 0 in orbit); {default}",
     )
 
 

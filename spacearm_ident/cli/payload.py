@@ -19,8 +19,9 @@ DESCRIPTION = """
 Identify what the arm holds from recordings with it and a model of the arm without it (a result folder of identify, or
 its model.yaml): mass, centre of mass and inertia with standard errors, in the frame of the flange, and as
 set_target_payload of URScript, load data of KUKA and setLoad of Franka. Ten seconds in which the last joints move
-against gravity are enough for mass and centre; an inertia that the motion does not excite is left out. Friction may
-have changed since the model; gains may not. Exit code 1: no payload was detected.
+against gravity, or accelerate where there is none, are enough for mass and centre; an inertia that the motion does not
+excite is left out. Friction may have changed since the model; gains may not. A moving base counts by /base_imu. Exit
+code 1: no payload was detected; 2: the model does not fit the recordings (another gravity, a negative mass).
 """
 
 
@@ -35,6 +36,8 @@ def add(command: argparse.ArgumentParser) -> None:
         "--frame", metavar="LINK", help="report it in this link's frame; default: the flange (tool0, flange, ...)"
     )
     command.add_argument("--arm", type=Path, metavar="FILE", help="for logs: URDF or arm YAML")
+    common.add_gravity_option(command, "default: the model's")
+    common.add_base_option(command)
     common.add_namespace_option(command)
     common.add_mapping_option(command)
     common.add_output_options(command)
@@ -44,6 +47,8 @@ def add(command: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read, fit, report."""
     model, _ = read_result(options.model)
+    if options.gravity is not None:
+        model = model.with_gravity(np.array(options.gravity))
     arm = model.model.arm
     with common.progress(options) as report:
         runs = common.reading_of(options).read(options.bags, report)
@@ -69,6 +74,7 @@ def document(held: Held) -> dict[str, Any]:
         "residual_before_Nm": held.before_Nm.tolist(),
         "residual_after_Nm": held.after_Nm.tolist(),
         "calls": {name: call(held) for name, call in CALLS.items()},
+        "notes": list(held.notes),
         "caveat": GAIN_CAVEAT,
     }
 
@@ -96,4 +102,5 @@ def lines(held: Held, joints: tuple[str, ...]) -> list[str]:
         f"{j} {b:.2f} to {a:.2f}" for j, b, a in zip(joints, held.before_Nm, held.after_Nm) if np.isfinite(a)
     )
     shown += [f"{name}: {call(held)}" for name, call in CALLS.items()]
-    return [*shown, f"residual RMS without and with it, N m: {drop}", f"note: {GAIN_CAVEAT}"]
+    notes = [f"note: {words}" for words in (*held.notes, GAIN_CAVEAT)]
+    return [*shown, f"residual RMS without and with it, N m: {drop}", *notes]

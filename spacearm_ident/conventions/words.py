@@ -58,7 +58,7 @@ def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
         case Kind.TIME_REVERSED:
             return "time runs backwards: friction would drive every joint"
         case Kind.GRAVITY:
-            return _gravity(arm, change)
+            return gravity_statement(arm, np.array(change.value))
         case _:
             return _gain(arm, change, evidence)
 
@@ -69,8 +69,13 @@ def _order(arm: Arm, change: Change) -> str:
     return ", ".join(pairs)
 
 
-def _gravity(arm: Arm, change: Change) -> str:
-    vector = np.array(change.value)
+def gravity_statement(arm: Arm, vector: FloatArray) -> str:
+    """That the torque is of another gravity than the arm's.
+
+    Args:
+        arm: With the gravity that was assumed.
+        vector: (3,) gravity of the torque in the base frame, m/s².
+    """
     told = " ".join(f"{g:.3g}" for g in arm.gravity)
     if not vector.any():
         return f"the torque contains no gravity, described as {told} m/s² (compensated by the controller, or in orbit?)"

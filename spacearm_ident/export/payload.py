@@ -7,6 +7,10 @@ correlation time (as `noise.weights` has it, and why).
 The unknowns are the mass m, the first moment m c and the inertia J about the centre, so that the inertia about the
 joint's frame, J + m (c'c 1 - c c'), always has the share that mass and centre fix. J is zero before the data, with the
 standard deviation m `COMPACT_M`^2: what a motion does not show of it enters the errors of mass and centre.
+
+A base whose motion is recorded moves in these columns as in an identification (`dynamics/base_link.py`); its own
+inertia is in none of the joints' rows. What is no payload (another gravity, a model that does not fit) is told apart by
+`export/unweighed.py`.
 """
 
 from __future__ import annotations
@@ -20,18 +24,18 @@ import pinocchio as pin
 from ..arrays import FloatArray
 from ..bayes.updated import REDUCED
 from ..dynamics.arm import Arm
+from ..dynamics.base_link import base_notes, placed
 from ..dynamics.model import IdentifiedModel
 from ..dynamics.regressor import rigid_body_blocks
-from ..errors import UnfitDataError, UserError
+from ..errors import UserError
 from ..estimate.consistency import pseudo_inertia
 from ..identification.weighed import COMPACT_M
 from ..noise.weights import residual_noise
 from ..recording.recording import Recording
 from ..signals.motion import Motion
 from ..signals.prepare import prepare
+from .unweighed import SURE, BodyFit, caveats, refuse_no_body, refuse_other_gravity
 
-SURE = 3.0
-"""Standard errors from which a mass is one."""
 FEWEST_ROWS = 20
 """Rows in motion below which a joint is left out: fewer do not tell its noise."""
 PASSES, FIRST = 10, 3
@@ -60,6 +64,7 @@ class Held:
         inertia: (3, 3) about the centre of mass, axes of the frame, kg m^2; None: these data do not show it.
         mass_error, centre_error, inertia_error: Standard errors of the same; inertia's by element.
         before_Nm, after_Nm: (n,) RMS that the model leaves without and with it, N·m.
+        notes: What was assumed of the base, and what speaks against the result, a sentence each.
     """
 
     frame: str
@@ -71,32 +76,30 @@ class Held:
     inertia_error: FloatArray | None
     before_Nm: FloatArray
     after_Nm: FloatArray
+    notes: tuple[str, ...] = ()
 
 
 def find_payload(model: IdentifiedModel, recordings: Sequence[Recording], frame: str | None = None) -> Held:
     """Identify what is held.
 
     Args:
-        model: Of the arm without it; its gains are taken for right.
-        recordings: With it, effort in N·m.
+        model: Of the arm without it, in the gravity of the recordings (`with_gravity`); its gains are taken for right.
+        recordings: With it, effort in N·m; where the base's motion is recorded, it is used.
         frame: Link of the URDF, fixed to the last joint's, in which it is told; None: the flange, if its name is known.
 
     Raises:
         UnfitDataError: The motion does not show a mass: too short, too small, or nothing is held.
-        UserError: No such frame, or a joint is missing in a recording.
+        UserError: No such frame, a joint or the place of a moving base's sensor is missing, or the model is not of the
+            arm as recorded: another gravity, or a mass that is negative beyond its error.
     """
     arm = model.model.arm
     name, rotation, origin = tool_frame(arm, frame)
-    motions, _ = prepare(recordings, arm.joint_names, model.cutoff_hz)
-    left = [motion.torque_rows - motion.reduce(model.torque(motion)) for motion in motions]
-    values, covariance, before, after = _fit(arm, motions, left)
-    body, uncertain = values[:10], covariance[:10, :10]
-    mass, error = float(values[0]), float(np.sqrt(covariance[0, 0]))
-    if not mass > SURE * error:
-        raise UnfitDataError(
-            f"no payload detected: mass {mass:.4f} ± {error:.4f} kg (standard error); attach one, or move the last "
-            "joints through larger angles against gravity for ten seconds"
-        )
+    motions, _ = prepare(placed(recordings, arm), arm.joint_names, model.cutoff_hz)
+    fit = _fit(model, motions)
+    refuse_other_gravity(arm, motions, fit, lambda gravity: _fit(model.with_gravity(gravity), motions))
+    refuse_no_body(arm, motions, fit)
+    body, uncertain = fit.values[:10], fit.covariance[:10, :10]
+    mass, error = fit.mass, fit.mass_error
 
     def told(x: FloatArray) -> FloatArray:
         """Mass, centre and inertia in the frame asked for, as one vector."""
@@ -117,8 +120,9 @@ def find_payload(model: IdentifiedModel, recordings: Sequence[Recording], frame:
         error,
         errors[1:4],
         errors[4:].reshape(3, 3) if known else None,
-        before,
-        after,
+        fit.before_Nm,
+        fit.after_Nm,
+        (*base_notes(recordings, arm), *caveats(arm, motions, fit)),
     )
 
 
@@ -165,15 +169,15 @@ def _slopes(body: FloatArray) -> FloatArray:
     return slopes
 
 
-def _fit(
-    arm: Arm, motions: Sequence[Motion], left: Sequence[FloatArray]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Values (10 + 2 n,): those of `about_joint` and friction; covariance, and RMS before and after (n,).
+def _fit(model: IdentifiedModel, motions: Sequence[Motion]) -> BodyFit:
+    """The body and the change of friction that explain best what a model leaves of the torque.
 
     Gauss-Newton's method. It begins with mass and first moment alone, and ends there where these show no mass: a centre
     is then anything, and so is the inertia that it fixes.
     """
+    arm = model.model.arm
     n = len(arm.joints)
+    left = [motion.torque_rows - motion.reduce(model.torque(motion)) for motion in motions]
     matrices, targets, places = _rows(arm, motions, left)
     used = [k for k in range(n) if len(targets[k]) >= FEWEST_ROWS]
     values, residuals = np.zeros(10 + 2 * n), targets
@@ -202,7 +206,12 @@ def _fit(
     def rms(parts: Sequence[FloatArray]) -> FloatArray:
         return np.array([np.sqrt(np.mean(part**2)) if len(part) else 0.0 for part in parts])
 
-    return values, covariance, rms(targets), rms(residuals)
+    torque = [np.concatenate([one.torque_rows[one.moving[:, k], k] for one in motions]) for k in range(n)]
+    worth = np.array([len(targets[k]) / kappa if k in used else 0.0 for k in range(n)])
+    own = np.full(n, np.nan)
+    if model.own is not None:
+        own = np.sqrt(np.mean(model.own.fitted_Nm**2, axis=0))
+    return BodyFit(values, covariance, rms(targets), rms(residuals), rms(torque), own, worth)
 
 
 def _rows(
