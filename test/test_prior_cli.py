@@ -190,3 +190,17 @@ def test_a_prior_is_refused_where_its_covariance_is_not(folder, tmp_path, capsys
     assert "no covariance beside it (result.npz)" in refused(model)
     assert "cannot read the model" in refused(tmp_path / "absent.yaml")
     assert "a prior has its own structure" in refused(folder / "ground", "--friction", "paper")
+
+
+def test_a_poor_update_says_what_may_have_changed_since_the_prior(folder, tmp_path, capsys):
+    """Six kilograms on the last link, of which the prior knows nothing; and none."""
+    heavy = (TWO_LINKS[0], replace(TWO_LINKS[1], mass=8.0, com=(0.1, 0.0, 0.25), inertia=(0.1, 0, 0, 0.1, 0, 0.05)))
+    motion = incommensurate(np.arange(0.0, 5.0, 0.004), 2, 6, 1.0)
+    write_recording(tmp_path / "held.mcap", plant(heavy, IN_ORBIT, motion, 250.0, (0.0, 0.0, 0.0)).recording(0.3, 6))
+    words = ["--prior", str(folder / "ground"), "--gravity", "0", "0", "0", "--quiet", "--out"]
+    assert main(["identify", str(tmp_path / "held.mcap"), *words, str(tmp_path / "poor")]) == 3
+    said = capsys.readouterr().out
+    assert "spacearm payload BAG --model PRIOR" in said and "/base_imu" in said
+    assert "--estimate-gravity" not in said, "without gravity no base is tilted"
+    assert main(["identify", str(folder / "next.mcap"), *words, str(tmp_path / "good")]) == 0
+    assert "spacearm payload" not in capsys.readouterr().out

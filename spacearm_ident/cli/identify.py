@@ -12,7 +12,6 @@ from ..conventions.finding import UNFIT_MODEL, ConventionReport
 from ..dynamics.model import FRICTION_LAWS
 from ..environment.gravity import GRAVITY_CHOICES, VECTOR
 from ..estimate.counts import counts
-from ..estimate.coupling import CouplingTrial
 from ..estimate.identified import GAIN_DEVIATION, Identified, Validation
 from ..estimate.optional_terms import OptionalTerm
 from ..identification.verdict import judge_result
@@ -200,7 +199,7 @@ def summary(
     unfit = conventions is not None and not conventions.fit
     lines = [
         *(about[:1] if unfit else verdict.lines),
-        f"next: {UNFIT_NEXT if unfit else _next_step(verdict.usable, page, identified.coupling)}",
+        f"next: {UNFIT_NEXT if unfit else _next_step(verdict.usable, page, identified)}",
         f"report: {page}",
         *([*about[1:], UNFIT_MODEL] if unfit else []),
         f"validated {validation.what}",
@@ -231,10 +230,26 @@ def summary(
     return "\n".join(lines if unfit else [*lines, *about])
 
 
-def _next_step(usable: bool, page: Path, coupling: CouplingTrial | None) -> str:
+def _next_step(usable: bool, page: Path, identified: Identified) -> str:
     """What to do with the result."""
+    coupling = identified.coupling
     if coupling is not None and coupling.helps and not coupling.adopted:
         return f"add this line to the arm YAML (--arm) and identify again: {coupling.line}"
     if usable:
         return f"look at {page}; 'spacearm export {page.parent}' writes the model for a simulator or a controller"
-    return f"do not use the model before the reasons above are cleared; {page} shows where and at which speeds it fails"
+    lead = f"; {_since_the_prior(identified)}" if identified.moves else ""
+    return (
+        f"do not use the model before the reasons above are cleared; {page} shows where and at which speeds it fails"
+        f"{lead}"
+    )
+
+
+def _since_the_prior(identified: Identified) -> str:
+    """What may have changed since a prior that was right, beyond what an update lets change, and how to ask for it."""
+    gravity = "gravity may not be zero (--gravity)"
+    if identified.model.model.arm.gravity.any():
+        gravity = "gravity may be another (--gravity; of a tilted base: --estimate-gravity direction)"
+    return (
+        "if the prior was good, the arm may hold a payload (spacearm payload BAG --model PRIOR), its base may move "
+        f"without /base_imu in the recording, or {gravity}"
+    )
