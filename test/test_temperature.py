@@ -136,8 +136,13 @@ def test_command(tmp_path, capsys):
     save_model(model(), tmp_path / "known.yaml")
     words = ["calibrate-temperature", *paths, "--model", str(tmp_path / "known.yaml"), "--out", str(tmp_path / "out")]
     assert main(words) == 0
-    assert "shoulder" in capsys.readouterr().out
+    printed = capsys.readouterr().out.splitlines()
     result = json.loads((tmp_path / "out" / "temperature.json").read_text())
+    of_shoulder = result["joints"]["shoulder"]
+    (shoulder,) = [line for line in printed if line.startswith("shoulder")]
+    assert f"{of_shoulder['residual_Nm']:.3f}" in shoulder.split() and "misfit N m" in printed[0]
+    viscous = of_shoulder["alpha_v"]
+    assert ("-" if viscous is None else f"{viscous['value']:.4f}") in shoulder.split() and "alpha_v" in printed[0]
     low, high = result["joints"]["shoulder"]["alpha"]["ci95"]
     assert low < -0.06 < high and result["T_0_degC"] == 20.0
     assert load_model(tmp_path / "out" / "model.yaml").value("alpha_c", "elbow") == pytest.approx(-0.02, abs=0.02)

@@ -10,6 +10,7 @@ from pathlib import Path
 from ..dynamics.model_file import load_model, save_model
 from ..environment.temperature import (
     WANTED_SHARE,
+    Figure,
     TemperatureCalibration,
     calibrate_temperature,
     calibration_dict,
@@ -92,13 +93,20 @@ def run(options: argparse.Namespace) -> int:
 
 def summary(calibration: TemperatureCalibration) -> str:
     """The result on a terminal."""
-    lines = [f"{'joint':<20}{'alpha N m/K':>14}{'95 %':>20}{'f_c0 N m':>10}{'runs':>6}"]
+    lines = [
+        f"{'joint':<20}{'alpha N m/K':>14}{'95 %':>20}{'alpha_v N m s/(rad K)':>24}{'95 %':>20}{'f_c0 N m':>10}"
+        f"{'misfit N m':>12}{'runs':>6}"
+    ]
     for joint, result in calibration.joints.items():
-        low, high = result.alpha.interval
         level = "-" if result.f_c0 is None else f"{result.f_c0:.3f}"
         lines.append(
-            f"{joint:<20}{result.alpha.value:>14.4f}{f'{low:.4f} to {high:.4f}':>20}{level:>10}{len(result.points):>6}"
+            f"{joint:<20}{_figure(result.alpha, 14)}{_figure(result.alpha_v, 24)}{level:>10}"
+            f"{result.residual_Nm:>12.3f}{len(result.points):>6}"
         )
+    lines.append(
+        "alpha: Coulomb friction over temperature; alpha_v: viscosity, where speeds differ; misfit: standard deviation "
+        "of a run about the straight lines"
+    )
     lines += [f"{joint}: refused: {reason}" for joint, reason in calibration.refused.items()]
     for joints, words in (
         (calibration.no_temperature, "no temperature recorded"),
@@ -107,3 +115,11 @@ def summary(calibration: TemperatureCalibration) -> str:
         if joints:
             lines.append(f"{', '.join(joints)}: {words}")
     return "\n".join(lines)
+
+
+def _figure(figure: Figure | None, width: int) -> str:
+    """A value and its 95 % interval as two columns of a table, the first so wide; dashes where there is none."""
+    if figure is None:
+        return f"{'-':>{width}}{'-':>20}"
+    low, high = figure.interval
+    return f"{figure.value:>{width}.4f}{f'{low:.4f} to {high:.4f}':>20}"
