@@ -211,6 +211,7 @@ def _fit(model: IdentifiedModel, motions: Sequence[Motion]) -> BodyFit:
     own = np.full(n, np.nan)
     if model.own is not None:
         own = np.sqrt(np.mean(model.own.fitted_Nm**2, axis=0))
+        own[own == 0.0] = np.nan  # a joint without rows there
     return BodyFit(values, covariance, rms(targets), rms(residuals), rms(torque), own, worth)
 
 
