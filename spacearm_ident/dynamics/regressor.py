@@ -172,7 +172,9 @@ def _twists_in_child(carrier: _Twists, motion: _LinkMotion, link: int, arm: Arm)
     return _Twists((*carrier.rows, link), linear, angular)
 
 
-def regressor(arm: Arm, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+def regressor(
+    arm: Arm, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, base: BaseMotion | None = None
+) -> FloatArray:
     """The whole joint-torque regressor, (N, n, 10 n), in N·m per SI unit of each inertial parameter.
 
     Args:
@@ -180,10 +182,11 @@ def regressor(arm: Arm, position: FloatArray, velocity: FloatArray, acceleration
         position: (N, n) rad or m.
         velocity: (N, n) rad/s or m/s.
         acceleration: (N, n) rad/s² or m/s².
+        base: Motion of the base; fixed where None.
     """
     samples, joints = position.shape
     whole = np.zeros((joints, 10 * joints, samples))
-    for (row, link), block in rigid_body_blocks(arm, position, velocity, acceleration).items():
+    for (row, link), block in rigid_body_blocks(arm, position, velocity, acceleration, base).items():
         whole[row, 10 * link : 10 * link + 10] = block
     return whole.transpose(2, 0, 1)
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...signals.motion import Motion
-from ..arm import EARTH, Arm, Joint
+from ..arm import EARTH, Arm
 from ..background import Background
 from ..frames import frames_of
+from ..free_base import BELOW_M, DEEPEST_M, INERTIA_RATIOS, MASS_RATIOS, FreeBase
 from ..regressor import cross, rigid_body_blocks
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, nothing, share_of
@@ -215,10 +216,6 @@ class BaseTilt(Effect):
         }
 
 
-BELOW_M, DEEPEST_M = 0.3, 1.5
-"""How far below the arm's foot the middle of what carries it may be."""
-
-
 @dataclass(frozen=True)
 class FloatingBase(Effect):
     """The base is free and moves as the arm does: momentum stays zero.
@@ -250,8 +247,8 @@ class FloatingBase(Effect):
         total = max(arm.mass, 1.0)
         # Not its radius of gyration: mass and radius are searched one after the other, and the data know their inertia
         # first. A mass that is changed at a fixed radius hardly leaves its grid point.
-        inertia = tuple(float(total * ratio) for ratio in 0.1 * 2.3 ** np.arange(9))
-        mass = tuple(float(total * ratio) for ratio in (2, 4.5, 10, 22, 50, 110, 240, 500))
+        inertia = tuple(total * ratio for ratio in INERTIA_RATIOS)
+        mass = tuple(total * ratio for ratio in MASS_RATIOS)
         constants = (
             Constant("inertia", "base", "kg m^2", inertia),
             Constant("mass", "base", "kg", mass),
@@ -265,8 +262,16 @@ class FloatingBase(Effect):
         if background is None or background.arm is None or background.inertials is None or motion.base is not None:
             return nothing(motion, rows, 1)
         arm, inertials = background.arm, background.inertials
-        free = background.keep("free", lambda: _FreeBase(arm, inertials, motion))
-        torque = free.change(*constants)
+        # On a coarse grid.
+        step = max(1, int(motion.rate_hz / COARSE_HZ))
+
+        def compute() -> FreeBase:
+            return FreeBase(
+                arm, inertials, motion.position[::step], motion.velocity[::step], motion.acceleration[::step]
+            )
+
+        change = background.keep("free", compute).change(*constants)
+        torque = interpolate(change, np.arange(len(motion.position)) / step)
         return each({row: torque[:, [row]] for row in rows})
 
     def shown(self, values: FloatArray) -> Shown:
@@ -274,56 +279,6 @@ class FloatingBase(Effect):
         turn, mass, below = map(float, values[1:4])
         radius = float(np.sqrt(turn / mass))
         return {"mass": (mass, "kg"), "inertia": (turn, "kg m^2"), "radius": (radius, "m"), "below": (below, "m")}
-
-
-class _FreeBase:
-    """The arm on six virtual joints: inertia and momentum on a coarse grid."""
-
-    def __init__(self, arm: Arm, inertials: FloatArray, motion: Motion) -> None:
-        self.motion = motion
-        self.step = max(1, int(motion.rate_hz / COARSE_HZ))
-        some, zero = slice(None, None, self.step), np.zeros(10)
-        axes = np.eye(3)
-        virtual = [Joint(f"base_{k}", k - 1, k >= 3, axes[k % 3], np.eye(3), np.zeros(3), zero) for k in range(6)]
-        moved = [replace(joint, parent=joint.parent + 6) for joint in arm.joints]
-        self.arm = replace(arm, joints=(*virtual, *moved), couplings=(), gravity=np.zeros(3))
-        self.inertials = np.concatenate([np.zeros((6, 10)), inertials])
-        count = 6 + len(arm.joints)
-        self.q = np.zeros((len(motion.position[some]), count))
-        self.qd, self.qdd = np.zeros_like(self.q), np.zeros_like(self.q)
-        self.q[:, 6:], self.qd[:, 6:] = motion.position[some], motion.velocity[some]
-        self.qdd[:, 6:] = motion.acceleration[some]
-        # (N, 6, count) rows of the base in the inertia matrix: symmetric, so columns will do.
-        self.rows = np.stack([self._column(k) for k in range(6)], axis=1)
-        self.fixed = rigid_torque(self.arm, self.inertials, self.q, self.qd, self.qdd)
-
-    def _column(self, axis: int) -> FloatArray:
-        unit = np.zeros_like(self.q)
-        unit[:, axis] = 1.0
-        return rigid_torque(self.arm, self.inertials, self.q, None, unit)
-
-    def change(self, turn: float, mass: float, below: float) -> FloatArray:
-        """(N, n) torque of the free arm less that of the fixed one, N·m.
-
-        Args:
-            turn: Inertia of the base about its centre of mass, kg·m², the same about every axis.
-            mass: Its mass, kg.
-            below: How far its centre of mass is below the arm's foot, m.
-        """
-        rocked = turn + mass * below**2
-        inertials = self.inertials.copy()
-        inertials[5] = mass, 0.0, 0.0, -mass * below, rocked, 0.0, rocked, 0.0, 0.0, turn
-        own = np.diag([mass, mass, mass, rocked, rocked, turn])
-        own[[0, 4], [4, 0]] = -mass * below
-        own[[1, 3], [3, 1]] = mass * below
-        inertia = self.rows[:, :, :6] + own
-        momentum = np.einsum("nij,nj->ni", self.rows[:, :, 6:], self.qd[:, 6:])
-        velocity = self.qd.copy()
-        velocity[:, :6] = -np.linalg.solve(inertia, momentum[..., None])[..., 0]
-        torque = rigid_torque(self.arm, inertials, self.q, velocity, self.qdd)
-        base = -np.linalg.solve(inertia, torque[:, :6, None])[..., 0]
-        free = torque[:, 6:] + np.einsum("nij,ni->nj", self.rows[:, :, 6:], base)
-        return interpolate(free - self.fixed[:, 6:], np.arange(len(self.motion.position)) / self.step)
 
 
 OUTER_LINKS = 4
