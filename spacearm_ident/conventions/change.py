@@ -32,11 +32,15 @@ class Kind(StrEnum):
     ENCODER_ZERO = "encoder_zero"
     DELAY = "delay"
     TIME_REVERSED = "time_reversed"
+    PAYLOAD = "payload"
+    FLOATING_BASE = "floating_base"
 
 
 TORQUE_SCALES = (Kind.EFFORT_GAIN, Kind.EFFORT_UNIT, Kind.EFFORT_RATED)
 """Mistakes that multiply torques by positive factors."""
-RIGHT_OR_WRONG = frozenset(Kind) - {*TORQUE_SCALES, Kind.GRAVITY, Kind.ENCODER_ZERO, Kind.DELAY}
+PHYSICAL = (Kind.PAYLOAD, Kind.FLOATING_BASE)
+"""What is no mistake and changes the torque of many joints as a gain would; looked for only as its rival."""
+RIGHT_OR_WRONG = frozenset(Kind) - {*TORQUE_SCALES, *PHYSICAL, Kind.GRAVITY, Kind.ENCODER_ZERO, Kind.DELAY}
 """Kinds without a size: signs, units of angle, order, the direction of time."""
 FREE_GAIN_SD = 1.0
 """Standard deviation of the logarithm of a gain that is wrong: a factor of 1/e to e."""
@@ -57,7 +61,8 @@ class Change:
         joints: Numbers of the joints it is at, in the arm's order.
         value: Gravity (3,), m/s^2; delay, s; zero, rad; order of an exchange (n,); factors (n,) of a torque unit
             that the arm's files give, or give up to a factor that all joints share; joint turns a motor turn of each of
-            `joints`; else empty.
+            `joints`; standard deviation of a payload's mass, kg; inertia and mass of a free base, kg m^2, kg; else
+            empty.
         log_prior: Logarithm of its probability before the data.
     """
 
@@ -71,6 +76,10 @@ class Change:
         joints = list(self.joints)
         if self.kind is Kind.GRAVITY:
             return replace(setup, gravity=np.array(self.value))
+        if self.kind is Kind.PAYLOAD:
+            return replace(setup, payload_kg=self.value[0])
+        if self.kind is Kind.FLOATING_BASE:
+            return replace(setup, free_base=(self.value[0], self.value[1]))
         if self.kind is Kind.TIME_REVERSED:
             return replace(setup, time_sign=-setup.time_sign)
         if self.kind is Kind.EFFORT_UNIT and self.value:

@@ -25,12 +25,13 @@ from ..recording.recording import Recording
 from ..signals.bandwidth import BOUNDS_HZ
 from ..signals.motion import STUCK_RAD
 from ..signals.prepare import prepare, require_joints, reversal_cutoff_hz
-from .change import PRIOR, TORQUE_SCALES, UNIT_FACTOR, Change, Kind
+from .change import PHYSICAL, PRIOR, TORQUE_SCALES, UNIT_FACTOR, Change, Kind
 from .description import compare_description
-from .evidence import MASS_SD, log_mass
-from .finding import Alternative, ConventionReport, Finding, Level, merged
+from .evidence import MASS_SD, Evidence, log_mass, mass_likelihood
+from .finding import INFERRED, Alternative, ConventionReport, Finding, Level, merged
 from .fixed_joints import moving_though_fixed
 from .jumps import impossible_steps, moved_zeros
+from .physical import payload
 from .plain import CLOCK_JITTER, Plain, read_off, two_sources, without_motion
 from .plausible import EFFORT_SLACK
 from .rows import rows_of
@@ -62,8 +63,6 @@ POSITION_UNIT = "position_unit"
 """Kind of a finding that positions are in no unit of angle."""
 BASE_FRAME = "base_frame"
 """Kind of a finding that the frame of a moving base's sensor is not fixed to the base link."""
-INFERRED = "signs, units, order, zeros and gravity"
-"""What the arm's dynamics decide."""
 _TWO_ZEROS = f"{INFERRED} (positions have two zeros)"
 
 Progress = Callable[[float, str], None]
@@ -100,6 +99,7 @@ def recording_name(recording: Recording) -> str:
 def _check(recording: Recording, arm: Arm) -> ConventionReport:
     require_joints(recording, arm.joint_names)
     # As in an identification: a sensor at rest makes no moving base.
+    sensed = recording.base is not None
     recording = without_still_base(recording)
     ordered = recording.in_order(arm.joint_names)
     if mixed := two_sources(recording):
@@ -118,7 +118,7 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
         undecided.append(f"{INFERRED} (joints move that carry the arm or belong to it)")
     elif len(plain.still) < len(arm.joints) and len(plain.dead) < len(arm.joints):
         try:
-            inferred, undecided = _infer(ordered, arm, plain)
+            inferred, undecided = _infer(ordered, arm, plain, base_held=sensed)
             if any(one.kind == CLOCK_JITTER for one in inferred):
                 # What is inferred of motion that the clock has spoilt is none of the arm's.
                 findings, undecided = _spoilt_by_the_clock(findings, inferred), [f"{INFERRED} (the clock)"]
@@ -132,8 +132,9 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
 def _report(recording: Recording, findings: Sequence[Finding], undecided: Sequence[str]) -> ConventionReport:
     """What was found in one recording, and what its data leave open."""
     name = recording_name(recording)
+    untested = (name,) if any(one.startswith(INFERRED) for one in undecided) else ()
     found = tuple(replace(finding, recordings=(name,)) for finding in findings)
-    return merged([ConventionReport(found, tuple(undecided), (name,))])
+    return merged([ConventionReport(found, tuple(undecided), (name,), untested)])
 
 
 def _base_frame(recording: Recording, arm: Arm) -> list[Finding]:
@@ -166,7 +167,7 @@ def _explained(findings: Sequence[Finding], inferred: Sequence[Finding]) -> list
     return [one for one in findings if one.kind != "velocity" or not (every or set(one.joints) <= joints)]
 
 
-def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding], list[str]]:
+def _infer(recording: Recording, arm: Arm, plain: Plain, *, base_held: bool = False) -> tuple[list[Finding], list[str]]:
     """What the arm's dynamics say, and what they cannot."""
     motions, bandwidth = prepare([recording], arm.joint_names)
     widest = bandwidth.cutoff_hz
@@ -178,7 +179,8 @@ def _infer(recording: Recording, arm: Arm, plain: Plain) -> tuple[list[Finding],
     stuck = [joint.revolute for joint in arm.joints] & (np.ptp(recording.position, axis=0) < STUCK_RAD)
     rows.moving[:, stuck] = False
     rows.moving[:, sorted(plain.dead | plain.still)] = False
-    scorer = Scorer(arm, rows, _velocity_bonus(plain.velocity_slopes), plain.dead | plain.still)
+    dead = plain.dead | plain.still
+    scorer = Scorer(arm, rows, _velocity_bonus(plain.velocity_slopes), dead, base_held=base_held)
     steps = search(scorer)
     final = steps[-1].before
     if (odd := _no_unit(scorer, final)) is not None:
@@ -245,6 +247,13 @@ def _far_from_cad(scorer: Scorer, final: Scored) -> list[Finding]:
         return []
     # The masses of an arm are off together: what the factor costs, it costs once.
     log_odds = float(np.log(PRIOR) - log_mass(np.array(size)))
+    if held := None if final.setup.payload_kg else payload(scorer, final):
+        # Off by one factor the masses would not count as off; with the body they do not, either.
+        factor = final.score - mass_likelihood(scorer.design(final.setup), final.evidence) + float(np.log(PRIOR))
+        log_odds = min(log_odds, factor - held.score)
+        if log_odds <= 0.0:
+            body = _finding(scorer, Step(final, held, ()), held)
+            return [] if body is None else [body]
     everywhere = Change(Kind.EFFORT_GAIN, tuple(range(len(scorer.arm.joints))))
     error = np.full_like(final.evidence.gains, MASS_SD)
     evidence = replace(final.evidence, gains=np.full_like(error, size), gain_errors=error)
@@ -316,7 +325,7 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
         if abs(change.value[0]) < ZERO_SMALL:
             return None
         level = level if abs(change.value[0]) > ZERO_LARGE else Level.NOTE
-    elif change.kind in TORQUE_SCALES and not is_unit(change, evidence):
+    elif change.kind in PHYSICAL or (change.kind in TORQUE_SCALES and not is_unit(change, evidence)):
         level = Level.NOTE
     alternatives, probability = _alternatives(scorer, step)
     if not sure and probability < SUSPECTED_PROBABILITY:
@@ -335,19 +344,32 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
         error = direction_error(scorer, final if change in final.changes else step.after)
         values["direction_error_rad"] = round(error, 4)
         said += f", give or take {np.degrees(error):.0f}°" if error > LEAST_TILT_RAD else ""
+    if change.kind in PHYSICAL:
+        values = _physical_values(change, evidence)
+    mended = remedy(arm, change, evidence)
+    if change.kind in TORQUE_SCALES and not scorer.base_held and not step.before.setup.gravity.any():
+        mended += "; in zero gravity a base that floats lowers the torque as well: /base_imu tells"
     suspected = "" if sure else "suspected: "
     return Finding(
         kind=str(kind),
         level=level,
         joints=joints,
         statement=suspected + said,
-        remedy=remedy(arm, change, evidence),
+        remedy=mended,
         corrections=corrections(arm, change, evidence),
         probability=probability,
         log_odds=step.gain,
         values=values,
         alternatives=alternatives,
     )
+
+
+def _physical_values(change: Change, evidence: Evidence) -> dict[str, Any]:
+    """Numbers of a payload or a free base, by name."""
+    if change.kind is Kind.FLOATING_BASE:
+        return {"inertia_kg_m2": round(change.value[0], 3), "mass_kg": round(change.value[1], 3)}
+    mass = 0.0 if evidence.body is None else float(evidence.body[0])
+    return {"mass_kg": round(mass, 3), "mass_error_kg": round(evidence.body_kg_error, 3)}
 
 
 def _temperature(scorer: Scorer) -> float:
@@ -376,7 +398,7 @@ def _undecided(scorer: Scorer, last: Step, plain: Plain) -> list[str]:
     words = []
     for one in (*last.rivals, *last.screened):
         change = one.changes[-1]
-        zero_or_gain = (Kind.ENCODER_ZERO, Kind.DELAY, *TORQUE_SCALES)
+        zero_or_gain = (Kind.ENCODER_ZERO, Kind.DELAY, *TORQUE_SCALES, *PHYSICAL)
         if change.kind not in zero_or_gain and one.score - start.score > -scorer.sure and change.joints:
             words.append(f"{str(change.kind).replace('_', ' ')} of {', '.join(joint_names(arm, change))}")
     if start.setup.gravity.any() and direction_error(scorer, start) > LEAST_TILT_RAD:

@@ -23,6 +23,7 @@ from scipy.special import log_ndtr
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..dynamics.regressor import regressor
+from ..signals.base_motion import BaseMotion
 
 CAD_SCALES = (0.05, 0.15, 0.5, 1.5)
 """Relative standard deviations of the CAD inertials that the data choose from."""
@@ -94,6 +95,7 @@ class ArmMotion:
     Attributes:
         position, velocity, acceleration, direction, unbuilt, moving: (M, n) as of `Rows`, corrected.
         gravity: (3,) m/s^2, base frame.
+        base: How the base moves; None: not at all.
     """
 
     position: FloatArray
@@ -103,6 +105,7 @@ class ArmMotion:
     unbuilt: FloatArray
     moving: np.ndarray
     gravity: FloatArray
+    base: BaseMotion | None = None
 
 
 @dataclass(frozen=True)
@@ -114,12 +117,14 @@ class Measured:
         counts: (n,) how many independent samples each joint's torque counts for.
         gain_sd: (n,) standard deviation of the logarithm of each joint's gain.
         common_gain_sd: The same of a gain that all joints share; 0: none.
+        payload_kg: Standard deviation of the mass of a body on the last link, kg; 0: `PAYLOAD_SHARE` of the arm's.
     """
 
     torque: FloatArray
     counts: FloatArray
     gain_sd: FloatArray
     common_gain_sd: float = 0.0
+    payload_kg: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -134,6 +139,8 @@ class Evidence:
         parameters: (p,) posterior mean at that scale.
         precision: (p, p) inverse of their posterior covariance.
         weight: (n,) of a row's squared residual: effective samples a row over the error's variance, 1/(N·m)^2.
+        body: (10,) most probable inertials of a body on the last link about its joint; None where none was asked for.
+        body_kg_error: Standard error of its mass, kg.
     """
 
     log_likelihood: float
@@ -143,6 +150,8 @@ class Evidence:
     parameters: FloatArray
     precision: FloatArray
     weight: FloatArray
+    body: FloatArray | None = None
+    body_kg_error: float = 0.0
 
 
 class Frame:
@@ -150,19 +159,22 @@ class Frame:
 
     The joint-torque regressor has fewer independent columns than inertials whatever the motion (Gautier 1991): only
     their combinations `basis.T @ (phi / unit)` act. The basis is orthonormal, found on random motions under random
-    gravity, so that it holds for any mounting of the base.
+    gravity, so that it holds for any mounting of the base; of a base that moves, on random motions of it as well.
 
     Attributes:
         own: (n, OWN) what is known of the joints' own parameters, SI; zero where nothing is.
     """
 
-    def __init__(self, arm: Arm, torque: FloatArray, own: FloatArray | None = None) -> None:
+    def __init__(
+        self, arm: Arm, torque: FloatArray, own: FloatArray | None = None, *, base_moves: bool = False
+    ) -> None:
         """Find the basis.
 
         Args:
             arm: With CAD inertials.
             torque: (n,) RMS of each joint.
             own: As the attribute; None: nothing is known.
+            base_moves: Whether the base moves.
         """
         self.arm = arm
         self.own = np.zeros((len(arm.joints), OWN)) if own is None else own
@@ -172,11 +184,12 @@ class Frame:
         n = len(arm.joints)
         blocks = []
         for vector in np.vstack([np.eye(3) * 9.81, arm.gravity]):
-            states = rng.uniform(-2.0, 2.0, (3, 4 * n + 8, n))
-            blocks.append(regressor(arm.with_gravity(vector), *states).reshape(-1, 10 * n) * self.unit)
+            q, qd, qdd = rng.uniform(-2.0, 2.0, (3, 4 * n + 8, n))
+            base = BaseMotion(*rng.uniform(-2.0, 2.0, (3, 4 * n + 8, 3))) if base_moves else None
+            blocks.append(regressor(arm.with_gravity(vector), q, qd, qdd, base).reshape(-1, 10 * n) * self.unit)
         _, sizes, directions = np.linalg.svd(np.vstack(blocks), full_matrices=False)
         self.basis = directions[sizes > RANK_TOLERANCE * sizes[0]].T
-        self._beliefs: dict[float, tuple[FloatArray, float]] = {}
+        self._beliefs: dict[tuple[float, float], tuple[FloatArray, float]] = {}
 
     @cached_property
     def rough(self) -> bool:
@@ -188,13 +201,43 @@ class Frame:
         """(r,) combinations of the CAD inertials."""
         return np.asarray(self.basis.T @ (self.mean / self.unit))
 
-    def belief(self, scale: float) -> tuple[FloatArray, float]:
-        """Precision (r, r) of the combinations at a CAD scale, and half the logarithm of its determinant."""
-        if scale not in self._beliefs:
-            variance = ((scale * self.spread) ** 2 + self.fixed**2) / self.unit**2
+    def belief(self, scale: float, payload_kg: float = 0.0) -> tuple[FloatArray, float]:
+        """Precision (r, r) of the combinations at a CAD scale, and half the logarithm of its determinant.
+
+        Args:
+            scale: Relative standard deviation of the CAD inertials.
+            payload_kg: As of `Measured`.
+        """
+        key = scale, payload_kg
+        if key not in self._beliefs:
+            variance = ((scale * self.spread) ** 2 + self._payload(payload_kg) ** 2) / self.unit**2
             covariance = self.basis.T @ (variance[:, None] * self.basis)
-            self._beliefs[scale] = np.linalg.inv(covariance), -0.5 * float(np.linalg.slogdet(covariance)[1])
-        return self._beliefs[scale]
+            self._beliefs[key] = np.linalg.inv(covariance), -0.5 * float(np.linalg.slogdet(covariance)[1])
+        return self._beliefs[key]
+
+    def _payload(self, payload_kg: float) -> FloatArray:
+        """(10 n,) standard deviations of what a payload adds to the inertials."""
+        usual = float(self.fixed[-10])
+        return self.fixed * (max(payload_kg, usual) / usual)
+
+    def body(
+        self, scale: float, payload_kg: float, combinations: FloatArray, covariance: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Most probable inertials (10,) of the body on the last link, and the standard error of its mass, kg.
+
+        What the data say of the combinations is shared between CAD's error and the body as their variances are.
+
+        Args:
+            scale: As of `belief`.
+            payload_kg: As of `belief`.
+            combinations: (r,) posterior mean.
+            covariance: (r, r) of it.
+        """
+        variance = self._payload(payload_kg)[-10:] ** 2
+        along = (variance / self.unit[-10:])[:, None] * self.basis[-10:]
+        share = along @ self.belief(scale, payload_kg)[0]
+        mass = float(variance[0] - share[0] @ along[0] + share[0] @ covariance @ share[0])
+        return share @ (combinations - self.centre), float(np.sqrt(max(mass, 0.0)))
 
     def inertials(self, combinations: FloatArray) -> FloatArray:
         """(n, 10) inertials that give these combinations (r,)."""
@@ -212,7 +255,7 @@ class Design:
 
     def __init__(self, frame: Frame, motion: ArmMotion) -> None:
         arm = frame.arm.with_gravity(motion.gravity)
-        rigid = regressor(arm, motion.position, motion.velocity, motion.acceleration)
+        rigid = regressor(arm, motion.position, motion.velocity, motion.acceleration, motion.base)
         one = np.ones_like(motion.position)
         signals = (motion.direction, motion.unbuilt, motion.velocity, motion.acceleration, one)
         columns = np.concatenate([(rigid * frame.unit) @ frame.basis, np.stack(signals, axis=2)], axis=2)
@@ -235,9 +278,12 @@ class Design:
         size = rms((self.static @ self.frame.centre).T)
         return np.asarray((size > LOADED_SHARE * size.max()) & (size > 1e-6))
 
-    def mass_ratios(self, parameters: FloatArray) -> FloatArray:
-        """(n,) torque that holds the arm still under parameters (r + n OWN,), over CAD's; NaN where that is small."""
-        cad, found = self.static @ self.frame.centre, self.static @ parameters[: self.rigid]
+    def mass_ratios(self, evidence: Evidence) -> FloatArray:
+        """(n,) torque that holds the arm still without a body it holds, over CAD's; NaN where that is small."""
+        combinations = evidence.parameters[: self.rigid]
+        if evidence.body is not None:
+            combinations = combinations - self.frame.basis[-10:].T @ (evidence.body / self.frame.unit[-10:])
+        cad, found = self.static @ self.frame.centre, self.static @ combinations
         ratios = np.sum(cad * found, axis=1) / np.maximum(np.sum(cad**2, axis=1), 1e-12)
         return np.where(self.loaded, ratios, np.nan)
 
@@ -350,7 +396,7 @@ class _Problem:
     def at_scale(self, scale: float, iterations: int, own: _OwnBelief) -> Evidence:
         """The evidence at one CAD scale and one belief about the joints' own parameters."""
         counts, r = self.measured.counts, self.design.rigid
-        rigid_precision, half_log = self.design.frame.belief(scale)
+        rigid_precision, half_log = self.design.frame.belief(scale, self.measured.payload_kg)
         prior = np.diag(np.append(np.zeros(r), own.precision.ravel()))
         prior[:r, :r] = rigid_precision
         half_log += 0.5 * float(np.log(own.precision).sum())
@@ -380,7 +426,15 @@ class _Problem:
         value += 0.5 * MODEL_ERROR_WEIGHT * float(np.sum(np.log(size) - size))
         gain_value, gain_errors = self._gain_evidence(gains, next_weight * sums.rigid_squared)
         value += gain_value + self.signs.log_probability(mean[r:], covariance[r:, r:]) - own.signs
-        return Evidence(value, scale, gains, gain_errors, mean, matrix, weight)
+        found = Evidence(value, scale, gains, gain_errors, mean, matrix, weight)
+        return self._with_body(found, covariance[:r, :r]) if self.measured.payload_kg else found
+
+    def _with_body(self, found: Evidence, covariance: FloatArray) -> Evidence:
+        """The same with the body on the last link, and the probability that its mass is positive beside one half."""
+        frame, payload_kg = self.design.frame, self.measured.payload_kg
+        body, error = frame.body(found.scale, payload_kg, found.parameters[: self.design.rigid], covariance)
+        positive = float(log_ndtr(body[0] / max(error, 1e-9)) + np.log(2.0))
+        return replace(found, log_likelihood=found.log_likelihood + positive, body=body, body_kg_error=error)
 
     def _system(
         self, prior: FloatArray, pull: FloatArray, gains: FloatArray, weight: FloatArray
@@ -472,7 +526,7 @@ def mass_likelihood(design: Design, evidence: Evidence) -> float:
     """
     if design.frame.rough:
         return 0.0
-    ratios = design.mass_ratios(evidence.parameters)
+    ratios = design.mass_ratios(evidence)
     return float(log_mass(ratios[np.isfinite(ratios)]).sum())
 
 

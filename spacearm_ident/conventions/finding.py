@@ -14,6 +14,8 @@ DECISIVE = 50.0
 """Log odds from which `identify` calls data unfit for an inferred mistake; `check` names it from less. From
 `bench/conventions.py`: the largest of 28 sound recordings is 41 (a UR5 with friction and CAD errors of its own)."""
 
+INFERRED = "signs, units, order, zeros and gravity"
+"""What the arm's dynamics decide."""
 UNFIT_MODEL = "do not use the model: its figures only say how well it repeats the unfit data"
 """Said of a model of unfit data, in place of a verdict on its fit."""
 
@@ -93,11 +95,13 @@ class ConventionReport:
         findings: The gravest first.
         undecided: What these data cannot decide, a clause each.
         recordings: Names of what was checked.
+        untested: Names of those in which only what is read off was looked for.
     """
 
     findings: tuple[Finding, ...]
     undecided: tuple[str, ...]
     recordings: tuple[str, ...]
+    untested: tuple[str, ...] = ()
 
     @property
     def certain(self) -> bool:
@@ -119,9 +123,12 @@ class ConventionReport:
         if wrong:
             kinds = ", ".join(dict.fromkeys(finding.kind.replace("_", " ") for finding in wrong))
             return f"data unfit: {kinds}; a model identified from them would be wrong"
-        if self.findings:
-            return f"data fit, {len(self.findings)} {'notes' if len(self.findings) > 1 else 'note'}"
-        return "data fit: no mistake of convention found"
+        notes = f", {len(self.findings)} {'notes' if len(self.findings) > 1 else 'note'}" if self.findings else ""
+        if self.untested and len(self.untested) == len(self.recordings):
+            return f"data not tested: {INFERRED} are not decided by these data{notes}"
+        if self.untested:
+            return f"data fit where tested{notes}; {INFERRED} not tested in {', '.join(self.untested)}"
+        return f"data fit{notes or ': no mistake of convention found'}"
 
     def lines(self) -> list[str]:
         """For a person: the verdict, then a line a finding with what to do."""
@@ -142,6 +149,7 @@ class ConventionReport:
             "verdict": self.verdict,
             "findings": [finding.as_dict() for finding in self.findings],
             "undecided": list(self.undecided),
+            "untested": list(self.untested),
             "recordings": list(self.recordings),
         }
 
@@ -178,4 +186,5 @@ def merged(reports: Sequence[ConventionReport]) -> ConventionReport:
     common = [set(report.undecided) for report in reports]
     undecided = [text for text in reports[0].undecided if all(text in one for one in common)] if reports else []
     names = tuple(name for report in reports for name in report.recordings)
-    return ConventionReport(tuple(ordered), tuple(undecided), names)
+    untested = tuple(name for report in reports for name in report.untested)
+    return ConventionReport(tuple(ordered), tuple(undecided), names, untested)

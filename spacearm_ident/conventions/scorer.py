@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -57,6 +58,7 @@ class Scorer:
         counts: (n,) independent samples of each joint's torque.
         idle: Recorded columns that move in no more rows than a joint has columns of its own, which fit those exactly.
         dead: Those whose torque says nothing.
+        base_held: Whether a sensor has shown that the base stands still.
     """
 
     def __init__(
@@ -66,6 +68,7 @@ class Scorer:
         bonus: Callable[[Setup], float] = lambda setup: 0.0,
         dead: frozenset[int] = frozenset(),
         own: FloatArray | None = None,
+        base_held: bool = False,
     ) -> None:
         """Take a recording.
 
@@ -75,14 +78,21 @@ class Scorer:
             bonus: What else a setup explains, as a log-likelihood.
             dead: Joints whose torque says nothing.
             own: (n, OWN) what is known of Coulomb, presliding, viscous, rotor inertia and offset; None: nothing.
+            base_held: Whether a sensor has shown that the base stands still.
         """
         self.arm, self.rows, self.bonus = arm, rows, bonus
         self.ranges = Ranges(arm, rows)
         self.frame = Frame(arm, rms(rows.torque(np.zeros(len(arm.joints)))), own)
+        self.base_held = base_held
         self._designs: list[tuple[Setup, Design]] = []
         self.counts = self._independent()
         self.idle = frozenset(np.flatnonzero(rows.moving.sum(axis=0) <= OWN).tolist()) - dead
         self.dead = dead
+
+    @cached_property
+    def _moving_frame(self) -> Frame:
+        """The frame of a base that moves."""
+        return Frame(self.arm, rms(self.rows.torque(np.zeros(len(self.arm.joints)))), self.frame.own, base_moves=True)
 
     @property
     def sure(self) -> float:
@@ -121,15 +131,15 @@ class Scorer:
         for known, design in self._designs:
             if known.same_motion(setup):
                 return design
-        made = Design(self.frame, motion_of(self.rows, setup))
+        frame = self.frame if setup.free_base is None else self._moving_frame
+        made = Design(frame, motion_of(self.rows, setup, self.arm))
         self._designs = [*self._designs[-5:], (setup, made)]
         return made
 
     def measured(self, setup: Setup) -> Measured:
         """Torque of a setup."""
-        return Measured(
-            torque_of(self.rows, setup), self.counts[setup.effort_from], setup.gain_sd, setup.common_gain_sd
-        )
+        torque, counts = torque_of(self.rows, setup), self.counts[setup.effort_from]
+        return Measured(torque, counts, setup.gain_sd, setup.common_gain_sd, setup.payload_kg)
 
     def _independent(self) -> FloatArray:
         """(n,) independent samples that each joint's torque counts for.
@@ -206,7 +216,7 @@ def loaded_joints(scorer: Scorer, start: Scored) -> tuple[int, ...]:
         Their numbers, in the arm's order.
     """
     design = scorer.design(start.setup)
-    ratios = design.mass_ratios(start.evidence.parameters)
+    ratios = design.mass_ratios(start.evidence)
     return tuple(int(j) for j in np.flatnonzero(np.isfinite(ratios)))
 
 
@@ -221,7 +231,7 @@ def carried(scorer: Scorer, start: Scored) -> float:
         The factor; NaN where no joint is loaded, CAD is a placeholder, or joints are off in opposite ways.
     """
     design = scorer.design(start.setup)
-    ratios = design.mass_ratios(start.evidence.parameters)
+    ratios = design.mass_ratios(start.evidence)
     ratios = ratios[np.isfinite(ratios)]
     if scorer.frame.rough or not len(ratios) or ratios.min() <= 0.0:
         return float("nan")

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..forks import each
-from .change import TORQUE_SCALES, Change, Kind, discrete_changes
+from .change import PHYSICAL, TORQUE_SCALES, Change, Kind, discrete_changes
 from .evidence import CAD_SCALES, GAIN_SD
+from .physical import physical
 from .plain import REST_RAD
 from .scorer import SCREEN_ITERATIONS, Scored, Scorer, loaded_joints
 from .setup import Setup
@@ -41,8 +42,11 @@ class Step:
 
     @property
     def gain(self) -> float:
-        """Log odds of the change against none."""
-        return self.after.score - self.before.score
+        """Log odds of the change against none; of a factor on the torque against what looks like one as well."""
+        against = [self.before.score]
+        if self.after.changes and self.after.changes[-1].kind in TORQUE_SCALES:
+            against += [one.score for one in self.rivals if one.changes[-1].kind in PHYSICAL]
+        return self.after.score - max(against)
 
 
 def search(scorer: Scorer) -> list[Step]:
@@ -85,6 +89,16 @@ def compete(scorer: Scorer, start: Scored, again: Sequence[Scored] | None = None
     short = [one for one in short if _is_off(start, one)]
     short = _apart(sorted(short, key=lambda one: -one.score))
     best = short[0] if short and short[0].score > start.score else start
+    if best.changes and best.changes[-1].kind in TORQUE_SCALES and best is not start:
+        causes, together = physical(scorer, start)
+        if together > best.score:
+            # Each by itself may explain less than a factor does; the other comes in the next round.
+            short = [one for one in short if one.changes[-1].kind not in TORQUE_SCALES]
+            best = max(causes, key=lambda one: one.score)
+            short = [*causes, *short]
+        else:
+            short = sorted([*causes, *short], key=lambda one: -one.score)
+            best = short[0]
     # Beside a delay the others were not scored again.
     rest = [one for one in tried if all(one is not other for other in chosen)] if again is None else []
     return Step(start, best, tuple(one for one in short if one is not best), tuple(rest))

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
+from ..dynamics.free_base import FreeBase
 from .evidence import GAIN_SD, ArmMotion
 from .rows import Rows
 
@@ -27,6 +28,8 @@ class Setup:
         delay_s: (n,) how much later than the motion the torque was stamped.
         gravity: (3,) m/s^2 in the base frame.
         time_sign: -1 where the clock ran backwards.
+        payload_kg: Standard deviation of the mass of a body on the last link, kg; 0: no more than is usual.
+        free_base: Inertia (kg m^2) and mass (kg) of a base that nothing holds; None: it is held.
     """
 
     position_from: np.ndarray
@@ -39,6 +42,8 @@ class Setup:
     gravity: FloatArray
     common_gain_sd: float = 0.0
     time_sign: float = 1.0
+    payload_kg: float = 0.0
+    free_base: tuple[float, float] | None = None
 
     @classmethod
     def as_recorded(cls, arm: Arm) -> Setup:
@@ -55,25 +60,34 @@ class Setup:
             and np.array_equal(self.position_offset, other.position_offset)
             and np.array_equal(self.gravity, other.gravity)
             and self.time_sign == other.time_sign
+            and self.free_base == other.free_base
         )
 
 
-def motion_of(rows: Rows, setup: Setup) -> ArmMotion:
-    """Motion of the arm's joints under a setup.
+def motion_of(rows: Rows, setup: Setup, arm: Arm) -> ArmMotion:
+    """Motion of the arm's joints under a setup, and of a free base as the CAD inertials make it move.
 
     Args:
         rows: As recorded.
         setup: What is recorded how.
+        arm: With CAD inertials.
     """
     source, scale, back = setup.position_from, setup.position_scale, setup.time_sign
+    position = rows.position[:, source] * scale + setup.position_offset
+    velocity, acceleration = back * rows.velocity[:, source] * scale, rows.acceleration[:, source] * scale
+    base = None
+    if setup.free_base is not None:
+        inertials = np.array([joint.inertial for joint in arm.joints])
+        base = FreeBase(arm, inertials, position, velocity, acceleration).motion(*setup.free_base)
     return ArmMotion(
-        position=rows.position[:, source] * scale + setup.position_offset,
-        velocity=back * rows.velocity[:, source] * scale,
-        acceleration=rows.acceleration[:, source] * scale,
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
         direction=back * rows.direction[:, source] * np.sign(scale),
         unbuilt=back * rows.unbuilt[:, source] * np.sign(scale),
         moving=rows.moving[:, source],
         gravity=setup.gravity,
+        base=base,
     )
 
 

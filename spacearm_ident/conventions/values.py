@@ -131,13 +131,13 @@ def _zero_normal(
     """Normal matrix (1, 1) and vector (1,) of a joint's zero with all parameters free."""
     design = scorer.design(here.setup)
     motion = design.motion
-    inertials = scorer.frame.inertials(here.evidence.parameters[: design.rigid])
+    inertials = design.frame.inertials(here.evidence.parameters[: design.rigid])
     arm = scorer.arm.with_gravity(motion.gravity)
     moved = motion.position.copy()
     moved[:, joint] += 1e-4
     slope = (
-        rigid_body_torque(arm, inertials, moved, motion.velocity, motion.acceleration)
-        - rigid_body_torque(arm, inertials, motion.position, motion.velocity, motion.acceleration)
+        rigid_body_torque(arm, inertials, moved, motion.velocity, motion.acceleration, motion.base)
+        - rigid_body_torque(arm, inertials, motion.position, motion.velocity, motion.acceleration, motion.base)
     ) / 1e-4
     if part is not None:
         slope[~part] = 0.0
@@ -277,7 +277,7 @@ def _gravity_normal(scorer: Scorer, one: Scored, known: Sequence[int] = ()) -> t
     """Normal matrix (3, 3) and vector (3,) of gravity with all parameters free but the offsets of some joints."""
     design = scorer.design(one.setup)
     position = design.motion.position
-    inertials, still = scorer.frame.inertials(one.evidence.parameters[: design.rigid]), np.zeros_like(position)
+    inertials, still = design.frame.inertials(one.evidence.parameters[: design.rigid]), np.zeros_like(position)
     pulls = [rigid_body_torque(scorer.arm.with_gravity(axis), inertials, position, still, still) for axis in np.eye(3)]
     offsets = [design.rigid + OWN * (joint + 1) - 1 for joint in known]
     return reduced(scorer, one, np.stack(pulls, axis=2), offsets)

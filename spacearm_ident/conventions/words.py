@@ -59,6 +59,11 @@ def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
             return "time runs backwards: friction would drive every joint"
         case Kind.GRAVITY:
             return gravity_statement(arm, np.array(change.value))
+        case Kind.PAYLOAD:
+            mass = 0.0 if evidence.body is None else float(evidence.body[0])
+            return f"torque as of a body of about {mass:.2g} kg on the last link (of {names})"
+        case Kind.FLOATING_BASE:
+            return "torque as of an arm on a base that floats: less than on one that is held, as with a gain below 1"
         case _:
             return _gain(arm, change, evidence)
 
@@ -148,7 +153,7 @@ def _guess(gains: FloatArray) -> str:
 
 
 def corrections(arm: Arm, change: Change, evidence: Evidence) -> Corrections:
-    """What undoes a change in the recording; nothing for gravity, which is the arm's.
+    """What undoes a change in the recording; nothing for gravity, a payload or a free base, which are no mistakes of it.
 
     Args:
         arm: The arm, for names of joints.
@@ -157,7 +162,7 @@ def corrections(arm: Arm, change: Change, evidence: Evidence) -> Corrections:
     """
     names = joint_names(arm, change)
     match change.kind:
-        case Kind.GRAVITY:
+        case Kind.GRAVITY | Kind.PAYLOAD | Kind.FLOATING_BASE:
             return Corrections()
         case Kind.TIME_REVERSED:
             return Corrections(clock="reversed")
@@ -193,6 +198,13 @@ def remedy(arm: Arm, change: Change, evidence: Evidence) -> str:
     """
     if change.kind is Kind.GRAVITY:
         return "--gravity " + " ".join(f"{g:.3g}" for g in change.value) + ", or gravity_m_s2 in the arm YAML"
+    if change.kind is Kind.PAYLOAD:
+        return (
+            "if the arm holds a body, spacearm payload weighs it, with a model of the arm without it; if it is part of "
+            "the arm, its inertials belong into the URDF"
+        )
+    if change.kind is Kind.FLOATING_BASE:
+        return "record /base_imu: without the base's motion a model takes the smaller torque for smaller bodies"
     text = f"in the arm YAML: corrections: {corrections(arm, change, evidence).as_yaml(arm.joint_names)}"
     if change.kind in TORQUE_SCALES:
         return f"find torque constant, gear ratio and unit of the effort; until then {text}"
