@@ -22,7 +22,8 @@ from ..conventions.fixed_joints import KIND as FIXED_JOINT_MOVES
 from ..conventions.jumps import POSITION_JUMP
 from ..dynamics.arm import Arm
 from ..dynamics.model import IdentifiedModel
-from ..errors import UnfitDataError
+from ..errors import UnfitDataError, UserError
+from ..export.payload import find_payload
 from ..identification.identify import Progress, identify
 from ..identification.validation import validate
 from ..mismatch.run_set import RunSet
@@ -139,9 +140,15 @@ class _Healthy:
                 found += [_Beside(*pair, *other) for pair, other in zip(before, after)]
         if not found:
             return True
-        if float(np.median([one.left for one in found])) > LARGEST_LEFT:
+        left = float(np.median([one.left for one in found]))
+        if left > LARGEST_LEFT:
             return False
-        return mistake.kind not in TORQUE_SCALES or float(np.median([one.unit for one in found])) > LEAST_UNIT
+        if mistake.kind not in TORQUE_SCALES:
+            return True
+        named = [one for one in field if recording_name(one) in mistake.recordings]
+        return float(np.median([one.unit for one in found])) > LEAST_UNIT and left < _left_by_payload(
+            self._model, named
+        )
 
     def other_unit(self, recording: Recording) -> Mistake | None:
         """The mistake that a recording's torque is in another unit than this arm's, if it is."""
@@ -151,6 +158,8 @@ class _Healthy:
         found = [_Beside(*pair, *pair) for pair in _torques(self._model, recording)]
         alike = bool(found) and float(np.median([one.left for one in found])) < LARGEST_LEFT
         if not alike or float(np.median([one.unit for one in found])) < UNIT_FACTOR:
+            return None
+        if _left_by_payload(self._model, [recording]) <= float(np.median([one.left for one in found])):
             return None
         listed = ", ".join(f"{name} {1.0 / max(one.factor, TINY):.3g}" for name, one in zip(names, found))
         undo = Corrections({name: JointCorrection(effort_scale=one.factor) for name, one in zip(names, found)})
@@ -201,6 +210,19 @@ class _Beside:
         """Factor, or one over it, between the healthy arm's torque and the recorded one."""
         ratio = float(np.linalg.norm(self.expected)) / max(float(np.linalg.norm(self.recorded)), TINY)
         return max(ratio, 1.0 / max(ratio, TINY))
+
+
+def _left_by_payload(model: IdentifiedModel, recordings: Sequence[Recording]) -> float:
+    """Share of the squares of the torque's difference that a body on the last link leaves, in the median of the joints.
+
+    A unit scales friction and rotor torque as well, and every joint alike; a body does not. Infinite where there is no
+    body, or the data show none.
+    """
+    try:
+        held = find_payload(model, recordings)
+    except (UnfitDataError, UserError):
+        return float("inf")
+    return float(np.median((held.after_Nm / np.maximum(held.before_Nm, TINY)) ** 2))
 
 
 def _torques(
