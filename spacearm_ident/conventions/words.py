@@ -153,7 +153,7 @@ def _guess(gains: FloatArray) -> str:
 
 
 def corrections(arm: Arm, change: Change, evidence: Evidence) -> Corrections:
-    """What undoes a change in the recording; nothing for gravity, a payload or a free base, which are no mistakes of it.
+    """What undoes a change in the recording; nothing for gravity, a payload or a free base, which are not its mistakes.
 
     Args:
         arm: The arm, for names of joints.
