@@ -141,15 +141,17 @@ def test_the_page_leads_from_start_to_an_identified_arm(graph, folder):
     said = lambda: getattr(graph.statuses.get("identifier: identification"), "message", "")  # noqa: E731
     graph.wait_for(lambda: said().startswith("identified"), "the identification", PATIENCE_S)
     (identify,) = (words for words in commands("spacearm") if words[0] == "identify")
-    (bag,) = folder.glob("recordings/run_*")
+    # The last: a repetition of this test finds those of the attempts before.
+    bag = max(folder.glob("recordings/run_*"))
     assert main([str(bag) if "*" in word else word for word in identify]) == 0
     for result in ("identified", "offline"):
         model = load_model(folder / result / "model.yaml")
         values = {p.name: v for p, v in zip(model.model.parameters, model.parameters, strict=True)}
         for joint, coulomb, viscous in zip(small_arm.JOINTS, small_arm.COULOMB, small_arm.VISCOUS, strict=True):
-            # N·m, though the driver published A.
+            # N·m, though the driver published A. At 1 rad/s, where it does not matter which powers of speed are in.
             assert values[f"f_c[{joint}]"] == pytest.approx(coulomb, rel=0.1), result
-            assert values[f"k_v1[{joint}]"] == pytest.approx(viscous, rel=0.2, abs=0.1), result
+            powers = sum(values.get(f"{symbol}[{joint}]", 0.0) for symbol in ("k_v1", "k_v2", "k_v3"))
+            assert values[f"f_c[{joint}]"] + powers == pytest.approx(coulomb + viscous, rel=0.1), result
     # Between the stamps announced, the arm did the excitation.
     recording = read_recording(bag).in_order(small_arm.JOINTS)
     inside = (recording.time * 1e9 + recording.start_ns > last["t0_ns"]) & (
