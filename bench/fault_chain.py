@@ -59,7 +59,7 @@ class BreakableChain(Chain):
         return self._processes[name].poll() is None
 
     def revive(self) -> list[str]:
-        """Start the nodes that have ended anew; returns their names.
+        """Restart the nodes that have ended; returns their names.
 
         With a new arm, which stands where it begins, the driver as well: it enables no arm that has moved unseen.
         """

@@ -48,7 +48,7 @@ RATED_TOLERANCE: Final = 0.01
 MICRO: Final = 1000.0
 #: How long a drive that is found under power may take to come to rest and leave it, s.
 POWER_OFF: Final = 3.0
-#: How long a drive may take to show a mode of operation it was told, s: it changes within a few of the drive's own
+#: How long a drive may take to display a commanded mode of operation, s: it changes within a few of the drive's own
 #: cycles, of some milliseconds at most.
 MODE_CHANGE: Final = 0.2
 #: Names of modes of operation (CiA 402, 0x6060).

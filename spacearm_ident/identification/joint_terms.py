@@ -74,7 +74,12 @@ def _rank(term: OptionalTerm) -> int:
 
 
 def column(term: OptionalTerm, tag: str) -> str:
-    """Name of a term's column in a `Trials`; those of Stribeck friction have one for every shape (`JointTerms.tag`)."""
+    """Name of a term's column in a `Trials`; those of Stribeck friction have one for every shape.
+
+    Args:
+        term: With a symbol.
+        tag: The shape of the law that has the term (`JointTerms.tag`).
+    """
     return f"{term.row.symbol} {tag}" if term.row.term is StribeckFriction else term.row.symbol
 
 

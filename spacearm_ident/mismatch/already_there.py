@@ -21,7 +21,12 @@ this share of what it does in the field with the parameters that the reference s
 
 
 def was_there_before(winner: Scored, current: CurrentModel) -> bool:
-    """Whether the reference shows the same as the field does beside the current model."""
+    """Whether the reference shows the same as the field does; false where there is no reference.
+
+    Args:
+        winner: The effect that is to be accepted, scored beside the current model.
+        current: That model.
+    """
     reference = current.evidence.reference
     if reference is None:
         return False
@@ -47,6 +52,10 @@ def with_shared(winner: Scored, current: CurrentModel) -> Evidence | None:
 
     None where the reference's torque at its joints is then fitted worse, every row counted alike: the effect has
     followed what is not its own.
+
+    Args:
+        winner: The effect, with the constants that it has in the field.
+        current: What it was scored beside.
     """
     old = current.evidence
     shared = [*old.common, (winner.candidate.effect, winner.candidate.constants)]

@@ -23,6 +23,10 @@ def choose(ranked: Sequence[Scored], current: CurrentModel) -> Scored | None:
 
     The best named effect, unless a generic rival explains clearly more: than it, and than it with a second named
     one, for two effects at one joint look like one dependence that neither has.
+
+    Args:
+        ranked: Candidates that no criterion rejects, of one round, best first.
+        current: What they are beside.
     """
     above = [s for s in ranked if s.score > current.gate and s.plausible]
     named = [s for s in above if s.named]

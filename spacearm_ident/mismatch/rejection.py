@@ -66,7 +66,12 @@ class Case:
 
 
 def is_rejected(scored: Scored, current: CurrentModel) -> bool:
-    """Whether any criterion rejects a candidate beside the current model."""
+    """Whether any criterion rejects a candidate.
+
+    Args:
+        scored: The candidate, scored beside the current model.
+        current: That model.
+    """
     case = Case(scored, current)
     return any(rejects(case) for rejects in CRITERIA)
 
