@@ -31,6 +31,8 @@ AFTER_QUICK_STOP: Final = 6
 IN_FAULT: Final = 2
 INTERPOLATED_MODE: Final = 7
 CYCLIC_MODE: Final = 8
+#: Joints slower than this stand still, rad/s.
+STANDSTILL: Final = 0.005
 #: Extrapolation where none is given, and the longest that is believed, s.
 EXTRAPOLATION: Final = 0.06
 MOST_EXTRAPOLATION: Final = 1.0

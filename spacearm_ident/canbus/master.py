@@ -26,7 +26,7 @@ from canopen.emcy import EmcyError
 from canopen.sdo.exceptions import SdoError
 
 from spacearm_ident.arrays import FloatArray
-from spacearm_ident.canbus.arm_bus import ArmBus, Axis, optional_writes, position_limits, required_writes
+from spacearm_ident.canbus.arm_bus import STANDSTILL, ArmBus, Axis, optional_writes, position_limits, required_writes
 from spacearm_ident.canbus.cia402 import Command, State, state_of
 from spacearm_ident.canbus.cycle import HEARTBEAT, Cycle, is_spoilt_sdo
 from spacearm_ident.canbus.eds import eds_path
@@ -64,9 +64,8 @@ MODES: Final = {
     9: "cyclic synchronous velocity",
     10: "cyclic synchronous torque",
 }
-#: Interval in which a joint is looked at, s, and speed below which it stands still, rad/s.
+#: Interval over which a joint is looked at for standstill, s.
 REST_INTERVAL: Final = 0.05
-REST_SPEED: Final = 0.005
 #: EMCY of a drive that has missed its master's heartbeat (CiA 301, table 26).
 HEARTBEAT_ERROR: Final = 0x8130
 
@@ -341,7 +340,7 @@ class DriveMaster:
             before = self._position(number)
             time.sleep(REST_INTERVAL)
             moved = abs((self._position(number) - before) * axis.scale.rad_per_count)
-            if state is not State.FAULT_REACTION_ACTIVE and moved < REST_SPEED * REST_INTERVAL:
+            if state is not State.FAULT_REACTION_ACTIVE and moved < STANDSTILL * REST_INTERVAL:
                 self._command(axis, node, Command.DISABLE_VOLTAGE)
 
     def _command(self, axis: Axis, node: canopen.RemoteNode, command: Command) -> None:

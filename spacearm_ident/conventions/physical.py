@@ -18,7 +18,7 @@ PAYLOAD_RATIOS = (0.5, 2.0, 8.0)
 """Standard deviations of a payload's mass over the arm's that are tried. On the ground rated payloads are 0.1 to 0.3
 of it (`evidence.PAYLOAD_SHARE` has them); a client in orbit may weigh several times as much as the arm."""
 SURE_BODY = 3.0
-"""Standard errors from which a mass is one, as `spacearm payload` has it."""
+"""Standard errors from which a mass is one, for `spacearm payload` as well."""
 
 
 def physical(scorer: Scorer, start: Scored) -> tuple[list[Scored], float]:

@@ -23,6 +23,7 @@ from typing import Final
 import numpy as np
 
 from spacearm_ident.arrays import FloatArray
+from spacearm_ident.canbus.arm_bus import STANDSTILL
 from spacearm_ident.canbus.cia402 import Goal, State
 from spacearm_ident.canbus.cycle import Cycle
 from spacearm_ident.canbus.events import Event, EventKind
@@ -34,7 +35,7 @@ from spacearm_ident.driver.bus_lock import BusLock
 from spacearm_ident.driver.last_seen import LastSeen
 from spacearm_ident.driver.playback import Playback
 from spacearm_ident.driver.resume import Latch, Silence, resumable
-from spacearm_ident.driver.safety import STANDSTILL, Fault, MotionMonitor, Rule, fault_of, stands_outside
+from spacearm_ident.driver.safety import Fault, MotionMonitor, Rule, fault_of, stands_outside
 from spacearm_ident.driver.set_points import SetPointStream
 from spacearm_ident.driver.status import DriverStatus, Phase, silent_joint, stuck_joint
 from spacearm_ident.driver.temperatures import OnTemperature, TemperatureReader

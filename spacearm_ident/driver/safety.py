@@ -17,13 +17,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from spacearm_ident.arrays import BoolArray, FloatArray
+from spacearm_ident.canbus.arm_bus import STANDSTILL
 from spacearm_ident.canbus.events import Event, EventKind
 from spacearm_ident.dynamics.arm import Arm
 
 #: Share by which set-points may exceed the limits: rounding of differences.
 TOLERANCE: Final = 0.02
-#: Joints slower than this stand still, rad/s.
-STANDSTILL: Final = 0.005
 _POSITION_ROUNDING: Final = 1e-6
 
 

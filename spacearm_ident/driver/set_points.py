@@ -21,7 +21,8 @@ from typing import Final
 import numpy as np
 
 from spacearm_ident.arrays import FloatArray
-from spacearm_ident.driver.safety import STANDSTILL, Fault, Limits, Rule, judge_step
+from spacearm_ident.canbus.arm_bus import STANDSTILL
+from spacearm_ident.driver.safety import Fault, Limits, Rule, judge_step
 
 #: Largest distance of the first set-point from where the arm is held, rad.
 START: Final = 0.02

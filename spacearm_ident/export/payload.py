@@ -23,6 +23,7 @@ import pinocchio as pin
 
 from ..arrays import FloatArray
 from ..bayes.updated import REDUCED
+from ..conventions.physical import SURE_BODY
 from ..dynamics.arm import Arm
 from ..dynamics.base_link import base_notes, placed
 from ..dynamics.model import IdentifiedModel
@@ -34,7 +35,7 @@ from ..noise.weights import residual_noise
 from ..recording.recording import Recording
 from ..signals.motion import Motion
 from ..signals.prepare import prepare
-from .unweighed import SURE, BodyFit, caveats, refuse_no_body, refuse_other_gravity
+from .unweighed import BodyFit, caveats, refuse_no_body, refuse_other_gravity
 
 FEWEST_ROWS = 20
 """Rows in motion below which a joint is left out: fewer do not tell its noise."""
@@ -200,7 +201,7 @@ def _fit(model: IdentifiedModel, motions: Sequence[Motion]) -> BodyFit:
         values = covariance @ moment
         linear = slopes @ values + held
         residuals = [target - matrix @ linear for target, matrix in zip(targets, matrices)]
-        if number == FIRST - 1 and not values[0] > SURE * np.sqrt(covariance[0, 0]):
+        if number == FIRST - 1 and not values[0] > SURE_BODY * np.sqrt(covariance[0, 0]):
             break
 
     def rms(parts: Sequence[FloatArray]) -> FloatArray:

@@ -14,14 +14,13 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..conventions.change import gravities
+from ..conventions.physical import SURE_BODY
 from ..conventions.words import gravity_statement
 from ..dynamics.arm import Arm
 from ..errors import UnfitDataError, UserError
 from ..identification.verdict import FAIR, IMPOSSIBLE
 from ..signals.motion import Motion
 
-SURE = 3.0
-"""Standard errors from which a mass is one."""
 NEGATIVE = IMPOSSIBLE
 """Standard errors by which a mass must be below zero to contradict the model; fewer its own errors explain, which are
 not in those of the mass."""
@@ -116,7 +115,7 @@ def refuse_no_body(arm: Arm, motions: Sequence[Motion], fit: BodyFit) -> None:
 
     Raises:
         UserError: The mass is negative beyond what errors explain: the model is wrong for these recordings.
-        UnfitDataError: It is not above zero by `SURE` standard errors.
+        UnfitDataError: It is not above zero by `SURE_BODY` standard errors.
     """
     found = f"mass {fit.mass:.4f} ± {fit.mass_error:.4f} kg (standard error)"
     if fit.mass < -NEGATIVE * fit.mass_error:
@@ -124,7 +123,7 @@ def refuse_no_body(arm: Arm, motions: Sequence[Motion], fit: BodyFit) -> None:
             f"the model does not fit these recordings: {found}, which no body has; {_causes(arm, motions)}. Update the "
             "model by a recording without payload (spacearm identify --prior), and weigh with that one"
         )
-    if fit.mass > SURE * fit.mass_error:
+    if fit.mass > SURE_BODY * fit.mass_error:
         return
     if left := _poor(arm, fit):
         raise UnfitDataError(f"no payload detected, and none excluded: {found}, but {left}; {_causes(arm, motions)}")
