@@ -28,13 +28,15 @@ from spacearm_ident.dynamics.effects import EFFECTS
 
 @pytest.mark.parametrize("link", [0, 1, 2])
 def test_a_payload_is_what_a_heavier_link_costs(link):
-    """A point's moment statically; mass, moment and inertia about the joint in motion."""
-    mass, centre, spread = 3.0, np.array([0.0, 0.0, 0.3]), np.array([0.01, 0.02, 0.03])
+    """A point's moment statically; mass, moment and inertia about the joint in motion, products of inertia too."""
+    mass, centre = 3.0, np.array([0.04, -0.06, 0.3])
+    spread = np.array([[0.01, 0.002, -0.001], [0.002, 0.02, 0.003], [-0.001, 0.003, 0.03]])
 
     def heavier(model):
-        model.inertias[link + 1] += pin.Inertia(mass, centre, np.diag(spread))
+        model.inertias[link + 1] += pin.Inertia(mass, centre, spread)
 
-    about_joint = spread + mass * 0.3**2 * np.array([1.0, 1.0, 0.0])
+    around = spread + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    about_joint = around[np.triu_indices(3)][[0, 1, 3, 2, 4, 5]]
     state = W.position, W.velocity, W.acceleration
     want = rnea(THREE_LINKS, *state, change=heavier) - rnea(THREE_LINKS, *state)
     full = one("payload", ARM, joint=ARM.joint_names[link], inertia=True)

@@ -14,13 +14,13 @@ from ..arm import EARTH, Arm
 from ..background import Background
 from ..frames import frames_of
 from ..free_base import BELOW_M, DEEPEST_M, INERTIA_RATIOS, MASS_RATIOS, FreeBase
-from ..regressor import cross, rigid_body_blocks
+from ..regressor import INERTIAL_SYMBOLS, cross, rigid_body_blocks
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, nothing, share_of
 from .linearised import COARSE_HZ, interpolate, rigid_torque
 from .window import STARTS_S, LastingEvent, long_window, shares_within
 
-MASS = ("m", "mcx", "mcy", "mcz")
+MASS = INERTIAL_SYMBOLS[:4]
 HEAVIEST_KG, LONGEST_M = 50.0, 2.0
 """Of a payload; one as heavy as the arm where that is more: rated payloads are 0.1 to 0.3 of an arm's mass."""
 
@@ -71,7 +71,10 @@ class Payload(Effect):
             for s in MASS
         ]
         if place.get("inertia"):
-            parameters += [Parameter(f"dI{axis}{axis}", joint, "kg m^2", scale=0.2) for axis in "xyz"]
+            # All six: without gravity the products of inertia of a body beside the axis pass for its first moment.
+            parameters += [
+                Parameter(f"d{symbol}", joint, "kg m^2", scale=0.2) for symbol in INERTIAL_SYMBOLS[len(MASS) :]
+            ]
         return cls(tuple(parameters), long_window(joint) if place.get("for_a_while") else (), place=place)
 
     @property
@@ -102,8 +105,8 @@ class Payload(Effect):
         blocks = background.keep(
             "blocks", lambda: rigid_body_blocks(arm, motion.position, motion.velocity, motion.acceleration, motion.base)
         )
-        which = [0, 1, 2, 3, 4, 6, 9][: len(self.parameters)]
-        return each({row: blocks[row, link][which].T for row in rows if (row, link) in blocks})
+        count = len(self.parameters)
+        return each({row: blocks[row, link][:count].T for row in rows if (row, link) in blocks})
 
     def shown(self, values: FloatArray) -> Shown:
         """Mass, and where it is."""
