@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changed_arm import ARM, HEALTHY, LAWS, NOISE, explained, loaded_run, ripple, run
-from planted_arm import TWO_LINKS, incommensurate, plant, two_link_run, urdf_of
+from planted_arm import TWO_LINKS, Friction, incommensurate, plant, two_link_run, urdf_of
 
 from spacearm_ident.dynamics.arm import arm_from_urdf
 from spacearm_ident.dynamics.effects import EFFECTS
@@ -505,6 +505,31 @@ def test_two_effects_that_an_arm_cannot_both_have_are_not_both_found(monkeypatch
     for name in both:
         monkeypatch.setattr(EFFECTS[name], "excludes", lambda self, other: self.kind != other.kind)
     assert not both <= {finding.effect for finding in explain(ARM, runs, SLOW_ONES).findings}
+
+
+THINNING = Friction(k_v2=-0.6, k_v3=0.0, odd=True)
+
+
+@pytest.mark.parametrize(
+    ("changed", "found"),
+    [
+        (
+            replace(THINNING, k_v1=THINNING.k_v1 + 0.6),
+            {("friction_drift", ("shoulder",)), ("friction_drift", ("elbow",))},
+        ),
+        (replace(THINNING, k_v2=0.0), {("vacuum_friction", ("shoulder", "elbow"))}),
+    ],
+    ids=["colder", "vacuum"],
+)
+def test_friction_that_grew_at_every_joint_has_lost_its_high_orders_only_where_it_has(changed, found):
+    """One share of what the high orders did passes for more viscous friction at each joint, with fewer parameters."""
+
+    def moved(seed, law):
+        motion = incommensurate(np.arange(0.0, 20.0, 1 / 250.0), 2, seed, speed=2.0)
+        return plant(TWO_LINKS, [law, law], motion, 250.0).recording(0.05, seed)
+
+    runs = RunSet([moved(2, changed)], [moved(0, THINNING), moved(1, THINNING)], [moved(3, changed)])
+    assert {(one.effect, one.joints) for one in explain(ARM, runs, SLOW_ONES).findings} == found
 
 
 def test_loads_on_two_links_exclude_each_other():
