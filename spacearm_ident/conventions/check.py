@@ -28,7 +28,7 @@ from ..signals.prepare import prepare, require_joints, reversal_cutoff_hz
 from .change import PHYSICAL, PRIOR, TORQUE_SCALES, UNIT_FACTOR, Change, Kind
 from .description import compare_description
 from .evidence import MASS_SD, Evidence, log_mass, mass_likelihood
-from .finding import INFERRED, Alternative, ConventionReport, Finding, Level, merged
+from .finding import INFERRED, Alternative, ConventionReport, Finding, Level, Untested, merged
 from .fixed_joints import moving_though_fixed
 from .jumps import impossible_steps, moved_zeros
 from .physical import payload
@@ -63,7 +63,6 @@ POSITION_UNIT = "position_unit"
 """Kind of a finding that positions are in no unit of angle."""
 BASE_FRAME = "base_frame"
 """Kind of a finding that the frame of a moving base's sensor is not fixed to the base link."""
-_TWO_ZEROS = f"{INFERRED} (positions have two zeros)"
 
 Progress = Callable[[float, str], None]
 
@@ -104,24 +103,24 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
     ordered = recording.in_order(arm.joint_names)
     if mixed := two_sources(recording):
         # Motion, clock and velocity are those of two courses: what else is found of them follows from that.
-        return _report(recording, [*mixed, *compare_description(recording, arm)], [f"{INFERRED} (two sources)"])
+        return _report(recording, [*mixed, *compare_description(recording, arm)], Untested.TWO_SOURCES)
     plain = read_off(ordered)
     unmodelled = moving_though_fixed(recording, arm)
     findings = [*_base_frame(recording, arm), *compare_description(recording, arm), *unmodelled, *plain.findings]
-    undecided: list[str] = []
+    undecided: list[str] | Untested = []
     if jumps := impossible_steps(ordered, arm):
         # What else is found of them follows from that.
-        findings, undecided = [*jumps, *findings], [_TWO_ZEROS]
+        findings, undecided = [*jumps, *findings], Untested.TWO_ZEROS
     elif recording.base is not None:
-        undecided.append(f"{INFERRED} (the base moves: give --fixed-base where it does not)")
+        undecided = Untested.MOVING_BASE
     elif any(one.level is Level.UNFIT for one in unmodelled):
-        undecided.append(f"{INFERRED} (joints move that carry the arm or belong to it)")
+        undecided = Untested.UNMODELLED_JOINTS
     elif len(plain.still) < len(arm.joints) and len(plain.dead) < len(arm.joints):
         try:
             inferred, undecided = _infer(ordered, arm, plain, base_held=sensed)
             if any(one.kind == CLOCK_JITTER for one in inferred):
                 # What is inferred of motion that the clock has spoilt is none of the arm's.
-                findings, undecided = _spoilt_by_the_clock(findings, inferred), [f"{INFERRED} (the clock)"]
+                findings, undecided = _spoilt_by_the_clock(findings, inferred), Untested.CLOCK
             else:
                 findings = _explained(findings, inferred) + inferred
         except UnfitDataError as error:
@@ -129,12 +128,13 @@ def _check(recording: Recording, arm: Arm) -> ConventionReport:
     return _report(recording, findings, undecided)
 
 
-def _report(recording: Recording, findings: Sequence[Finding], undecided: Sequence[str]) -> ConventionReport:
+def _report(recording: Recording, findings: Sequence[Finding], undecided: list[str] | Untested) -> ConventionReport:
     """What was found in one recording, and what its data leave open."""
     name = recording_name(recording)
-    untested = (name,) if any(one.startswith(INFERRED) for one in undecided) else ()
     found = tuple(replace(finding, recordings=(name,)) for finding in findings)
-    return merged([ConventionReport(found, tuple(undecided), (name,), untested)])
+    if isinstance(undecided, Untested):
+        return merged([ConventionReport(found, (f"{INFERRED} ({undecided})",), (name,), (name,))])
+    return merged([ConventionReport(found, tuple(undecided), (name,))])
 
 
 def _base_frame(recording: Recording, arm: Arm) -> list[Finding]:
@@ -167,7 +167,9 @@ def _explained(findings: Sequence[Finding], inferred: Sequence[Finding]) -> list
     return [one for one in findings if one.kind != "velocity" or not (every or set(one.joints) <= joints)]
 
 
-def _infer(recording: Recording, arm: Arm, plain: Plain, *, base_held: bool = False) -> tuple[list[Finding], list[str]]:
+def _infer(
+    recording: Recording, arm: Arm, plain: Plain, *, base_held: bool = False
+) -> tuple[list[Finding], list[str] | Untested]:
     """What the arm's dynamics say, and what they cannot."""
     motions, bandwidth = prepare([recording], arm.joint_names)
     widest = bandwidth.cutoff_hz
@@ -184,10 +186,10 @@ def _infer(recording: Recording, arm: Arm, plain: Plain, *, base_held: bool = Fa
     steps = search(scorer)
     final = steps[-1].before
     if (odd := _no_unit(scorer, final)) is not None:
-        return [odd], [f"{INFERRED} (the unit of the positions)"]
+        return [odd], Untested.POSITION_UNIT
     moved, unknown = moved_zeros(scorer, final, recording)
     if any(one.level is Level.UNFIT for one in moved):
-        return moved, [_TWO_ZEROS]
+        return moved, Untested.TWO_ZEROS
     findings = [finding for step in steps if (finding := _finding(scorer, step, final)) is not None]
     units = [one for one in findings if one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN)]
     if all(one.level is Level.NOTE for one in units):

@@ -20,6 +20,17 @@ UNFIT_MODEL = "do not use the model: its figures only say how well it repeats th
 """Said of a model of unfit data, in place of a verdict on its fit."""
 
 
+class Untested(StrEnum):
+    """Why what the arm's dynamics decide was not looked for in a recording."""
+
+    TWO_SOURCES = "two sources"
+    TWO_ZEROS = "positions have two zeros"
+    MOVING_BASE = "the base moves: give --fixed-base where it does not"
+    UNMODELLED_JOINTS = "joints move that carry the arm or belong to it"
+    CLOCK = "the clock"
+    POSITION_UNIT = "the unit of the positions"
+
+
 class Level(StrEnum):
     """What a finding means for an identification."""
 
