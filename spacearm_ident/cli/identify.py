@@ -210,8 +210,9 @@ def summary(
         fit = figures.everything
         raw = figures.unfiltered_moving or figures.unfiltered
         lines.append(
-            f"{joint:<24}{fit.rmse:>10.{places}f}{fit.largest:>10.{places}f} {units[joint]:<5}{fit.correlation:>8.4f}"
-            f"{fit.relative_rms:>10.1%}{figures.moving.relative_rms:>9.1%}{raw.relative_rms:>12.1%}"
+            f"{joint:<24}{fit.rmse:>10.{places}f}{fit.largest:>10.{places}f} {units[joint]:<5}"
+            f"{_known(fit.correlation, '.4f'):>8}{_known(fit.relative_rms, '.1%'):>10}"
+            f"{_known(figures.moving.relative_rms, '.1%'):>9}{_known(raw.relative_rms, '.1%'):>12}"
         )
     lines += [
         f"RMSE, max, R, rel. RMS: all samples, low-pass filtered at {bandwidth.cutoff_hz:.3g} Hz, the bandwidth of the "
@@ -228,6 +229,11 @@ def summary(
             f"{GAIN_DEVIATION:.0%} without a known mass (--weighed): ci95_with_gain_low, ci95_with_gain_high"
         )
     return "\n".join(lines if unfit else [*lines, *about])
+
+
+def _known(value: float, form: str) -> str:
+    """A figure, or a dash where a joint has none: one that does not move has no moving samples."""
+    return format(value, form) if math.isfinite(value) else "-"
 
 
 def _next_step(usable: bool, page: Path, identified: Identified) -> str:

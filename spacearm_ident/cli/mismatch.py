@@ -344,7 +344,9 @@ def _finding_lines(finding: Finding) -> list[str]:
         lines.append(f"    {finding.unchecked}")
     if finding.remedy:
         lines.append(f"    what to do: {finding.remedy}")
-    lines += [f"    rather than {a.effect} at {', '.join(a.joints)}: {a.why_not}" for a in finding.alternatives]
+    for other in finding.alternatives:
+        where = ", ".join(other.joints) or "the whole arm"
+        lines.append(f"    rather than {other.effect} at {where}: {other.why_not}")
     return lines
 
 
