@@ -132,6 +132,8 @@ class Competition:
                     dropped += 1
                     self.search.drop(winner.candidate.effect)
                 continue
+            # What effects of single joints outdo together is a rival of none of them.
+            rivals = [s for s in ranked if s is not winner and outdone(s, sound, current) is None]
             winner = self.search.polished(winner)
             current.accepted.append(winner.candidate)
             self._search_again()
@@ -139,7 +141,7 @@ class Competition:
             self.search.accept(winner.candidate.effect)
             if winner.candidate.effect.event:
                 self._leave_out_events()
-            rounds.append(Round(winner, tuple(s for s in ranked if s is not winner)))
+            rounds.append(Round(winner, tuple(rivals)))
             rounds = self._without_the_idle(rounds)
             if self._is_excluded(winner.candidate.effect):
                 current.accepted.pop()
