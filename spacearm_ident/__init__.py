@@ -5,7 +5,8 @@
     run = sa.read("log.csv", arm="arm.urdf")
     result = sa.identify(run)
 
-`read`, `identify`, `mismatch`, `excite` and `load` come from `api`, and it with all they need when one is first used.
+`read`, `recorded`, `identify`, `mismatch`, `excite` and `load` come from `api`, and it with all they need when one is
+first used.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import Result, Run, excite, identify, load, mismatch, read
+    from .api import Result, Run, excite, identify, load, mismatch, read, recorded
 
 __version__ = "0.1.0"
-__all__ = ["Result", "Run", "__version__", "excite", "identify", "load", "mismatch", "read"]
+__all__ = ["Result", "Run", "__version__", "excite", "identify", "load", "mismatch", "read", "recorded"]
 
 
 def __getattr__(name: str) -> Any:

@@ -20,7 +20,7 @@ import numpy as np
 
 from .arrays import FloatArray
 from .cli.main import parser
-from .dynamics.arm import Arm
+from .dynamics.arm import Arm, load_arm
 from .errors import UserError
 from .estimate.identified import Identified, Validation
 from .excitation.trajectory import Trajectory
@@ -29,7 +29,8 @@ from .export.motion import steady
 from .export.write import export_model
 from .identification.effort import in_newton_metres
 from .mismatch.finding import Explanation
-from .recording import Recording
+from .recording import Recording, write_recording
+from .recording.from_arrays import from_arrays
 from .sessions.bags import Options
 from .sessions.identification import find_arm, identify_session
 from .sessions.mismatch import explain_session
@@ -62,6 +63,7 @@ class Run:
     arm: Arm
     path: Path
     _how: Comparing = field(default_factory=Comparing, repr=False)
+    _kept: Any = field(default=None, repr=False)
 
 
 def read(
@@ -86,6 +88,8 @@ def read(
     Raises:
         UserError: It cannot be read, holds several recordings, or its arm is not known.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise UserError(f"read takes the path of a file, not a {type(path).__name__}: sa.recorded takes arrays")
     files = (None if arm is None else Path(arm)), (None if mapping is None else Path(mapping))
     reading = Reading(files[0], namespace, files[1], fixed_base)
     recordings = reading.read([Path(path)], lambda share, what: None)
@@ -94,6 +98,43 @@ def read(
     found = find_arm(files[0], gravity, recordings)
     how = Comparing(reading, None if gravity is None else tuple(gravity))
     return Run(in_newton_metres(recordings, found)[0], found, Path(path), how)
+
+
+def recorded(
+    time: Any,
+    position: Any,
+    effort: Any,
+    *,
+    arm: PathLike,
+    joints: Sequence[str] | None = None,
+    velocity: Any = None,
+    temperature: Any = None,
+    gravity: Sequence[float] | None = None,
+    file: PathLike | None = None,
+) -> Run:
+    """Take arrays or DataFrames for a recording: they are written to a bag, and that is read as any other.
+
+    Args:
+        time: (N,) s, increasing.
+        position: (N, n) rad, m for sliding joints.
+        effort: (N, n) N·m on the output side (N), or in the unit that the arm YAML declares.
+        arm: URDF or arm YAML.
+        joints: Names of the n columns; None: those of `position`, a DataFrame, else the arm's joints in its order.
+        velocity: (N, n) rad/s; None: the position is differentiated.
+        temperature: (N, n) °C; None: not recorded.
+        gravity: (3,) m/s^2 in the base frame, instead of the arm's.
+        file: The bag to write, `NAME.mcap`; None: a temporary one, there as long as the run is.
+
+    Raises:
+        UserError: Shapes or names do not fit, time does not increase, or the arm is not known.
+    """
+    if joints is None and not hasattr(position, "columns"):
+        joints = load_arm(Path(arm)).joint_names
+    recording = from_arrays(time, position, effort, joints, velocity, temperature)
+    kept = tempfile.TemporaryDirectory(prefix="spacearm_") if file is None else None
+    path = Path(file) if file is not None else Path(kept.name) / "arrays.mcap" if kept else Path()
+    write_recording(path, recording)
+    return replace(read(path, arm, gravity=gravity), _kept=kept)
 
 
 @dataclass(frozen=True)

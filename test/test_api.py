@@ -6,6 +6,7 @@ import inspect
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -173,6 +174,68 @@ def test_mismatch_is_a_function_and_a_package(tmp_path):
         write_recording(tmp_path / f"run_{seed}.mcap", small_arm.recording(16.0, seed=seed))
     found = sa.mismatch(sa.read(tmp_path / "run_1.mcap"), tmp_path / "run_0.mcap")
     assert isinstance(found, Explanation) and found.verdict == NO_MISMATCH
+
+
+class Frame:
+    """What of a pandas DataFrame is used: columns, columns by their names, and numbers."""
+
+    def __init__(self, values: np.ndarray, columns: Sequence[str]) -> None:
+        self.values, self.columns = values, list(columns)
+
+    def __getitem__(self, names: list[str]) -> Frame:
+        return Frame(self.values[:, [self.columns.index(name) for name in names]], names)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.asarray(self.values, dtype)
+
+
+@pytest.mark.parametrize("kind", ["arrays", "lists", "frames"])
+def test_arrays_are_identified_as_the_bag_of_the_same_numbers(kind, tmp_path):
+    run = small_arm.recording(12.0, seed=3)
+    (tmp_path / "arm.urdf").write_text(small_arm.URDF)
+    write_recording(tmp_path / "run.mcap", run)
+    signals: tuple[Any, ...] = (run.time, run.position, run.effort)
+    if kind == "lists":
+        signals = tuple(one.tolist() for one in signals)
+    elif kind == "frames":
+        turned = Frame(run.position[:, ::-1], run.joints[::-1]), Frame(run.effort, run.joints)
+        signals = (run.time, *turned)
+    made = sa.recorded(*signals, arm=tmp_path / "arm.urdf", file=tmp_path / "made.mcap")
+    assert made.path == tmp_path / "made.mcap"
+    ordered, read = made.recording.in_order(run.joints), sa.read(tmp_path / "run.mcap").recording
+    for name in ("time", "position", "effort"):
+        np.testing.assert_array_equal(getattr(ordered, name), getattr(read, name))
+    if kind == "arrays":
+        model = sa.identify(made, friction="coulomb-viscous").identified.model
+        for joint, level in zip(small_arm.JOINTS, small_arm.COULOMB, strict=True):
+            assert model.value("f_c", joint) == pytest.approx(level, rel=0.1)
+        other = small_arm.recording(12.0, seed=4)
+        again = sa.recorded(other.time, other.position, other.effort, arm=tmp_path / "arm.urdf")
+        assert sa.mismatch(again, reference=made).verdict == "no_mismatch"
+
+
+def test_arrays_that_do_not_fit_are_refused_in_one_line(tmp_path):
+    run = small_arm.recording(4.0)
+    (tmp_path / "arm.urdf").write_text(small_arm.URDF)
+    right = {"time": run.time, "position": run.position, "effort": run.effort}
+    wrong: list[tuple[dict[str, Any], str]] = [
+        ({"time": 1e3 * run.time}, "time in seconds"),
+        ({"time": run.time[::-1]}, "does not increase: 3.995 s in row 0"),
+        ({"time": run.time[:-1]}, r"position is of shape \(800, 2\): 799 rows of 2 joints"),
+        ({"time": np.where(run.time > 2.0, np.nan, run.time)}, "finite seconds"),
+        ({"effort": run.effort[:, :1]}, r"effort is of shape \(800, 1\)"),
+        ({"velocity": "fast"}, "velocity is not an array of numbers"),
+        (
+            {"position": Frame(run.position, ("shoulder", "wrist")), "effort": Frame(run.effort, run.joints)},
+            "no column",
+        ),
+        ({"joints": ("elbow", "elbow")}, "each once"),
+    ]
+    for change, said in wrong:
+        with pytest.raises(UserError, match=said):
+            sa.recorded(**{**right, **change}, arm=tmp_path / "arm.urdf")
+    with pytest.raises(UserError, match=r"sa\.recorded takes arrays"):
+        sa.read(run.position)  # type: ignore[arg-type]
 
 
 def test_excite_returns_a_trajectory(tmp_path):
