@@ -21,6 +21,7 @@ from ..conventions.check import check_conventions
 from ..conventions.finding import ConventionReport, sureness
 from ..conventions.finding import Level as Weight
 from ..errors import UserError
+from ..identification.effort import as_declared
 from ..recording.ros_bags import is_mcap, is_ros_bag
 from ..recording.tables import is_log
 from ..sessions.identification import corrected, locked_words, within
@@ -95,6 +96,7 @@ def check_bags(options: argparse.Namespace, bags: Sequence[Path]) -> int:
     with common.progress(options) as report:
         recordings = common.reading_of(options).read(bags, within(report, 0.0, 0.2))
         arm = common.arm_of(options, recordings)
+        recordings = as_declared(recordings, arm)
         found = check_conventions(corrected(recordings, arm), arm, progress=within(report, 0.2, 1.0))
     if options.json:
         common.print_json(found.as_dict())

@@ -36,11 +36,21 @@ def in_newton_metres(recordings: Sequence[Recording], arm: Arm) -> list[Recordin
     Raises:
         UserError: Effort not declared that cannot be torque.
     """
-    done = [_converted(recording, arm) for recording in recordings]
+    done = as_declared(recordings, arm)
     if not arm.effort_declared:
         for recording in done:
             _require_torque(recording, arm)
     return done
+
+
+def as_declared(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:
+    """The recordings with effort converted where the arm declares its unit, else as recorded, whatever that is.
+
+    Args:
+        recordings: As read.
+        arm: Whose driver published them.
+    """
+    return [_converted(recording, arm) for recording in recordings]
 
 
 def _converted(recording: Recording, arm: Arm) -> Recording:
