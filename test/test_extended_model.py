@@ -136,10 +136,11 @@ def agrees(model: IdentifiedModel, base: IdentifiedModel, kind: str, share: floa
     assert np.all(off[felt] < share * size[felt]), (off / np.maximum(size, 1e-12))[felt]
 
 
-def test_friction_falls_with_temperature_as_the_term_says():
+@pytest.mark.parametrize(("above", "place"), [(20.0, {}), (25.0, {"above_C": 25.0})])
+def test_friction_falls_with_temperature_as_the_term_says(above, place):
     values = {"alpha_c": -0.1, "alpha_v": -0.15}
     plant, (effect,) = simulated_arm(
-        extended("temperature_friction", {**SECOND, "of": BOTH}, values), PAPER.model.arm.urdf
+        extended("temperature_friction", {**SECOND, "of": BOTH, **place}, values), PAPER.model.arm.urdf
     )
     thermal = ThermalParameters(paper_drives().copper_loss)
     concealed = Concealment([effect]).plant(plant, np.zeros(6), thermal)
@@ -147,8 +148,9 @@ def test_friction_falls_with_temperature_as_the_term_says():
     state = State(6)
     state.qd, state.temperature = np.full(6, 0.5), np.full(6, 32.0)
     effect.advance(state, 0.001)
-    assert effect.level(state, np.zeros(6)) == pytest.approx([0, 12 * -0.1, 0, 0, 0, 0])
-    assert effect.torque(state) == pytest.approx([0, 12 * -0.15 * 0.5, 0, 0, 0, 0])
+    warmer = 32.0 - above
+    assert effect.level(state, np.zeros(6)) == pytest.approx([0, warmer * -0.1, 0, 0, 0, 0])
+    assert effect.torque(state) == pytest.approx([0, warmer * -0.15 * 0.5, 0, 0, 0, 0])
     assert not effect.values["rise"].any()
 
 

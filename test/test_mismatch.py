@@ -497,6 +497,30 @@ def test_a_law_that_the_reference_hardly_shows_was_there_if_it_has_the_same_valu
         assert one.parameters["alpha_c"].low < -0.04 < one.parameters["alpha_c"].high
 
 
+@pytest.mark.parametrize(
+    ("degrees", "slope", "step", "found", "size"),
+    [
+        ((51.0, 59.0), -0.04, 0.0, "temperature_friction", "alpha_c"),
+        ((37.2, 37.2), 0.0, -0.7, "friction_drift", "df_c"),
+    ],
+    ids=["warmer", "as warm"],
+)
+def test_friction_follows_the_temperature_from_that_of_the_reference(degrees, slope, step, found, size):
+    """The base has the friction at the reference's 37 degrees, not at 20; what changed at 37 did not follow them."""
+
+    def at(seed, degrees, slope=0.0, step=0.0):
+        time = run(seed).time
+        warmth = np.linspace(*degrees, len(time))
+        change = slope * (warmth - 37.0) + step
+        recording = run(seed, lambda planted: np.outer(change * np.sign(planted.qd[:, 1]), [0.0, 1.0]))
+        return replace(recording, temperatures={name: Series(time, warmth) for name in recording.joints})
+
+    field, judged = (at(seed, degrees, slope, step) for seed in (2, 3))
+    (finding,) = explain(ARM, RunSet([field], [at(1, (37.0, 37.0))], [judged]), SLOW_ONES).findings
+    assert (finding.effect, finding.joints) == (found, ("elbow",))
+    assert finding.parameters[size].low < slope + step < finding.parameters[size].high
+
+
 def test_two_effects_that_an_arm_cannot_both_have_are_not_both_found(monkeypatch):
     here = (0.05, 0.0, 0.3)
     runs = RunSet([carrying(2, here, ripple)], [HEALTHY], [carrying(3, here, ripple)])

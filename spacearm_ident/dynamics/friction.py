@@ -70,16 +70,17 @@ def bristle_state(target: FloatArray, travel: FloatArray, distance: float, cycli
     return state
 
 
-def excess_temperature(motion: Motion, row: int) -> FloatArray:
+def excess_temperature(motion: Motion, row: int, above: float = WARM_FROM) -> FloatArray:
     """(N,) temperature of a joint above T_0, K; zero where none was recorded, as if the joint were at T_0.
 
     Args:
         motion: N samples.
         row: Number of the joint.
+        above: T_0, °C.
     """
     if motion.temperature is None:
         return np.zeros(len(motion.position))
-    return np.nan_to_num(motion.temperature[:, row] - WARM_FROM)
+    return np.nan_to_num(motion.temperature[:, row] - above)
 
 
 @dataclass(frozen=True)

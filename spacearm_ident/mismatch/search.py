@@ -236,13 +236,14 @@ def _imitators(shortlist: Sequence[Candidate], named: Sequence[tuple[float, Cand
 
 def _competitors(evidence: Evidence, excluded: Sequence[str]) -> Iterator[Effect]:
     """Every effect that is not excluded and could show, at every place, and the generic rivals."""
-    arm, field = evidence.base.model.arm, evidence.field
-    warm, compared = field.warm_joints, evidence.reference is not None
+    arm, field, reference = evidence.base.model.arm, evidence.field, evidence.reference
+    warm, compared = field.warm_joints, reference is not None
     for kind, effect in EFFECTS.items():
         if kind in excluded:
             continue
         for place in effect.variants(arm):
-            term = in_own_units(effect.at(arm, place).over(arm, field.motions), arm)
+            one = effect.at(arm, place).over(arm, field.motions)
+            term = in_own_units(one if reference is None else one.since(reference.motions), arm)
             told = not term.needs_temperature or {one.joint for one in term.parameters} <= warm
             if told and (compared or not term.needs_reference):
                 yield from _in_each_recording(term, evidence)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -13,9 +13,9 @@ from ...arrays import FloatArray
 from ...signals.motion import Motion
 from ..arm import Arm
 from ..background import Background
-from ..friction import excess_temperature
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, known_joints, nothing, own, share_of
+from .warmth import above_reference, excess_of
 
 MOST_PER_K = 0.004
 """Most that a torque constant changes with the temperature of its winding, 1/K: remanence falls by 0.0009 to 0.0013 of
@@ -53,6 +53,10 @@ class TorqueConstant(Effect):
         """Only where it follows it."""
         return bool(self.place.get("of") == "temperature")
 
+    def since(self, reference: Sequence[Motion]) -> Effect:
+        """Where it follows the temperature, the base has the constant of the reference's."""
+        return above_reference(self, reference) if self.needs_temperature else self
+
     def shown(self, values: FloatArray) -> Shown:
         """The factor between recorded and true torque."""
         name = self.parameters[0].symbol
@@ -80,7 +84,7 @@ class TorqueConstant(Effect):
             return nothing(motion, [row], 1)
         torque = background.torque[:, row]
         if self.needs_temperature:
-            torque = torque * excess_temperature(motion, row)
+            torque = torque * excess_of(self, motion, row)
         return own(row, torque)
 
 

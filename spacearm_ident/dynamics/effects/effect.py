@@ -218,6 +218,14 @@ class Effect(Term):
         """
         return self
 
+    def since(self, reference: Sequence[Motion]) -> Effect:
+        """The same as a change from what these motions show; itself where that does not matter.
+
+        Args:
+            reference: Motions of the healthy arm, at least one.
+        """
+        return self
+
     def prepare(self, motion: Motion, points: Sequence[Values], background: Background | None) -> None:
         """Compute what columns at many values of the constants have in common; it is kept in the background.
 

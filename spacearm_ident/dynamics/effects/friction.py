@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -12,9 +12,10 @@ from ...arrays import FloatArray
 from ...signals.motion import Motion
 from ..arm import Arm
 from ..background import Background
-from ..friction import bristle_state, excess_temperature
+from ..friction import bristle_state
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, direction, each, known_joint, known_joints, nothing, own, share_of
+from .warmth import above_reference, excess_of
 from .window import LastingEvent, long_window
 
 BETWEEN = 1.05
@@ -145,10 +146,14 @@ class TemperatureFriction(_Friction):
         }
         return cls(tuple(known[symbol] for symbol in place.get("of", ["f_c"])), place=place)
 
+    def since(self, reference: Sequence[Motion]) -> Effect:
+        """The friction of the base is that at the reference's temperature."""
+        return above_reference(self, reference)
+
     def columns(self, motion: Motion, constants: Values, background: Background | None) -> Columns:
         """Direction and velocity times the excess temperature; nothing where no temperature was recorded."""
         row = self.row(motion)
-        excess = excess_temperature(motion, row)
+        excess = excess_of(self, motion, row)
         signals = {"f_c": direction(motion, row) * excess, "k_v1": motion.velocity[:, row] * excess}
         return own(row, *(signals[of] for of in self.place.get("of", ["f_c"])))
 

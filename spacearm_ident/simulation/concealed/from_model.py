@@ -28,6 +28,7 @@ from spacearm_ident.dynamics.arm import Arm
 from spacearm_ident.dynamics.effects import EFFECTS
 from spacearm_ident.dynamics.effects import Effect as EffectTerm
 from spacearm_ident.dynamics.effects.compliance import DAMPING_RATIO
+from spacearm_ident.dynamics.effects.warmth import ABOVE
 from spacearm_ident.dynamics.model import IdentifiedModel
 from spacearm_ident.dynamics.model_file import model_to_dict
 from spacearm_ident.dynamics.rigid_body import TorqueOffset
@@ -174,7 +175,8 @@ def _temperature_friction(found: _Found) -> Values:
         if change and cold <= 0.0:
             raise found.refused(f"it changes {level}, which is zero there")
         slopes[name] = change / cold if change else 0.0
-    return {**slopes, "rise": 0.0}
+    neutral = {"neutral": float(found.place[ABOVE])} if ABOVE in found.place else {}
+    return {**slopes, **neutral, "rise": 0.0}
 
 
 def _presliding(found: _Found) -> Values:

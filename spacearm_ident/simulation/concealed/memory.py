@@ -71,7 +71,7 @@ class PreslidingHysteresis(Effect):
 
 
 class TemperatureFriction(Effect):
-    """Friction falls as the lubricant warms: f_c by `coulomb_slope`, k_v1 by `viscous_slope` per kelvin from 20 °C.
+    """Friction falls as the lubricant warms: f_c by `coulomb_slope`, k_v1 by `viscous_slope` per kelvin from `neutral`.
 
     The housings start at `start` (unless given, as warm as the surroundings) and are heated by `rise` within the time
     constant `time_constant`. Law `lagged`: the lubricant follows the housing's sensor only after `lag` seconds.
@@ -81,6 +81,7 @@ class TemperatureFriction(Effect):
     parameters: ClassVar = {
         "coulomb_slope": Parameter("1/K", -0.012, -0.0015),
         "viscous_slope": Parameter("1/K", -0.02, -0.003, -0.01),
+        "neutral": Parameter("degC", -20.0, 80.0, REFERENCE_TEMPERATURE),
         "start": Parameter("degC", -20.0, 25.0, np.nan),
         "rise": Parameter("K", 5.0, 40.0, 20.0),
         "time_constant": Parameter("s", 8.0, 60.0, 15.0),
@@ -110,7 +111,7 @@ class TemperatureFriction(Effect):
             self._oil = housing
 
     def _warmth(self) -> FloatArray:
-        return self._oil - REFERENCE_TEMPERATURE
+        return self._oil - self.values["neutral"]
 
     def level(self, state: State, level: FloatArray) -> FloatArray:
         """The dry part."""
