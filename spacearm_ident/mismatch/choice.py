@@ -1,6 +1,6 @@
 """`choose`: which of the candidates that no criterion rejects is accepted.
 
-`outdone`: whether effects of one joint each explain more than one of all of them.
+`is_outdone`: whether commoner effects explain as much.
 """
 
 from __future__ import annotations
@@ -33,7 +33,6 @@ def choose(ranked: Sequence[Scored], current: CurrentModel) -> Scored | None:
     generic = next((s for s in above if not s.named), None)
     if named:
         first = simplest(named)
-        first = outdone(first, named, current) or first
         named = [first, *(s for s in named if s is not first)]
     if generic is None or not named:
         return named[0] if named else generic
@@ -78,28 +77,29 @@ def _plainness(scored: Scored) -> tuple[int, int]:
     return freedom(scored.candidate.effect), scored.candidate.effect.rarity
 
 
-def outdone(scored: Scored, ranked: Sequence[Scored], current: CurrentModel) -> Scored | None:
-    """The best of what explains the joints of an effect one by one, where together that explains more; else None.
+def is_outdone(scored: Scored, ranked: Sequence[Scored], current: CurrentModel) -> bool:
+    """Whether the commoner effects that an effect may be mistaken for, at all its joints together, explain as much.
 
-    An effect of several joints is ranked beside effects of one, which explain less of the whole.
+    An effect of several joints is ranked beside effects of one, which explain less of the whole; and what changed a
+    little at each joint passes for one cause where no joint by itself is above the gate. As much is as far as scores
+    tell: what their freedom costs is in them.
 
     Args:
         scored: The effect; `imitated_by` is the kind that is compared with it.
-        ranked: Candidates of the same round, best first.
+        ranked: Candidates of the same round, best first, rejected ones too.
         current: What they are beside.
     """
     effect = scored.candidate.effect
-    if not effect.imitated_by or len(effect.joints) < 2:
-        return None
+    if not effect.imitated_by:
+        return False
     best: dict[tuple[str, ...], Scored] = {}
     for one in ranked:
-        alike = one.candidate.effect.kind == effect.imitated_by and set(one.joints) <= set(effect.joints)
-        if alike and one.plausible and one.score > current.gate:
+        if one.candidate.effect.kind == effect.imitated_by and set(one.joints) <= set(effect.joints):
             best.setdefault(one.candidate.effect.joints, one)
-    alone = [one.candidate for one in best.values()]
+    alone = [one.candidate for one in best.values() if one.plausible and one.score > 0.0]
     before, all_of_them = refit(current.accepted), [*current.accepted, *alone]
     after = refit(all_of_them)
     score = after.gain - before.gain - sum(penalty(one.effect, current.evidence.rows) for one in alone)
     score += current.squares_on_held_out(current.accepted, before.values)
     score -= current.squares_on_held_out(all_of_them, after.values)
-    return max(best.values(), key=lambda one: one.score) if best and score > scored.score else None
+    return bool(alone) and score > scored.score - TEMPER - TEMPER_SHARE * scored.score

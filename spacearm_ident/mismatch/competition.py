@@ -19,7 +19,7 @@ from ..dynamics.effects.effect import Effect
 from ..forks import each
 from .already_there import was_there_before, with_shared
 from .candidate import Candidate, Refit, refit, with_own
-from .choice import choose, outdone, simplest
+from .choice import choose, is_outdone, simplest
 from .current_model import CurrentModel
 from .evidence import Evidence
 from .finding import Happened
@@ -116,11 +116,11 @@ class Competition:
         while _causes(rounds) + len(self.common) + dropped < MOST and len(rounds) < MOST_ROUNDS:
             progress(len(rounds) / MOST, f"comparing effects, round {len(rounds) + 1}")
             ranked = self.search.ranked()
-            rejects = [is_rejected(scored, current) for scored in ranked]
-            rejected = [scored for scored, bad in zip(ranked, rejects) if bad]
-            sound = [scored for scored, bad in zip(ranked, rejects) if not bad]
-            # One of several joints has a large score because it has several.
-            rejected = [scored for scored in rejected if outdone(scored, sound, current) is None]
+            outdone = [is_outdone(scored, ranked, current) for scored in ranked]
+            standing = [scored for scored, bad in zip(ranked, outdone) if not bad]
+            rejects = [is_rejected(scored, current) for scored in standing]
+            rejected = [scored for scored, bad in zip(standing, rejects) if bad]
+            sound = [scored for scored, bad in zip(standing, rejects) if not bad]
             sound = [s for s in sound if not is_dominated(s, rejected, current.acts_on(s.candidate))]
             winner = choose(sound, current)
             if winner is None:
@@ -132,16 +132,16 @@ class Competition:
                     dropped += 1
                     self.search.drop(winner.candidate.effect)
                 continue
-            # What effects of single joints outdo together is a rival of none of them.
-            rivals = [s for s in ranked if s is not winner and outdone(s, sound, current) is None]
-            winner = self.search.polished(winner)
+            chosen, winner = winner, self.search.polished(winner)
             current.accepted.append(winner.candidate)
             self._search_again()
             self._relinearise()
             self.search.accept(winner.candidate.effect)
             if winner.candidate.effect.event:
                 self._leave_out_events()
-            rounds.append(Round(winner, tuple(rivals)))
+            # One of several joints has a large score because it has several: it is no rival of what outdoes it.
+            rivals = [s for s, bad in zip(ranked, outdone) if not (bad and len(s.joints) > 1)]
+            rounds.append(Round(winner, tuple(s for s in rivals if s is not chosen)))
             rounds = self._without_the_idle(rounds)
             if self._is_excluded(winner.candidate.effect):
                 current.accepted.pop()

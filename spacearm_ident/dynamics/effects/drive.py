@@ -15,6 +15,7 @@ from ..arm import Arm
 from ..background import Background
 from ..term import Columns, Constant, Parameter, Values
 from .effect import Effect, Options, Shown, each, known_joint, known_joints, nothing, own, share_of
+from .friction import FrictionDrift
 from .warmth import above_reference, excess_of
 
 MOST_PER_K = 0.004
@@ -37,6 +38,8 @@ class TorqueConstant(Effect):
         "correct the joint's torque constant by it, or calibrate the torque sensor against a known mass"
     )
     follows: ClassVar[str] = "torque"
+    # Torque that is mostly friction has a factor where friction has changed, and friction changes by itself.
+    imitated_by: ClassVar[str] = FrictionDrift.kind
     forms: ClassVar[tuple[Options, ...]] = ({"of": "level"}, {"of": "temperature"})
 
     @classmethod

@@ -60,7 +60,7 @@ class Effect(Term):
     turns: ClassVar[bool] = False
     """Whether only joints that turn have it."""
     imitated_by: ClassVar[str] = ""
-    """Kind that can follow it joint by joint; then it is that, unless it explains more than all of these together."""
+    """Commoner kind that can follow it joint by joint; it is that, unless it explains more than these together."""
     weighs: ClassVar[bool] = False
     """Whether its parameters are those of a body: then torque gains that are off are in their intervals."""
     sizes: ClassVar[tuple[str, ...]] = ()
