@@ -119,7 +119,7 @@ def workspace():
 
     # Short: there are sockets in it.
     folder = Path(tempfile.mkdtemp(prefix="ws-", dir="/tmp"))
-    built = Workspace(environment(), folder, 70 + 2 * (os.getpid() % 15))
+    built = Workspace(environment(), folder)
     # It knows the graph already when a command asks.
     built.run("ros2", "daemon", "start")
     yield built

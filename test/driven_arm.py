@@ -10,6 +10,7 @@ from pathlib import Path
 import can
 import numpy as np
 import yaml
+from domains import domain
 from live_nodes import Probe, Processes
 
 from spacearm_ident.canbus.local_bus import LocalBus
@@ -95,7 +96,7 @@ class DrivenArm:
     """Both processes, and the probe."""
 
     def __init__(self, folder: Path, **cycle: float):
-        os.environ["ROS_DOMAIN_ID"] = str(30 + os.getpid() % 20)
+        os.environ["ROS_DOMAIN_ID"] = domain("driven arm")
         os.environ["SPACEARM_RUNTIME_DIR"] = str(folder / "run")
         self.can_config = generous_config(folder, **cycle)
         self.processes = Processes(folder)

@@ -14,11 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from domains import domain
 
 from spacearm_ident.canbus.realtime import come_first
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["ROS_DOMAIN_ID"] = str(50 + os.getpid() % 20)
+os.environ["ROS_DOMAIN_ID"] = domain("graph")
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 # Fast DDS leaves its shared memory (a file in /dev/shm) behind with every killed process, and tests kill many.
 # What is measured of shared memory is measured by the demo, which ends its nodes properly.

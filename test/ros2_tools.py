@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from domains import domain
 
 from spacearm_ident.canbus.realtime import come_first
 
@@ -100,17 +101,16 @@ class Workspace:
         environment: Variables of a shell that has sourced it, in a ROS domain of its own.
     """
 
-    def __init__(self, tools: Path, folder: Path, domain: int) -> None:
+    def __init__(self, tools: Path, folder: Path) -> None:
         """Build it.
 
         Args:
             tools: The virtual environment.
             folder: An empty folder; its path should be short, for local buses have sockets in it.
-            domain: ROS domain of its commands.
         """
         self.folder = folder
         shutil.copytree(ROOT, folder / "src" / "spacearm_ident", ignore=NOT_SOURCES)
-        plain = _inherited() | {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(folder / "log" / "ros")}
+        plain = _inherited() | {"ROS_DOMAIN_ID": domain("workspace"), "ROS_LOG_DIR": str(folder / "log" / "ros")}
         self.environment = _sourced(f"{tools}/ros2.sh", plain)
         self.build = self.run("colcon", "build", cwd=folder)
         if self.build.returncode == 0:
@@ -132,8 +132,10 @@ class Workspace:
 
     def apart(self) -> dict[str, str]:
         """Variables of another ROS domain, and of other local buses."""
-        domain = int(self.environment["ROS_DOMAIN_ID"]) + 1
-        return {"ROS_DOMAIN_ID": str(domain), "SPACEARM_RUNTIME_DIR": str(self.folder / "run-apart")}
+        return {
+            "ROS_DOMAIN_ID": domain("beside the workspace"),
+            "SPACEARM_RUNTIME_DIR": str(self.folder / "run-apart"),
+        }
 
     @contextlib.contextmanager
     def started(self, *words: str, cwd: Path | None = None, **variables: str) -> Iterator[Started]:

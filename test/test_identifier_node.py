@@ -19,6 +19,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spa
 pytest.importorskip("clarabel", reason="needs clarabel in the processes that identify (README.md, ROS 2 Jazzy)")
 
 from diagnostic_msgs.msg import DiagnosticArray
+from domains import domain
 from live_nodes import LIVE, Probe, Processes, end, output
 from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import JointState
@@ -39,7 +40,7 @@ PATIENCE_S = 120.0
 
 @pytest.fixture(autouse=True)
 def environment(monkeypatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(70 + os.getpid() % 20))
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain("clean"))
     # The command's numbers and the node's are compared to the last digit: the same sums in the same order.
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")

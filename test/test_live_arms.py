@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,6 +14,7 @@ import small_arm
 pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
 pytest.importorskip("clarabel", reason="needs clarabel in the processes that identify (README.md, ROS 2 Jazzy)")
 
+from domains import domain
 from live_nodes import LIVE, Probe, Processes, output
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -90,7 +90,7 @@ class Graph(Probe):
 
 @pytest.fixture
 def graph(tmp_path, monkeypatch) -> Iterator[Graph]:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(90 + os.getpid() % 10))
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain("clean"))
     folder = tmp_path / "processes"
     folder.mkdir()
     processes = Processes(folder)

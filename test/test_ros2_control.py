@@ -17,6 +17,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (pip install '.[ros]')")
 
 import mock_controllers
 from diagnostic_msgs.msg import DiagnosticArray
+from domains import domain
 from live_nodes import LIVE, Probe, Processes, output
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -47,7 +48,7 @@ def commands(program: str) -> list[list[str]]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """What the page has its reader write, and the excitation it makes of it."""
-    os.environ["ROS_DOMAIN_ID"] = str(90 + os.getpid() % 10)
+    os.environ["ROS_DOMAIN_ID"] = domain("clean")
     place = tmp_path_factory.mktemp("arm")
     (place / "arm.urdf").write_text(small_arm.URDF)
     arm, nodes = blocks("yaml")

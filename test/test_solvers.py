@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 
 import numpy as np
 import pytest
 import small_arm
+from domains import domain
 from planted_arm import Friction, two_link_run
 
 from spacearm_ident.cli.main import main
@@ -159,7 +159,7 @@ def test_the_covariance_of_what_is_determined_is_exported(results):
 def test_a_node_with_a_parameter_that_cannot_be_says_so_and_ends(tmp_path, monkeypatch, parameter, words):
     pytest.importorskip("rclpy", reason="needs ROS 2 (or its wheels: pip install spacearm_ident[ros])")
     live_nodes = pytest.importorskip("live_nodes")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(70 + os.getpid() % 20))
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain("clean"))
     processes = live_nodes.Processes(tmp_path)
     try:
         node = processes.node("identifier", parameter, f"result_directory:={tmp_path / 'result'}")
