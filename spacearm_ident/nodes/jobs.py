@@ -15,9 +15,7 @@ from ..layers.comparison import Comparison
 from ..mismatch.finding import Explanation
 from ..sessions.bags import Options, arm_words, identify_bags
 from ..sessions.identification import Session, within
-from ..sessions.mismatch import explain_session
 from ..sessions.reading import Comparing, Reading
-from ..sessions.simulation import compare_session
 from .message_buffer import Capture, write_captures
 
 WRITING = "writing the recording"
@@ -151,6 +149,10 @@ class MismatchJob:
         Raises:
             UserError: As `explain_session` or `compare_session`.
         """
+        # Imported here: the node, which only names the job, and a worker that identifies start without matplotlib.
+        from ..sessions.mismatch import explain_session
+        from ..sessions.simulation import compare_session
+
         if self.bag is not None:
             progress(0.0, WRITING)
             write_captures(self.bag, self.captures)
