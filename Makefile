@@ -18,9 +18,12 @@ venv: .venv/.ready
 demo: venv
 	$(BIN)/spacearm demo --out demo_result
 
+# Those that keep time wait more than they compute: one a core, each with ROS domains of its own (test/domains.py, which
+# has enough for 8). Then, one after another, those that want all cores.
 test: venv lint
 	$(BIN)/python -m pytest -m "not live" -n auto --dist worksteal --durations=20
-	$(BIN)/python -m pytest -m live --durations=20
+	$(BIN)/python -m pytest -m "live and not alone" -n auto --maxprocesses 8 --dist loadfile --durations=20
+	$(BIN)/python -m pytest -m alone --durations=20
 
 # The tests that keep no time, with Python 3.12 and the versions of Ubuntu 24.04: what a ROS 2 Jazzy machine has.
 # Not those marked `long`, which take nearly half as long as all the others.

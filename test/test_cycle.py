@@ -21,7 +21,7 @@ from spacearm_ident.canbus.pdo import SdoWrite
 from spacearm_ident.canbus.realtime import Pacer
 from spacearm_ident.errors import UserError
 
-pytestmark = [pytest.mark.live, pytest.mark.usefixtures("own_buses")]
+pytestmark = [pytest.mark.live, pytest.mark.alone, pytest.mark.usefixtures("own_buses")]
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from spacearm_ident.dynamics.model_file import load_model
 from spacearm_ident.nodes.main import NODES
 from spacearm_ident.recording import read_recording
 
-pytestmark = LIVE
+pytestmark = [*LIVE, pytest.mark.alone]
 ROOT = Path(__file__).parent.parent
 PATIENCE_S = 300.0
 """Longest wait on a busy machine; the demo takes under one minute on an idle one."""

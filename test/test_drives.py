@@ -16,7 +16,7 @@ from spacearm_ident.canbus.local_bus import LocalBus
 
 EDS = str(eds_path())
 TURN = SCALE.counts_per_turn * SCALE.gear_ratio
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.alone]
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ def test_what_is_lost_is_the_most_of_any_second():
 
 
 @pytest.mark.live
+@pytest.mark.alone
 def test_a_core_that_is_kept_from_everybody_is_seen_and_one_that_is_busy_is_not(tmp_path):
     before, priority = os.sched_getscheduler(0), os.sched_getparam(0)
     try:

@@ -26,7 +26,7 @@ from spacearm_ident.errors import UserError
 from spacearm_ident.simulation.drives.dictionary import OUT_OF_RANGE, key
 from spacearm_ident.simulation.drives.drive import ERROR_CODE, MODE
 
-pytestmark = [*LIVE, pytest.mark.usefixtures("own_buses")]
+pytestmark = [*LIVE, pytest.mark.alone, pytest.mark.usefixtures("own_buses")]
 JOINTS = ("j1", "j2", "j3", "j4")
 LIMITS = Limits(
     JOINTS,
