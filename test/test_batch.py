@@ -188,9 +188,59 @@ def test_a_bag_that_has_become_unfit_does_not_pass_for_its_old_result(finished, 
     bag = tmp_path / "a.mcap"
     write_recording(bag, small_arm.recording(8.0, 100.0, still=(0, 1)))
     assert batch(bag, "--out", finished) == 1
-    assert rows_of(finished)["a"]["status"] == "unfit" and "parameters" not in rows_of(finished)["a"]
+    assert rows_of(finished)["a"]["status"] == "unfit" and rows_of(finished)["a"]["parameters"] is None
     text = text_of(finished / "index.html")
     assert rows_of(finished)["a"]["reason"] in text and "deeper/b" in text
+
+
+# --- data that break a convention -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def with_degrees(tmp_path_factory) -> Path:
+    """Five days of one arm, that of the third in degrees; identified."""
+    folder, out = tmp_path_factory.mktemp("week"), tmp_path_factory.mktemp("of") / "out"
+    for day in range(5):
+        run = dated(day)
+        if day == 2:
+            run = replace(run, position=np.degrees(run.position), velocity=np.degrees(run.velocity))
+        write_recording(folder / f"{day}.mcap", run)
+    assert batch(folder, "--out", out) == 1, "identify says 1 of that bag"
+    return out
+
+
+def test_data_that_break_a_convention_are_unfit_with_the_reason(with_degrees, tmp_path, capsys):
+    rows = rows_of(with_degrees)
+    assert [rows[str(day)]["status"] for day in range(5)] == ["identified"] * 2 + ["unfit"] + ["identified"] * 2
+    bad = rows["2"]
+    assert bad["verdict"] == "unfit" and bad["reason"].startswith("data unfit: ") and "->" in bad["reason"]
+    assert bad["recorded"] == "2025-01-03T00:00:00+00:00", "the facts are there, the figures are not"
+    assert bad["parameters"] is None and bad["relative_rms"] is None and bad["r"] is None
+    again = Path(shutil.copytree(with_degrees, tmp_path / "out"))
+    assert batch(*(row["bag"] for row in rows.values()), "--out", again) == 1, "nor is it good the second time"
+    out = capsys.readouterr().out
+    assert "4 of 5 bags identified" in out and f"unfit: {bad['reason']}" in out
+    assert rows_of(again)["2"]["skipped"] and rows_of(again)["2"]["reason"] == bad["reason"]
+
+
+def test_runs_of_unfit_data_are_in_no_trend_and_no_comparison(with_degrees):
+    document = json.loads((with_degrees / "summary.json").read_text())
+    assert {one["runs"] for one in document["trends"]} == {4}
+    before = (with_degrees / "index.html").read_bytes()
+    text = text_of(with_degrees / "index.html")
+    assert rows_of(with_degrees)["2"]["reason"] in text and "Trends of small_arm 4 runs" in " ".join(text.split())
+    page = Page(before.decode())
+    assert "./2/report.html" in page.references, "its own page says more"
+    assert main(["report", str(with_degrees), "--quiet"]) == 0
+    assert (with_degrees / "index.html").read_bytes() == before
+
+
+def test_a_result_of_before_that_only_has_its_conventions_is_unfit_as_well(with_degrees, tmp_path):
+    folder = Path(shutil.copytree(with_degrees / "2", tmp_path / "2"))
+    data = json.loads((folder / "result.json").read_text())
+    said = data.pop("unfit")
+    (folder / "result.json").write_text(json.dumps(data))
+    assert load_result(folder).unfit[0] == said[0] == load_result(with_degrees / "2").unfit[0]
 
 
 # --- usage ------------------------------------------------------------------------------------------------------

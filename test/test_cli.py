@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import small_arm
+from made_result import Page
 
 from spacearm_ident.cli import common
 from spacearm_ident.cli.main import main
@@ -250,8 +251,14 @@ def test_of_unfit_data_the_command_says_that_alone_and_nothing_for_the_model(tmp
     assert lines[2] == f"report: {tmp_path / 'out' / 'report.html'}"
     assert any("->" in line for line in lines[3:]) and "do not use the model" in out
     told = json.loads(run(*words, "--json", expect=1, capsys=capsys)[0])
-    assert told["headline"] and told["headline"] not in out, "the verdict on the fit is for programs"
+    assert told["verdict"] == "unfit" and told["headline"] == lines[0] and "do not use the model" in told["reasons"][-1]
     assert not told["conventions"]["fit"] and "spacearm export" not in out
+    kept = json.loads((tmp_path / "out" / "validation.json").read_text())
+    assert (kept["verdict"], kept["headline"], kept["reasons"]) == ("unfit", lines[0], told["reasons"])
+    for _ in ("as written", "as written again from the folder alone"):
+        words_of_page = Page((tmp_path / "out" / "report.html").read_text()).text
+        assert lines[0] in words_of_page and "do not use the model" in words_of_page and "Good fit" not in words_of_page
+        assert main(["report", str(tmp_path / "out"), "--quiet"]) == 0
 
 
 @pytest.mark.parametrize(

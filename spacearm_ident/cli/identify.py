@@ -24,7 +24,8 @@ DESCRIPTION = """
 Identify an arm's dynamics from one or more recordings (MCAP files, rosbag2 folders, other bags and logs: see
 'spacearm import --help') and write a folder with
 model.yaml, parameters.csv, identified.urdf, validation.json and report.html. The first line is the verdict: good,
-fair, poor, or suspect (physically impossible). Exit code 3: poor or suspect; the folder is written.
+fair, poor, suspect (physically impossible), or data unfit (a mistake of convention: see 'spacearm check --help'). Exit
+code 3: poor or suspect, 1: data unfit; the folder is written.
 """
 POOR_OR_SUSPECT = 3
 """Exit code where it ran, and the model is not to be used before its reasons are cleared."""
@@ -146,7 +147,7 @@ def run(options: argparse.Namespace) -> int:
     conventions = session.conventions
     if options.json:
         surroundings = identified.environment.as_dict()
-        figures = validation_dict(identified, validation)
+        figures = validation_dict(identified, validation, conventions.unfit)
         data = {"conventions": conventions.as_dict()}
         common.print_json({"result": str(options.out), **figures, **data, "environment": surroundings})
     else:

@@ -141,16 +141,23 @@ class ConventionReport:
             return f"data fit where tested{notes}; {INFERRED} not tested in {', '.join(self.untested)}"
         return f"data fit{notes or ': no mistake of convention found'}"
 
+    @property
+    def unfit(self) -> tuple[str, ...]:
+        """Why the data are unfit: the verdict, then a line a finding that makes them so; empty where they are fit."""
+        wrong = [self._line(finding) for finding in self.findings if finding.level is Level.UNFIT]
+        return (self.verdict, *wrong) if wrong else ()
+
     def lines(self) -> list[str]:
         """For a person: the verdict, then a line a finding with what to do."""
-        lines = [self.verdict]
-        for finding in self.findings:
-            where = f" [{', '.join(finding.recordings)}]" if len(self.recordings) > 1 and finding.recordings else ""
-            sure = "" if finding.log_odds is None else f" ({sureness(finding)})"
-            lines.append(f"{finding.level}: {finding.kind}{where}: {finding.statement}{sure} -> {finding.remedy}")
+        lines = [self.verdict, *map(self._line, self.findings)]
         if self.undecided:
             lines.append(f"not decided by these data: {'; '.join(self.undecided)}")
         return lines
+
+    def _line(self, finding: Finding) -> str:
+        where = f" [{', '.join(finding.recordings)}]" if len(self.recordings) > 1 and finding.recordings else ""
+        sure = "" if finding.log_odds is None else f" ({sureness(finding)})"
+        return f"{finding.level}: {finding.kind}{where}: {finding.statement}{sure} -> {finding.remedy}"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data, for validation.json and `--json`."""

@@ -1,9 +1,10 @@
-"""Whether an identified model may be used: good, fair, poor or suspect, and why, per joint and for the whole.
+"""Whether an identified model may be used: good, fair, poor, suspect or unfit, and why, per joint and for the whole.
 
 Two questions. How well does the model predict a recording (relative RMS while the joint moves)? And could an arm be
 what the model says: friction that resists, bodies that exist, a prediction better than none? A small residual does not
 answer the second: wrong signs, units or joint order may fit well with parameters that no arm has. Such a model is
-suspect, however well it fits.
+suspect, however well it fits. A model of data that break a convention (`conventions/`) is unfit, whatever else it is:
+how well it repeats data with a mistake says nothing for it.
 
 The one place that judges: console, JSON, `validation.json`, report and index all say what `judge_result` returns.
 """
@@ -18,6 +19,7 @@ from enum import StrEnum
 import numpy as np
 
 from ..arrays import FloatArray
+from ..conventions.finding import UNFIT_MODEL
 from ..dynamics.friction_curve import SLOWEST, friction_curve, friction_error, viscosity
 from ..estimate.identified import Determination, Estimate, Identified, JointValidation, Trace, Validation
 from ..signals.motion import moves_by_position
@@ -51,6 +53,8 @@ class Level(StrEnum):
     FAIR = "fair"
     POOR = "poor"
     SUSPECT = "suspect"
+    UNFIT = "unfit"
+    """Of the whole alone: the data are, by the test of their conventions."""
     UNKNOWN = "unknown"
 
 
@@ -76,7 +80,7 @@ class Verdict:
     """The verdict on a result.
 
     Attributes:
-        level: Of the whole arm: that of its worst joint.
+        level: Of the whole arm: that of its worst joint, or `unfit` where the data are.
         headline: One line, level first.
         reasons: Why, in short sentences that name their joints; empty where a good fit is all there is.
         joints: Joint name -> its own.
@@ -90,7 +94,7 @@ class Verdict:
     @property
     def usable(self) -> bool:
         """Whether nothing speaks against using the model."""
-        return self.level not in (Level.POOR, Level.SUSPECT)
+        return self.level not in (Level.POOR, Level.SUSPECT, Level.UNFIT)
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -98,17 +102,21 @@ class Verdict:
         return (f"{self.headline}.", *(f"  {reason}." for reason in self.reasons))
 
 
-def judge_result(identified: Identified, validation: Validation) -> Verdict:
+def judge_result(identified: Identified, validation: Validation, unfit: Sequence[str] = ()) -> Verdict:
     """Judge a result.
 
     Args:
         identified: The identification.
         validation: How it predicts; at its speeds friction is asked whether it resists.
+        unfit: Why the data are unfit, `ConventionReport.unfit`; empty: they are fit, or were not tested. The joints
+            are judged by their fit all the same.
     """
     joints = {name: _joint(name, identified, validation) for name in identified.model.model.arm.joint_names}
     for name, impossible in _impossible(identified, validation).items():
         if impossible:
             joints[name] = JointVerdict(Level.SUSPECT, (*joints[name].reasons, *impossible))
+    if unfit:
+        return Verdict(Level.UNFIT, unfit[0], (*unfit[1:], UNFIT_MODEL), joints)
     contradiction = _contradiction(identified)
     level = max((joint.level for joint in joints.values()), key=SEVERITY.index, default=Level.UNKNOWN)
     level = Level.SUSPECT if identified.consistency_shift > IMPOSSIBLE else level

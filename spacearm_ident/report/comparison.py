@@ -212,7 +212,7 @@ def comparison_html(names: tuple[str, str], results: tuple[Result, Result]) -> s
         by_chance=BY_CHANCE * compared,
         compared_base=_compared(combined),
         moved_base=len(moved(combined)),
-        verdicts=[judge_result(result.identified, result.validation) for result in results],
+        verdicts=[judge_result(result.identified, result.validation, result.unfit) for result in results],
         joints=_side_by_side(*(result.validation.joints for result in results)),
         parameters=_by_joint(found),
         combined=combined,

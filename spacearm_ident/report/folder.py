@@ -18,7 +18,7 @@ from ..estimate.identified import Identified, Validation
 from ..mismatch.document import EXTENDED_MODEL, NEXT_RUN
 from ..results.covariance_file import covariance_dict
 from ..results.recorded_runs import RecordedRun
-from ..results.store import ARRAYS, FIGURES, MODEL, Result, load_result, save_result
+from ..results.store import ARRAYS, FIGURES, MODEL, VALIDATION, Result, load_result, save_result
 from ..results.tables import base_parameters_csv, parameters_csv, torque_csv, validation_dict
 from ..results.urdf import identified_urdf
 from .html import report_html
@@ -31,7 +31,7 @@ RESULT_FILES = frozenset(
     {
         *MARKERS,
         *(MODEL, ARRAYS, REPORT, "parameters.csv", "base_parameters.csv", "identified.urdf", "covariance.json"),
-        *("validation.json", TORQUE, EXTENDED_MODEL, NEXT_RUN),
+        *(VALIDATION, TORQUE, EXTENDED_MODEL, NEXT_RUN),
         *("mended.xml", "mended.urdf", "mended.sdf"),
     }
 )
@@ -45,6 +45,7 @@ def write_result(
     directory: Path,
     further: Callable[[], Mapping[str, Any]] = dict,
     runs: Sequence[RecordedRun] = (),
+    unfit: Callable[[], tuple[str, ...]] = tuple,
 ) -> Path:
     """Write a result folder; an older result in it is replaced, of whatever command; anything else stays.
 
@@ -57,6 +58,7 @@ def write_result(
         further: Gives further keys of `validation.json`, as plain data; asked when the report, which takes longest,
             is there.
         runs: What was recorded, for the page.
+        unfit: Gives `ConventionReport.unfit`; asked when the figures of the page, which take longest, are drawn.
 
     Returns:
         The report, for opening.
@@ -64,7 +66,7 @@ def write_result(
     Raises:
         UserError: The folder cannot be written, or the arm's URDF cannot carry the result.
     """
-    result = Result(identified, validation, datetime.now(UTC).isoformat(timespec="seconds"), tuple(runs))
+    result = Result(identified, validation, datetime.now(UTC).isoformat(timespec="seconds"), tuple(runs), unfit)
     with replacing(directory) as staging:
         (staging / REPORT).write_text(report_html(result), encoding="utf-8")
         save_result(result, staging)
@@ -74,8 +76,9 @@ def write_result(
         (staging / "identified.urdf").write_text(identified_urdf(identified.model), encoding="utf-8")
         spread = json.dumps(covariance_dict(identified), indent=1, allow_nan=False)
         (staging / "covariance.json").write_text(spread + "\n", encoding="utf-8")
-        figures = json.dumps({**validation_dict(identified, validation), **further()}, indent=2, allow_nan=False)
-        (staging / "validation.json").write_text(figures + "\n", encoding="utf-8")
+        judged = validation_dict(identified, validation, result.unfit)
+        figures = json.dumps({**judged, **further()}, indent=2, allow_nan=False)
+        (staging / VALIDATION).write_text(figures + "\n", encoding="utf-8")
     return directory / REPORT
 
 

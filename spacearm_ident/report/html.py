@@ -60,12 +60,13 @@ def report_html(result: Result) -> str:
     ]
     shares = [fit.relative_rms for joint in validated for _, fit in joint.fits]
     provenance = identified.model.provenance or {}
+    drawings = _drawings(result, signals, correlated)  # before `unfit` is asked, which may still be worked out beside
     return render(
         "result.html",
         result=result,
         identified=identified,
         validation=validation,
-        opening=opening(identified, validation),
+        opening=opening(identified, validation, result.unfit),
         good=GOOD,
         fair=FAIR,
         validated=validated,
@@ -74,7 +75,7 @@ def report_html(result: Result) -> str:
         effort_units=_effort_units(arm),
         above_bandwidth=evidence.above_bandwidth(result),
         signals=signals,
-        drawings=_drawings(result, signals, correlated),
+        drawings=drawings,
         defects=evidence.defects(result.runs),
         shown_run=next(iter(evidence.fitted_runs(result)), None),
         reached=evidence.reached(result),

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from ..errors import UserError
+from ..errors import UserError, one_line
 from ..estimate.identified import Validation
 from ..identification.verdict import judge_result
 from ..results.provenance import moment
@@ -38,7 +38,7 @@ class Entry:
     Attributes:
         name: Path below the indexed folder.
         result: What it holds, without signals; None where it cannot be read, or was not identified.
-        problem: Why not.
+        problem: Why not; of unfit data as well, which have a result that is compared with none.
         page: Whether there is a report to link to.
     """
 
@@ -46,6 +46,11 @@ class Entry:
     result: Result | None
     problem: str = ""
     page: bool = True
+
+    @property
+    def counted(self) -> Result | None:
+        """The result, where it takes part in trends and comparisons: a model of unfit data says nothing of the arm."""
+        return None if self.problem else self.result
 
     @property
     def recorded(self) -> str:
@@ -145,7 +150,8 @@ def find_results(directory: Path, progress: Progress = lambda share, what: None)
         name = _name(folder, directory)
         try:
             result = load_result(folder)
-            entries.append(Entry(name, replace(result, validation=replace(result.validation, traces=()))))
+            result = replace(result, validation=replace(result.validation, traces=()))
+            entries.append(Entry(name, result, unfit_reason(result.unfit)))
         except UserError as error:
             entries.append(Entry(name, None, str(error)))
     return sorted(entries, key=lambda entry: entry.order)
@@ -165,9 +171,16 @@ def with_failures(
     shown = {entry.name: entry for entry in entries}
     for name, reason in failures.items():
         there = shown.get(name)
+        if there is not None and there.result is not None and there.problem == reason:
+            continue  # The result is the one of this batch: its data are unfit.
         if when is None or there is None or there.result is None or there.result.written < when:
             shown[name] = Entry(name, None, reason, (directory / name / REPORT).is_file())
     return sorted(shown.values(), key=lambda entry: entry.order)
+
+
+def unfit_reason(unfit: Sequence[str]) -> str:
+    """`ConventionReport.unfit` in one line, for a row; empty where the data are fit."""
+    return one_line("; ".join(unfit))
 
 
 def _failures(directory: Path) -> tuple[dict[str, str], str]:
@@ -226,7 +239,7 @@ def index_html(title: str, entries: Sequence[Entry], mismatches: Sequence[Mismat
         entries: Results of identifications, in the order of the page.
         mismatches: Results of `spacearm mismatch` in the folder.
     """
-    arms = runs_by_arm(entry.result for entry in entries if entry.result is not None)
+    arms = runs_by_arm(entry.counted for entry in entries if entry.counted is not None)
     return render(
         "index.html",
         folder=title,
@@ -245,16 +258,18 @@ def _runs(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
         if entry.result is None:
             continue
         result, arm = entry.result, arm_of(entry.result)
-        found: list[Difference] = differences(last[arm].identified, result.identified) if arm in last else []
+        before = last.get(arm) if entry.counted else None
+        found: list[Difference] = differences(before.identified, result.identified) if before else []
         worst, lowest = merit(result.validation)
         shown[entry.name] = {
-            "verdict": judge_result(result.identified, result.validation),
+            "verdict": judge_result(result.identified, result.validation, result.unfit),
             "worst": worst,
             "lowest": lowest,
-            "compared": sum(math.isfinite(item.errors) for item in found) if arm in last else None,
+            "compared": sum(math.isfinite(item.errors) for item in found) if before else None,
             "far": named(moved(found)),
         }
-        last[arm] = result
+        if entry.counted:
+            last[arm] = result
     return shown
 
 

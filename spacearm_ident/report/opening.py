@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..estimate.counts import counts
@@ -29,15 +29,16 @@ class Opening:
     notes: tuple[str, ...]
 
 
-def opening(identified: Identified, validation: Validation) -> Opening:
+def opening(identified: Identified, validation: Validation, unfit: Sequence[str] = ()) -> Opening:
     """Put a result into words.
 
     Args:
         identified: The identification, whose notes are taken over.
         validation: How well it predicts: verdict, sentences and warnings rest on it.
+        unfit: Why the data are unfit, `ConventionReport.unfit`: then that is the verdict.
     """
     return Opening(
-        judge_result(identified, validation),
+        judge_result(identified, validation, unfit),
         _sentences(identified, validation),
         _warnings(validation),
         identified.notes,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -33,7 +34,7 @@ class Row:
     Attributes:
         name: Of its result, below the folder.
         bag: The recording.
-        status: `IDENTIFIED`, `UNFIT` (readable, and cannot carry it) or `FAILED`.
+        status: `IDENTIFIED`, `UNFIT` (readable, and cannot carry it, or breaks a convention) or `FAILED`.
         reason: Why not, one line.
         skipped: Whether it was up to date already.
     """
@@ -63,7 +64,9 @@ def write_summary(
     """
     found = find_results(directory, progress)
     failures = {row.name: row.reason for row in rows if row.status != IDENTIFIED}
-    results = {entry.name: entry.result for entry in found if entry.result and entry.name not in failures}
+    entries = with_failures(found, directory, failures)
+    results = {entry.name: entry.result for entry in entries if entry.result}
+    counted = {entry.name: entry.counted for entry in entries if entry.counted}
     described = [_run(row, results.get(row.name)) for row in rows]
     document = {
         "schema": SCHEMA,
@@ -71,13 +74,12 @@ def write_summary(
         "runs": described,
         "trends": [
             trend_dict(arm, trend)
-            for arm, runs in runs_by_arm(results[row.name] for row in rows if row.name in results).items()
+            for arm, runs in runs_by_arm(counted[row.name] for row in rows if row.name in counted).items()
             for over in (DATE, TEMPERATURE)
             for trend in trends(runs, over)
             if trend.slope is not None
         ],
     }
-    entries = with_failures(found, directory, failures)
     with replacing(directory, marker=None) as staging:
         text = json.dumps(document, indent=1, allow_nan=False)
         (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
@@ -88,23 +90,26 @@ def write_summary(
 
 
 def _run(row: Row, result: Result | None) -> dict[str, Any]:
-    """One bag, for `summary.json`."""
-    about: dict[str, Any] = {"run": row.name, "bag": str(row.bag), "status": row.status, "reason": row.reason}
-    if result is None:
-        return about
-    worst, lowest = merit(result.validation)
-    when = moment(result.identified.model.provenance)
+    """One bag, for `summary.json`: the same keys whatever became of it, None where there is nothing."""
+    when = moment(result.identified.model.provenance) if result else None
+    fit = result if row.status == IDENTIFIED else None
+    worst, lowest = merit(fit.validation) if fit else (math.nan, math.nan)
+    judged = judge_result(result.identified, result.validation, result.unfit) if result else None
+    listed = by_joint(fit.identified) if fit else None
     return {
-        **about,
+        "run": row.name,
+        "bag": str(row.bag),
+        "status": row.status,
+        "reason": row.reason,
         "skipped": row.skipped,
         "recorded": when.date.isoformat() if when and when.date else None,
-        "written": result.written,
-        "arm": result.identified.model.model.arm.name,
-        "verdict": judge_result(result.identified, result.validation).level.value,
+        "written": result.written if result else None,
+        "arm": result.identified.model.model.arm.name if result else None,
+        "verdict": str(judged.level) if judged else row.status if row.status == UNFIT else None,
         "r": finite(lowest),
         "relative_rms": finite(worst),
-        "temperature_C": when.temperature if when else {},
-        "parameters": _parameters(item for items in by_joint(result.identified).values() for item in items),
+        "temperature_C": (when.temperature if when else {}) if result else None,
+        "parameters": None if listed is None else _parameters(item for items in listed.values() for item in items),
     }
 
 
@@ -126,17 +131,17 @@ def summary_csv(runs: Sequence[Mapping[str, Any]]) -> str:
     Numbers keep every digit; an empty cell is one that is not known.
     """
     about = ("run", "bag", "status", "reason", "recorded", "written", "arm", "r", "relative_rms")
-    warm = list(dict.fromkeys(joint for run in runs for joint in run.get("temperature_C", {})))
-    names = list(dict.fromkeys(name for run in runs for name in run.get("parameters", {})))
+    warm = list(dict.fromkeys(joint for run in runs for joint in (run["temperature_C"] or {})))
+    names = list(dict.fromkeys(name for run in runs for name in (run["parameters"] or {})))
     columns = [f"temperature_C[{joint}]" for joint in warm]
     columns += [column for name in names for column in (name, f"standard error {name}")]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*about, *columns])
     for run in runs:
-        cells = [*(run.get(key) for key in about), *(run.get("temperature_C", {}).get(joint) for joint in warm)]
+        cells = [*(run.get(key) for key in about), *((run["temperature_C"] or {}).get(joint) for joint in warm)]
         for name in names:
-            item = run.get("parameters", {}).get(name, {})
+            item = (run["parameters"] or {}).get(name, {})
             cells += [item.get("value"), item.get("standard_error")]
         writer.writerow("" if cell is None else repr(cell) if isinstance(cell, float) else cell for cell in cells)
     return text.getvalue()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..bayes.from_prior import GroundPrior
+from ..conventions.finding import Level as Weight
 from ..documents import file_sha256
 from ..dynamics.base_parameters import BaseParameters
 from ..dynamics.model_file import load_model, save_model
@@ -40,7 +42,7 @@ from ..signals.bandwidth import Bandwidth
 from .recorded_runs import RecordedRun
 
 SCHEMA = "spacearm_ident/result/1"
-MODEL, FIGURES, ARRAYS = "model.yaml", "result.json", "result.npz"
+MODEL, FIGURES, ARRAYS, VALIDATION = "model.yaml", "result.json", "result.npz", "validation.json"
 PRIOR_ADVICE = "give the model.yaml in a result folder of 'spacearm identify'"
 _RUN_ARRAYS = ("time", "position", "largest_speed")
 _SPECTRUM_ARRAYS = ("frequency", "torque", "residual")
@@ -49,12 +51,27 @@ _TRACE_ARRAYS = ("time", "position", "velocity", "measured", "predicted", "movin
 
 @dataclass(frozen=True)
 class Result:
-    """What a result folder holds: the identification, its validation, when it was written (ISO 8601), what on."""
+    """What a result folder holds.
+
+    Attributes:
+        identified: The identification.
+        validation: Of its model.
+        written: When it was, ISO 8601.
+        runs: What was recorded.
+        checked: Gives `ConventionReport.unfit`: why the data are unfit, empty where they are fit or were not tested.
+            A function, since the test of the conventions may be under way while the page is drawn.
+    """
 
     identified: Identified
     validation: Validation
     written: str
     runs: tuple[RecordedRun, ...] = ()
+    checked: Callable[[], tuple[str, ...]] = tuple
+
+    @property
+    def unfit(self) -> tuple[str, ...]:
+        """Why the data are unfit; waits for the test of the conventions where that is under way."""
+        return self.checked()
 
 
 def save_result(result: Result, directory: Path) -> None:
@@ -152,6 +169,7 @@ def _plain(result: Result) -> dict[str, Any]:
     bandwidth = identified.bandwidth
     return {
         "written": result.written,
+        "unfit": list(result.unfit),
         "estimates": [_estimate_dict(item) for item in identified.estimates],
         "base": {name: list(getattr(identified.base, name)) for name in ("independent", "names", "unseen")},
         "consistency_shift": identified.consistency_shift,
@@ -242,7 +260,19 @@ def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> R
         )
         for k, run in enumerate(data.get("runs", ()))
     )
-    return Result(identified, _validation(data["validation"], arrays), data["written"], runs)
+    unfit = tuple(data["unfit"]) if "unfit" in data else _unfit_before(directory)
+    return Result(identified, _validation(data["validation"], arrays), data["written"], runs, lambda: unfit)
+
+
+def _unfit_before(directory: Path) -> tuple[str, ...]:
+    """Why data are unfit, of a result of before December 2026: only its `validation.json` has the conventions."""
+    try:
+        told = json.loads((directory / VALIDATION).read_text(encoding="utf-8"))["conventions"]
+        wrong = [item for item in told["findings"] if item["level"] == Weight.UNFIT and not told["fit"]]
+        lines = [f"{item['level']}: {item['kind']}: {item['statement']} -> {item['remedy']}" for item in wrong]
+        return (str(told["verdict"]), *lines) if lines else ()
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return ()
 
 
 def _base_body(data: dict[str, Any] | None) -> BaseBody | None:

@@ -139,15 +139,16 @@ def torque_csv(identified: Identified, validation: Validation) -> str:
     return _csv(heads, rows)
 
 
-def validation_dict(identified: Identified, validation: Validation) -> dict[str, Any]:
+def validation_dict(identified: Identified, validation: Validation, unfit: Sequence[str] = ()) -> dict[str, Any]:
     """The content of `validation.json`; a figure that does not exist (NaN) is None.
 
     Args:
         identified: The result.
         validation: Of its model.
+        unfit: Why the data are unfit, `ConventionReport.unfit`: then that is the verdict.
     """
     joints = {}
-    verdict = judge_result(identified, validation)
+    verdict = judge_result(identified, validation, unfit)
     for name, joint in validation.joints.items():
         lack = joint.lack_of_fit
         judged = verdict.joints.get(name)

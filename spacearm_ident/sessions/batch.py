@@ -29,9 +29,10 @@ from ..recording.ros_bags import is_mcap, is_ros_bag
 from ..recording.tables import is_log
 from ..recording.zstd import ZSTD_SUFFIX
 from ..report.folder import REPORT
+from ..report.index import unfit_reason
 from ..report.summary import FAILED, IDENTIFIED, UNFIT, Row, write_summary
 from ..results.provenance import FITTED, OPTIONS, VALIDATED, versions
-from ..results.store import FIGURES, load_prior, load_result
+from ..results.store import FIGURES, Result, load_prior, load_result
 from ..solvers.choice import require_solver
 from .bags import Options, identify_bags
 from .identification import within
@@ -93,8 +94,8 @@ def identify_batch(
     rows = {}
     for number, task in enumerate([] if again else tasks):
         report(0.05 * number / len(tasks), f"looking at {task.name}")
-        if up_to_date(task):
-            rows[task.name] = Row(task.name, task.bag, IDENTIFIED, skipped=True)
+        if (known := up_to_date(task)) is not None:
+            rows[task.name] = _of_result(task, known.unfit, skipped=True)
     waiting = [task for task in tasks if task.name not in rows]
     doing = within(report, 0.05, 0.95)
     doing(len(rows) / len(tasks), f"{len(waiting)} of {len(tasks)} bags to identify")
@@ -109,7 +110,7 @@ def identify_batch(
 def perform(task: Task) -> Row:
     """Identify one bag, in whatever process this is; what goes wrong is in the row."""
     try:
-        identify_bags((task.bag,), (), task.directory, task.options, command=task.command)
+        session, _ = identify_bags((task.bag,), (), task.directory, task.options, command=task.command)
     except UnfitDataError as error:
         return Row(task.name, task.bag, UNFIT, str(error))
     except UserError as error:
@@ -117,7 +118,14 @@ def perform(task: Task) -> Row:
     except Exception as error:
         traceback.print_exc()
         return Row(task.name, task.bag, FAILED, one_line(f"it broke: {type(error).__name__}: {error}"))
-    return Row(task.name, task.bag, IDENTIFIED)
+    return _of_result(task, session.conventions.unfit)
+
+
+def _of_result(task: Task, unfit: Sequence[str], skipped: bool = False) -> Row:
+    """The row of a bag that has a result: a model of unfit data is written, and is none to compare with others."""
+    if unfit:
+        return Row(task.name, task.bag, UNFIT, unfit_reason(unfit), skipped)
+    return Row(task.name, task.bag, IDENTIFIED, skipped=skipped)
 
 
 def _row(task: Task, outcome: Row | Lost) -> Row:
@@ -129,17 +137,18 @@ def _row(task: Task, outcome: Row | Lost) -> Row:
     return outcome
 
 
-def up_to_date(task: Task) -> bool:
-    """Whether the result that is there is what would come out again; an unreadable bag never is."""
+def up_to_date(task: Task) -> Result | None:
+    """The result that is there, where it is what would come out again; of an unreadable bag it never is."""
     try:
-        known = load_result(task.directory).identified.model.provenance or {}
+        result = load_result(task.directory)
+        known = result.identified.model.provenance or {}
         sums = [file_sha256(file) for file in bag_files(task.bag)[0]]
         asked = task.options.fingerprint()
         there = [[source["sha256"] for source in known[which]] for which in (FITTED, VALIDATED)]
         same = there == [sums, sums] and known[OPTIONS] == asked and known["versions"] == versions()
     except (UserError, OSError, LookupError, TypeError):
-        return False
-    return same and (task.directory / REPORT).is_file()
+        return None
+    return result if same and (task.directory / REPORT).is_file() else None
 
 
 def check(options: Options) -> None:

@@ -108,7 +108,7 @@ def identify_session(
         further = partial(_further, identified, settings, found)
         report(0.7, "writing the report")
         runs = recorded_runs(fitted, [] if validated is fitted else (validated or ()), arm)
-        page = write_result(identified, validation, directory, further, runs)
+        page = write_result(identified, validation, directory, further, runs, lambda: found().unfit)
         conventions = found()
     report(1.0, "done")
     return Session(identified, validation, page, conventions)
