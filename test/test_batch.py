@@ -21,6 +21,7 @@ from test_index import text_of
 from spacearm_ident.cli.main import main
 from spacearm_ident.recording import Series, write_recording
 from spacearm_ident.report.summary import write_summary
+from spacearm_ident.report.text import percent
 from spacearm_ident.results.store import load_result
 from spacearm_ident.results.trends import line
 from spacearm_ident.sessions.bags import Options
@@ -88,6 +89,35 @@ def test_every_bag_is_a_row_whatever_became_of_it(done):
     assert "moves" in rows["still"]["reason"] and "not an MCAP file" in rows["text"]["reason"]
     assert all("\n" not in row["reason"] for row in rows.values())
     assert not (done / "still").exists() and not (done / "text").exists()
+
+
+def test_every_row_has_the_same_keys_and_none_where_there_is_nothing(done):
+    rows = rows_of(done)
+    assert len({tuple(row) for row in rows.values()}) == 1
+    for name in ("still", "text"):
+        nothing = {key for key, value in rows[name].items() if value is None}
+        assert nothing >= {"recorded", "written", "arm", "r", "relative_rms", "changed", "temperature_C", "parameters"}
+    assert rows["still"]["verdict"] == "unfit" and rows["text"]["verdict"] is None
+
+
+def test_the_summary_says_what_changed_and_the_residual_of_every_joint_as_the_page_does(done):
+    rows, text = rows_of(done), " ".join(text_of(done / "index.html").split())
+    assert rows["deeper/b"]["changed"] is None, "the first of its arm"
+    changed = rows["a"]["changed"]
+    assert changed["since"] == "deeper/b"
+    said = {item["name"]: item for item in changed["parameters"]}
+    gained = said["f_c[elbow]"]
+    assert gained["joint"] == "elbow" and gained["difference"] == pytest.approx(GAIN, abs=0.1)
+    assert gained["unit"] == "N m" and gained["standard_errors"] > 3.0
+    assert f"{len(said)} of {changed['compared']}" in text
+    shares = rows["a"]["relative_rms_by_joint"]
+    known = load_result(done / "a").validation.joints
+    assert shares == {name: joint.moving.relative_rms for name, joint in known.items()}
+    assert max(shares.values()) == rows["a"]["relative_rms"] and min(shares.values()) < max(shares.values())
+    table = {one["run"]: one for one in csv.DictReader((done / "summary.csv").open())}
+    assert {name: float(table["a"][f"relative_rms[{name}]"]) for name in shares} == shares
+    of_joints = text[text.index("of every joint of small_arm") :]
+    assert all(" ".join(percent(share).split()) in of_joints for share in shares.values())
 
 
 def test_a_result_is_that_of_the_command_to_the_last_digit(bags, done, tmp_path):

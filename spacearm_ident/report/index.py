@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 from ..errors import UserError, one_line
 from ..estimate.identified import Validation
-from ..identification.verdict import judge_result
+from ..identification.verdict import judge_result, relative_rms
 from ..results.provenance import moment
 from ..results.store import FIGURES, Result, load_result
 from ..results.trends import arm_of, date_text, runs_by_arm
@@ -244,41 +244,63 @@ def index_html(title: str, entries: Sequence[Entry], mismatches: Sequence[Mismat
         "index.html",
         folder=title,
         entries=entries,
-        runs=_runs(entries),
+        runs=compared_runs(entries),
+        residuals=_residuals(entries),
         far=FAR,
         trends=[found for arm, runs in arms.items() if (found := trends_of(arm, runs))],
         mismatches=mismatches,
     )
 
 
-def _runs(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
-    """Name of an entry that has a result -> what the page says of it."""
-    shown, last = {}, dict[tuple[str, ...], Result]()
+def compared_runs(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
+    """What page and summary say of every run that has a result.
+
+    Args:
+        entries: In the order of the page.
+
+    Returns:
+        Name -> its verdict, `worst` and `lowest` (`merit`), `since`: the run before, of the same arm, and what changed
+        since then (`changed`, in words `far`) of how many that could be compared; None where there is none before.
+    """
+    shown, last = {}, dict[tuple[str, ...], Entry]()
     for entry in entries:
         if entry.result is None:
             continue
         result, arm = entry.result, arm_of(entry.result)
         before = last.get(arm) if entry.counted else None
-        found: list[Difference] = differences(before.identified, result.identified) if before else []
+        known = before.counted if before else None
+        found: list[Difference] = differences(known.identified, result.identified) if known else []
         worst, lowest = merit(result.validation)
         shown[entry.name] = {
             "verdict": judge_result(result.identified, result.validation, result.unfit),
             "worst": worst,
             "lowest": lowest,
+            "since": before.name if before else None,
             "compared": sum(math.isfinite(item.errors) for item in found) if before else None,
+            "changed": moved(found),
             "far": named(moved(found)),
         }
         if entry.counted:
-            last[arm] = result
+            last[arm] = entry
     return shown
+
+
+def _residuals(entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    """Of every arm its joints, and of its runs that are fit the residual over torque (RMS) of each while it moves."""
+    tables: dict[tuple[str, ...], dict[str, Any]] = {}
+    for entry in entries:
+        if entry.counted is not None:
+            name, *joints = arm = arm_of(entry.counted)
+            table = tables.setdefault(arm, {"name": name, "joints": joints, "runs": []})
+            table["runs"].append((entry, relative_rms(entry.counted.validation)))
+    return list(tables.values())
 
 
 def merit(validation: Validation) -> tuple[float, float]:
     """Residual over torque (RMS) of the worst joint while it moves, and the lowest R; NaN where no joint has one."""
     joints = validation.joints.values()
-    shares = [joint.moving.relative_rms for joint in joints if math.isfinite(joint.moving.relative_rms)]
     correlations = [j.everything.correlation for j in joints if math.isfinite(j.everything.correlation)]
-    return max(shares, default=math.nan), min(correlations, default=math.nan)
+    return max(relative_rms(validation).values(), default=math.nan), min(correlations, default=math.nan)
 
 
 def _link(name: str) -> str:

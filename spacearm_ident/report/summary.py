@@ -14,13 +14,23 @@ from typing import Any, Final
 
 from ..documents import finite
 from ..estimate.identified import Estimate
-from ..identification.verdict import judge_result
+from ..identification.verdict import judge_result, relative_rms
 from ..results.provenance import moment
 from ..results.store import Result
 from ..results.tables import by_joint
 from ..results.trends import DATE, TEMPERATURE, runs_by_arm, trend_dict, trends
 from .folder import replacing
-from .index import INDEX, SUMMARY, Progress, find_mismatches, find_results, index_html, merit, with_failures
+from .index import (
+    INDEX,
+    SUMMARY,
+    Progress,
+    compared_runs,
+    find_mismatches,
+    find_results,
+    index_html,
+    merit,
+    with_failures,
+)
 
 SCHEMA: Final = "spacearm_ident/batch/1"
 TABLE: Final = "summary.csv"
@@ -67,7 +77,8 @@ def write_summary(
     entries = with_failures(found, directory, failures)
     results = {entry.name: entry.result for entry in entries if entry.result}
     counted = {entry.name: entry.counted for entry in entries if entry.counted}
-    described = [_run(row, results.get(row.name)) for row in rows]
+    compared = compared_runs(entries)
+    described = [_run(row, results.get(row.name), compared.get(row.name)) for row in rows]
     document = {
         "schema": SCHEMA,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -89,8 +100,14 @@ def write_summary(
     return document
 
 
-def _run(row: Row, result: Result | None) -> dict[str, Any]:
-    """One bag, for `summary.json`: the same keys whatever became of it, None where there is nothing."""
+def _run(row: Row, result: Result | None, compared: Mapping[str, Any] | None) -> dict[str, Any]:
+    """One bag, for `summary.json`: the same keys whatever became of it, None where there is nothing.
+
+    Args:
+        row: What became of it.
+        result: Where it has one.
+        compared: Of `compared_runs`.
+    """
     when = moment(result.identified.model.provenance) if result else None
     fit = result if row.status == IDENTIFIED else None
     worst, lowest = merit(fit.validation) if fit else (math.nan, math.nan)
@@ -108,9 +125,28 @@ def _run(row: Row, result: Result | None) -> dict[str, Any]:
         "verdict": str(judged.level) if judged else row.status if row.status == UNFIT else None,
         "r": finite(lowest),
         "relative_rms": finite(worst),
+        "relative_rms_by_joint": relative_rms(fit.validation) if fit else None,
+        "changed": _changed(compared),
         "temperature_C": (when.temperature if when else {}) if result else None,
         "parameters": None if listed is None else _parameters(item for items in listed.values() for item in items),
     }
+
+
+def _changed(compared: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """What changed since the run before, and of how many parameters that could be compared; None: there is none."""
+    if not compared or compared["since"] is None:
+        return None
+    items = [
+        {
+            "name": item.name,
+            "joint": item.joint,
+            "difference": finite(item.value),
+            "unit": item.unit,
+            "standard_errors": finite(item.errors),
+        }
+        for item in compared["changed"]
+    ]
+    return {"since": compared["since"], "compared": compared["compared"], "parameters": items}
 
 
 def _parameters(estimates: Iterable[Estimate]) -> dict[str, dict[str, Any]]:
@@ -126,20 +162,23 @@ def _parameters(estimates: Iterable[Estimate]) -> dict[str, dict[str, Any]]:
 
 
 def summary_csv(runs: Sequence[Mapping[str, Any]]) -> str:
-    """One row a bag: what `summary.json` says of it, a column a joint's temperature, a value and an error a parameter.
+    """One row a bag: what `summary.json` says of it, a column a joint's residual and temperature, two a parameter.
 
     Numbers keep every digit; an empty cell is one that is not known.
     """
     about = ("run", "bag", "status", "reason", "recorded", "written", "arm", "r", "relative_rms")
     warm = list(dict.fromkeys(joint for run in runs for joint in (run["temperature_C"] or {})))
     names = list(dict.fromkeys(name for run in runs for name in (run["parameters"] or {})))
-    columns = [f"temperature_C[{joint}]" for joint in warm]
+    joints = list(dict.fromkeys(joint for run in runs for joint in (run["relative_rms_by_joint"] or {})))
+    columns = [f"relative_rms[{joint}]" for joint in joints] + [f"temperature_C[{joint}]" for joint in warm]
     columns += [column for name in names for column in (name, f"standard error {name}")]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*about, *columns])
     for run in runs:
-        cells = [*(run.get(key) for key in about), *((run["temperature_C"] or {}).get(joint) for joint in warm)]
+        cells = [run.get(key) for key in about]
+        cells += [(run["relative_rms_by_joint"] or {}).get(joint) for joint in joints]
+        cells += [*((run["temperature_C"] or {}).get(joint) for joint in warm)]
         for name in names:
             item = (run["parameters"] or {}).get(name, {})
             cells += [item.get("value"), item.get("standard_error")]
