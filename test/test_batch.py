@@ -22,6 +22,7 @@ from spacearm_ident.cli.main import main
 from spacearm_ident.recording import Series, write_recording
 from spacearm_ident.report.summary import write_summary
 from spacearm_ident.report.text import percent
+from spacearm_ident.results.provenance import moment
 from spacearm_ident.results.store import load_result
 from spacearm_ident.results.trends import line
 from spacearm_ident.sessions.bags import Options
@@ -165,6 +166,56 @@ def test_a_run_whose_stamps_give_no_date_has_none_in_the_tables(tmp_path):
     assert rows_of(tmp_path / "out")["a"]["recorded"] is None
     (table,) = csv.DictReader((tmp_path / "out" / "summary.csv").open())
     assert table["recorded"] == ""
+
+
+# --- what counts once, and what has no place in time ------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def odd_days(tmp_path_factory) -> Path:
+    """Four days of one arm, a copy of the second, a clock of 1970 (41 days on) and one of 2035; identified."""
+    folder, out = tmp_path_factory.mktemp("odd"), tmp_path_factory.mktemp("of_odd") / "out"
+    for day in range(4):
+        write_recording(folder / f"{day}.mcap", dated(day, warm=20.0 + day))
+    shutil.copy(folder / "1.mcap", folder / "1_copy.mcap")
+    write_recording(folder / "past.mcap", replace(dated(5, warm=25.0), start_ns=41 * DAY_NS))
+    write_recording(folder / "future.mcap", replace(dated(6, warm=26.0), start_ns=START_NS + 4000 * DAY_NS))
+    assert batch(folder, "--out", out) == 0
+    return out
+
+
+def test_the_same_data_are_said_to_be_and_counted_once(odd_days, tmp_path, capsys):
+    rows = rows_of(odd_days)
+    assert rows["1_copy"]["copy_of"] == "1" and rows["1_copy"]["status"] == "identified"
+    assert all(row["copy_of"] is None for name, row in rows.items() if name != "1_copy")
+    assert rows["1_copy"]["changed"] is None and rows["2"]["changed"]["since"] == "1"
+    assert "the same data as 1: counted once" in text_of(odd_days / "index.html")
+    again = Path(shutil.copytree(odd_days, tmp_path / "out"))
+    assert batch(*(row["bag"] for row in rows.values()), "--out", again) == 0
+    out = capsys.readouterr().out
+    assert "the same data as 1: counted once" in out and "its clock says 1970" in out
+
+
+def test_a_clock_that_gives_no_date_has_no_place_in_time(odd_days):
+    rows = rows_of(odd_days)
+    assert "1970" in rows["past"]["wrong_clock"] and "2035-12-15" in rows["future"]["wrong_clock"]
+    assert rows["past"]["recorded"] is None and rows["future"]["recorded"] is None
+    assert [rows[name]["wrong_clock"] for name in "0123"] == [None] * 4
+    assert rows["past"]["changed"] is None and rows["future"]["changed"] is None
+    assert [rows[name]["changed"]["since"] for name in "123"] == ["0", "1", "2"]
+    trends = json.loads((odd_days / "summary.json").read_text())["trends"]
+    runs = {over: {one["runs"] for one in trends if one["over"] == over} for over in ("date", "temperature")}
+    assert runs == {"date": {4}, "temperature": {6}}, "of temperature the clock says nothing"
+    text = text_of(odd_days / "index.html")
+    assert rows["past"]["wrong_clock"] in text and rows["future"]["wrong_clock"] in text
+
+
+@pytest.mark.parametrize("ahead_h, right", [(13, True), (15, False)])
+def test_a_clock_in_local_time_is_not_taken_for_one_in_the_future(ahead_h, right):
+    start = datetime(2025, 1, 1, ahead_h, tzinfo=UTC)
+    known = {"recorded": [{"start": start.isoformat(), "duration_s": 1.0}]}
+    found = moment(known, "2025-01-01T00:00:00+00:00")
+    assert found is not None and (found.date == start) is right and bool(found.wrong_clock) is not right
 
 
 # --- again ------------------------------------------------------------------------------------------------------

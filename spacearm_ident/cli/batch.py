@@ -87,5 +87,7 @@ def table(rows: list[dict[str, Any]], page: Path) -> str:
         lines.append(
             f"{row['run']:<{width}}  {when:<17}{row.get('verdict') or '-':<9}{r:>8}{share:>10}"
             + ("  as before" if row["skipped"] else "")
+            + (f"  the same data as {row['copy_of']}: counted once" if row["copy_of"] else "")
+            + (f"  {row['wrong_clock']}: in no trend over date" if row["wrong_clock"] else "")
         )
     return "\n".join([*lines, "R and rel. RMS: of the worst joint, on the last third of each bag, held out of its fit"])

@@ -21,7 +21,9 @@ from spacearm_ident.recording.contents import Stream
 from spacearm_ident.recording.recording import Issue
 
 _VELOCITY_LOSS = 0.01  # share of samples without velocity above which velocity is given up, not the samples
-_EPOCH_NS = 10**17  # a clock beyond this (1973) counts from 1970: a stamp of zero is then an unset one
+EPOCH_NS = 10**17
+"""Stamp, ns, from which a clock says the date (3 March 1973): below, it counts from its start, as a simulation's or one
+that nobody has set. A stamp of zero among such that say the date is an unset one."""
 
 GAP_MEDIANS = 5.0
 """How many median intervals make a gap."""
@@ -323,7 +325,7 @@ class Intake:
     def put_in_time(self) -> None:
         """Drop unset, repeated and backward stamps until the stamps increase strictly."""
         stamps = self.samples.stamp_ns
-        if len(stamps) and np.median(stamps) > _EPOCH_NS:
+        if len(stamps) and np.median(stamps) > EPOCH_NS:
             self.drop(stamps == 0, "zero_stamp", "samples without a stamp (zero) left out")
         stamps = self.samples.stamp_ns
         keep = increasing(stamps)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 from ..results.provenance import EPOCH, OPTIONS, RECORDED
@@ -64,7 +65,10 @@ def _when(run: Any) -> str:
     """Start and length of a run, and how warm its joints were."""
     known = run if isinstance(run, Mapping) else {}
     start = str(known.get("start", ""))
-    when = "no date" if start.startswith(EPOCH) else minute(start)
+    try:
+        when = "no date" if datetime.fromisoformat(start).astimezone(UTC) < EPOCH else minute(start)
+    except ValueError:
+        when = minute(start)
     text = f"{when}, {_plain(known.get('duration_s', ''))} s"
     warm = known.get("temperature_C")
     return text + (f" at {_text(warm)} °C" if isinstance(warm, Mapping) else "")

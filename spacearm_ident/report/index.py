@@ -17,7 +17,6 @@ from urllib.parse import quote
 from ..errors import UserError, one_line
 from ..estimate.identified import Validation
 from ..identification.verdict import judge_result, relative_rms
-from ..results.provenance import moment
 from ..results.store import FIGURES, Result, load_result
 from ..results.trends import arm_of, date_text, runs_by_arm
 from .comparison import FAR, Difference, comparison_html, differences, moved, named
@@ -40,22 +39,35 @@ class Entry:
         result: What it holds, without signals; None where it cannot be read, or was not identified.
         problem: Why not; of unfit data as well, which have a result that is compared with none.
         page: Whether there is a report to link to.
+        copy_of: Name of an entry that is made of the same data under the same options; empty: of none.
     """
 
     name: str
     result: Result | None
     problem: str = ""
     page: bool = True
+    copy_of: str = ""
 
     @property
     def counted(self) -> Result | None:
-        """The result, where it takes part in trends and comparisons: a model of unfit data says nothing of the arm."""
-        return None if self.problem else self.result
+        """The result, where it takes part in trends and comparisons: of fit data, which are counted once."""
+        return None if self.problem or self.copy_of else self.result
+
+    @property
+    def wrong_clock(self) -> str:
+        """Why its clock gives no date; empty where it does, or nothing is known."""
+        when = self.result.moment if self.result else None
+        return when.wrong_clock if when else ""
+
+    @property
+    def placed(self) -> Result | None:
+        """The result, where it has a place in time as well."""
+        return None if self.wrong_clock else self.counted
 
     @property
     def recorded(self) -> str:
         """When its first run was, `2025-01-31 12:05` UTC; empty where it does not say."""
-        when = moment(self.result.identified.model.provenance) if self.result else None
+        when = self.result.moment if self.result else None
         return date_text(when.date) if when and when.date else ""
 
     @property
@@ -69,9 +81,9 @@ class Entry:
         return _link(self.name) if self.page else None
 
     @property
-    def order(self) -> tuple[bool, str, str]:
-        """By recording, where that is known, else by writing; those without a result last."""
-        return (self.result is None, self.recorded or self.written, self.name)
+    def order(self) -> tuple[bool, bool, str, str]:
+        """By recording, where that is known, else by writing; then wrong clocks, last those without a result."""
+        return (self.result is None, bool(self.wrong_clock), self.recorded or self.written, self.name)
 
 
 @dataclass(frozen=True)
@@ -160,7 +172,7 @@ def find_results(directory: Path, progress: Progress = lambda share, what: None)
 def with_failures(
     entries: Sequence[Entry], directory: Path, failures: Mapping[str, str], when: str | None = None
 ) -> list[Entry]:
-    """The entries of a folder, with those that a batch could not identify in place of what older results say.
+    """The entries of a folder: copies known as such, and what a batch could not identify in place of older results.
 
     Args:
         entries: As `find_results`.
@@ -175,7 +187,14 @@ def with_failures(
             continue  # The result is the one of this batch: its data are unfit.
         if when is None or there is None or there.result is None or there.result.written < when:
             shown[name] = Entry(name, None, reason, (directory / name / REPORT).is_file())
-    return sorted(shown.values(), key=lambda entry: entry.order)
+    first: dict[str, str] = {}
+    found = []
+    for entry in sorted(shown.values(), key=lambda entry: entry.order):
+        made_of = entry.result.inputs if entry.result else None
+        found.append(replace(entry, copy_of=first.get(made_of, "")) if made_of else entry)
+        if made_of:
+            first.setdefault(made_of, entry.name)
+    return found
 
 
 def unfit_reason(unfit: Sequence[str]) -> str:
@@ -267,7 +286,7 @@ def compared_runs(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
         if entry.result is None:
             continue
         result, arm = entry.result, arm_of(entry.result)
-        before = last.get(arm) if entry.counted else None
+        before = last.get(arm) if entry.placed else None
         known = before.counted if before else None
         found: list[Difference] = differences(known.identified, result.identified) if known else []
         worst, lowest = merit(result.validation)
@@ -280,7 +299,7 @@ def compared_runs(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
             "changed": moved(found),
             "far": named(moved(found)),
         }
-        if entry.counted:
+        if entry.placed:
             last[arm] = entry
     return shown
 

@@ -15,7 +15,6 @@ from typing import Any, Final
 from ..documents import finite
 from ..estimate.identified import Estimate
 from ..identification.verdict import judge_result, relative_rms
-from ..results.provenance import moment
 from ..results.store import Result
 from ..results.tables import by_joint
 from ..results.trends import DATE, TEMPERATURE, runs_by_arm, trend_dict, trends
@@ -78,7 +77,8 @@ def write_summary(
     results = {entry.name: entry.result for entry in entries if entry.result}
     counted = {entry.name: entry.counted for entry in entries if entry.counted}
     compared = compared_runs(entries)
-    described = [_run(row, results.get(row.name), compared.get(row.name)) for row in rows]
+    copies = {entry.name: entry.copy_of for entry in entries}
+    described = [_run(row, results.get(row.name), compared.get(row.name), copies.get(row.name, "")) for row in rows]
     document = {
         "schema": SCHEMA,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -100,15 +100,16 @@ def write_summary(
     return document
 
 
-def _run(row: Row, result: Result | None, compared: Mapping[str, Any] | None) -> dict[str, Any]:
+def _run(row: Row, result: Result | None, compared: Mapping[str, Any] | None, copy_of: str) -> dict[str, Any]:
     """One bag, for `summary.json`: the same keys whatever became of it, None where there is nothing.
 
     Args:
         row: What became of it.
         result: Where it has one.
         compared: Of `compared_runs`.
+        copy_of: Run of the same data, which is counted instead of this one; empty: there is none.
     """
-    when = moment(result.identified.model.provenance) if result else None
+    when = result.moment if result else None
     fit = result if row.status == IDENTIFIED else None
     worst, lowest = merit(fit.validation) if fit else (math.nan, math.nan)
     judged = judge_result(result.identified, result.validation, result.unfit) if result else None
@@ -120,6 +121,8 @@ def _run(row: Row, result: Result | None, compared: Mapping[str, Any] | None) ->
         "reason": row.reason,
         "skipped": row.skipped,
         "recorded": when.date.isoformat() if when and when.date else None,
+        "wrong_clock": (when.wrong_clock or None) if when else None,
+        "copy_of": copy_of or None,
         "written": result.written if result else None,
         "arm": result.identified.model.model.arm.name if result else None,
         "verdict": str(judged.level) if judged else row.status if row.status == UNFIT else None,
@@ -166,7 +169,8 @@ def summary_csv(runs: Sequence[Mapping[str, Any]]) -> str:
 
     Numbers keep every digit; an empty cell is one that is not known.
     """
-    about = ("run", "bag", "status", "reason", "recorded", "written", "arm", "r", "relative_rms")
+    about = ["run", "bag", "status", "reason", "recorded", "wrong_clock", "copy_of"]
+    about += ["written", "arm", "r", "relative_rms"]
     warm = list(dict.fromkeys(joint for run in runs for joint in (run["temperature_C"] or {})))
     names = list(dict.fromkeys(name for run in runs for name in (run["parameters"] or {})))
     joints = list(dict.fromkeys(joint for run in runs for joint in (run["relative_rms_by_joint"] or {})))

@@ -6,20 +6,23 @@ import math
 import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 
 from .. import __version__
+from ..recording.intake import EPOCH_NS
 from ..recording.recording import Recording
 
 FITTED = "fitted_on"
 VALIDATED = "validated_on"
 RECORDED = "recorded"
-EPOCH = "1970-01-01"
-"""Date of stamps that count from zero, such as a simulation's: not a date of recording."""
+EPOCH = datetime.fromtimestamp(EPOCH_NS / 1e9, UTC)
+"""Stamps before count from the start of their clock: no date of recording."""
+AHEAD = timedelta(hours=14)
+"""How far a clock that is right may be ahead of UTC: the largest offset of a time zone, where it shows local time."""
 OPTIONS = "options"
 PACKAGES = ("numpy", "scipy", "pin", "clarabel")
 
@@ -60,22 +63,39 @@ class Moment:
     """When, and how warm, the runs were that a model was fitted to.
 
     Attributes:
-        start: Of the first of them, UTC.
+        start: Of the first of them by its clock, UTC.
         temperature: Joint -> mean temperature over all of them that recorded it, degrees Celsius.
+        known: When the result was written, which no recording of it can be later than; None: not known.
     """
 
     start: datetime
     temperature: dict[str, float]
+    known: datetime | None = None
+
+    @property
+    def wrong_clock(self) -> str:
+        """Why the clock gives no date, a clause; empty where it does."""
+        if self.start < EPOCH:
+            return f"its clock says {self.start.year}: not set, or counting from zero"
+        if self.known is not None and self.start > self.known + AHEAD:
+            return f"its clock says {self.start.date().isoformat()}: after it was identified"
+        return ""
 
     @property
     def date(self) -> datetime | None:
-        """The start; None where its stamps count from zero and so give no date."""
-        return None if self.start.isoformat().startswith(EPOCH) else self.start
+        """The start; None where its clock gives no date."""
+        return None if self.wrong_clock else self.start
 
 
-def moment(known: Mapping[str, Any] | None) -> Moment | None:
-    """Of a provenance; None where it does not say (results of earlier versions, files of others)."""
+def moment(known: Mapping[str, Any] | None, written: str = "") -> Moment | None:
+    """Of a provenance; None where it does not say (results of earlier versions, files of others).
+
+    Args:
+        known: `provenance` of a model; None: it has none.
+        written: When the result was, ISO 8601; empty: not known.
+    """
     try:
+        by = datetime.fromisoformat(written).astimezone(UTC) if written else None
         runs = list((known or {})[RECORDED])
         start = min(datetime.fromisoformat(run["start"]).astimezone(UTC) for run in runs)
         warm: dict[str, list[tuple[float, float]]] = {}
@@ -85,7 +105,7 @@ def moment(known: Mapping[str, Any] | None) -> Moment | None:
         means = {joint: sum(v * s for v, s in pairs) / sum(s for _, s in pairs) for joint, pairs in warm.items()}
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError):
         return None
-    return Moment(start, {joint: value for joint, value in means.items() if math.isfinite(value)})
+    return Moment(start, {joint: value for joint, value in means.items() if math.isfinite(value)}, by)
 
 
 def versions() -> dict[str, str]:

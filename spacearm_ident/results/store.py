@@ -39,6 +39,7 @@ from ..estimate.identified import (
 )
 from ..estimate.optional_terms import OptionalTerm
 from ..signals.bandwidth import Bandwidth
+from .provenance import FITTED, OPTIONS, Moment, moment
 from .recorded_runs import RecordedRun
 
 SCHEMA = "spacearm_ident/result/1"
@@ -67,6 +68,18 @@ class Result:
     written: str
     runs: tuple[RecordedRun, ...] = ()
     checked: Callable[[], tuple[str, ...]] = tuple
+
+    @property
+    def moment(self) -> Moment | None:
+        """When and how warm its recordings were; None where it does not say."""
+        return moment(self.identified.model.provenance, self.written)
+
+    @property
+    def inputs(self) -> str | None:
+        """What it was made of: checksums of the recordings, and options, as text; None where it does not say."""
+        known = self.identified.model.provenance or {}
+        sums = [source.get("sha256") for source in known.get(FITTED) or () if isinstance(source, dict)]
+        return json.dumps([sums, known.get(OPTIONS)], sort_keys=True) if sums and all(sums) else None
 
     @property
     def unfit(self) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from scipy.stats import t as student
 
 from ..arrays import FloatArray
 from ..estimate.identified import Estimate
-from .provenance import Moment, moment
+from .provenance import Moment
 from .store import Result
 from .tables import by_joint
 
@@ -97,7 +97,7 @@ def runs_by_arm(results: Iterable[Result]) -> dict[Arm, list[Run]]:
     """Those results that know when they were recorded."""
     found: dict[Arm, list[Run]] = {}
     for result in results:
-        when = moment(result.identified.model.provenance)
+        when = result.moment
         if when is not None:
             known = tuple(item for items in by_joint(result.identified).values() for item in items)
             found.setdefault(arm_of(result), []).append(Run(when, known))
