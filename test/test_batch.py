@@ -218,6 +218,39 @@ def test_a_clock_in_local_time_is_not_taken_for_one_in_the_future(ahead_h, right
     assert found is not None and (found.date == start) is right and bool(found.wrong_clock) is not right
 
 
+# --- arms of one type --------------------------------------------------------------------------------------------
+
+
+def test_arms_of_one_type_are_told_apart_by_their_folders_where_that_is_asked_for(tmp_path, capsys):
+    fleet, out = tmp_path / "fleet", tmp_path / "out"
+    for arm, level in (("arm1", 0.0), ("arm2", 3.0)):
+        (fleet / arm / "2025").mkdir(parents=True)
+        for day in range(4):
+            run = small_arm.with_step(dated(day), 0.0, level - GAIN * day * (arm == "arm2"))
+            write_recording(fleet / arm / "2025" / f"{day}.mcap", run)
+    assert batch(fleet, "--out", out) == 0
+    document = json.loads((out / "summary.json").read_text())
+    assert {row["arm"] for row in document["runs"]} == {"small_arm"}
+    assert {trend["runs"] for trend in document["trends"]} == {8}
+    assert batch(fleet, "--out", out, "--arm-by-folder") == 0
+    document = json.loads((out / "summary.json").read_text())
+    assert all(row["skipped"] for row in document["runs"]), "nothing is identified again for it"
+    for row in document["runs"]:
+        arm = row["run"].split("/")[0]
+        assert row["arm"] == f"{arm} (small_arm)"
+        assert row["changed"] is None or row["changed"]["since"].startswith(f"{arm}/")
+    slopes = {trend["arm"]: trend for trend in document["trends"] if trend["parameter"] == "f_c[elbow]"}
+    assert {arm: trend["runs"] for arm, trend in slopes.items()} == {"arm1 (small_arm)": 4, "arm2 (small_arm)": 4}
+    assert slopes["arm1 (small_arm)"]["slope"] == pytest.approx(GAIN, abs=0.1)
+    assert slopes["arm2 (small_arm)"]["slope"] == pytest.approx(0.0, abs=0.1)
+    before = (out / "index.html").read_bytes()
+    assert "Trends of arm2 (small_arm)" in text_of(out / "index.html")
+    assert main(["report", str(out), "--quiet"]) == 0
+    assert (out / "index.html").read_bytes() == before, "spacearm report knows"
+    assert batch(fleet / "arm1" / "2025", "--out", tmp_path / "new", "--arm-by-folder") == 2
+    assert "name the one above" in capsys.readouterr().err and not (tmp_path / "new").exists()
+
+
 # --- again ------------------------------------------------------------------------------------------------------
 
 

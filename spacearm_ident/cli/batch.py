@@ -34,6 +34,12 @@ def add(command: argparse.ArgumentParser) -> None:
         "same paths; needs pip install 'spacearm_ident[dask]'",
     )
     command.add_argument("--again", action="store_true", help="do again what is there already")
+    command.add_argument(
+        "--arm-by-folder",
+        action="store_true",
+        help="several arms of one type: the first folder of a bag's NAME tells which (arm1/monday.mcap); without it "
+        "arms are told apart by the robot's name in the URDF and its joints alone",
+    )
     identify.add_options(command)
     common.add_output_options(command)
     command.set_defaults(run=run)
@@ -50,6 +56,7 @@ def run(options: argparse.Namespace) -> int:
                 jobs=options.jobs,
                 scheduler=options.scheduler,
                 again=options.again,
+                by_folder=options.arm_by_folder,
                 progress=report,
             )
     except KeyboardInterrupt:

@@ -116,7 +116,8 @@ def write_index(directory: Path, progress: Progress = lambda share, what: None) 
     Raises:
         UserError: There is no result below it, or it cannot be written.
     """
-    entries = with_failures(find_results(directory, progress), directory, *_failures(directory))
+    last = _last_batch(directory)
+    entries = with_failures(find_results(directory, progress, last.by_folder), directory, last.failures, last.written)
     mismatches = find_mismatches(directory)
     if not entries and not mismatches:
         raise UserError(f"no result in {directory} or below: name a folder with results of 'spacearm identify --out'")
@@ -145,12 +146,15 @@ def write_comparison(directory: Path, first: Path, second: Path) -> Path:
     return directory / file
 
 
-def find_results(directory: Path, progress: Progress = lambda share, what: None) -> list[Entry]:
+def find_results(
+    directory: Path, progress: Progress = lambda share, what: None, by_folder: bool = False
+) -> list[Entry]:
     """All results below a folder, oldest recording first; those that cannot be read last.
 
     Args:
         directory: Folder with result folders below it, at any depth; hidden ones are skipped.
         progress: Called with a share done in 0..1 and what is being read.
+        by_folder: Whether the first folder of a name tells which arm it is.
 
     Returns:
         Entries whose results are without their signals, or that say why one cannot be read.
@@ -162,7 +166,8 @@ def find_results(directory: Path, progress: Progress = lambda share, what: None)
         name = _name(folder, directory)
         try:
             result = load_result(folder)
-            result = replace(result, validation=replace(result.validation, traces=()))
+            individual = folder_of_arm(name) if by_folder else ""
+            result = replace(result, validation=replace(result.validation, traces=()), individual=individual)
             entries.append(Entry(name, result, unfit_reason(result.unfit)))
         except UserError as error:
             entries.append(Entry(name, None, str(error)))
@@ -202,14 +207,34 @@ def unfit_reason(unfit: Sequence[str]) -> str:
     return one_line("; ".join(unfit))
 
 
-def _failures(directory: Path) -> tuple[dict[str, str], str]:
-    """What the last batch into a folder could not identify, with its reason, and when that was; nothing if none was."""
+def folder_of_arm(name: str) -> str:
+    """The first folder of a run's name, `arm1` of `arm1/2025/monday`; empty where it lies in none."""
+    return name.partition("/")[0] if "/" in name else ""
+
+
+@dataclass(frozen=True)
+class LastBatch:
+    """What is known of the last batch into a folder.
+
+    Attributes:
+        failures: Name -> reason, of what it could not identify.
+        written: When that was, ISO 8601.
+        by_folder: Whether the first folder of a name tells which arm it is.
+    """
+
+    failures: Mapping[str, str]
+    written: str
+    by_folder: bool
+
+
+def _last_batch(directory: Path) -> LastBatch:
+    """Of `summary.json`; nothing failed where there is none."""
     try:
         data = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
         found = {str(run["run"]): str(run["reason"]) for run in data["runs"] if run["reason"]}
-        return found, str(data["written"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return {}, ""
+        return LastBatch(found, str(data["written"]), bool(data.get("arm_by_folder")))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return LastBatch({}, "", False)
 
 
 def find_mismatches(directory: Path) -> list[MismatchEntry]:
@@ -278,8 +303,8 @@ def compared_runs(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
         entries: In the order of the page.
 
     Returns:
-        Name -> its verdict, `worst` and `lowest` (`merit`), `since`: the run before, of the same arm, and what changed
-        since then (`changed`, in words `far`) of how many that could be compared; None where there is none before.
+        Name -> its arm and verdict, `worst` and `lowest` (`merit`), `since`: the run before, of the same arm, and what
+        changed since then (`changed`, in words `far`) of how many that could be `compared`; None where there is none.
     """
     shown, last = {}, dict[tuple[str, ...], Entry]()
     for entry in entries:
@@ -291,6 +316,7 @@ def compared_runs(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
         found: list[Difference] = differences(known.identified, result.identified) if known else []
         worst, lowest = merit(result.validation)
         shown[entry.name] = {
+            "arm": arm[0],
             "verdict": judge_result(result.identified, result.validation, result.unfit),
             "worst": worst,
             "lowest": lowest,

@@ -17,7 +17,7 @@ from ..estimate.identified import Estimate
 from ..identification.verdict import judge_result, relative_rms
 from ..results.store import Result
 from ..results.tables import by_joint
-from ..results.trends import DATE, TEMPERATURE, runs_by_arm, trend_dict, trends
+from ..results.trends import DATE, TEMPERATURE, arm_of, runs_by_arm, trend_dict, trends
 from .folder import replacing
 from .index import (
     INDEX,
@@ -56,7 +56,10 @@ class Row:
 
 
 def write_summary(
-    directory: Path, rows: Sequence[Row], progress: Progress = lambda share, what: None
+    directory: Path,
+    rows: Sequence[Row],
+    progress: Progress = lambda share, what: None,
+    by_folder: bool = False,
 ) -> dict[str, Any]:
     """Write both summaries and the index into a folder that holds the results.
 
@@ -64,6 +67,7 @@ def write_summary(
         directory: Folder that holds the results, each in a folder below it.
         rows: What became of each bag; one that is not identified is listed as a failure.
         progress: Called with a share done in 0..1 and what is being read.
+        by_folder: Whether the first folder of a name tells which arm it is.
 
     Returns:
         The content of `summary.json`.
@@ -71,7 +75,7 @@ def write_summary(
     Raises:
         UserError: The folder cannot be written.
     """
-    found = find_results(directory, progress)
+    found = find_results(directory, progress, by_folder)
     failures = {row.name: row.reason for row in rows if row.status != IDENTIFIED}
     entries = with_failures(found, directory, failures)
     results = {entry.name: entry.result for entry in entries if entry.result}
@@ -82,6 +86,7 @@ def write_summary(
     document = {
         "schema": SCHEMA,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "arm_by_folder": by_folder,
         "runs": described,
         "trends": [
             trend_dict(arm, trend)
@@ -124,7 +129,7 @@ def _run(row: Row, result: Result | None, compared: Mapping[str, Any] | None, co
         "wrong_clock": (when.wrong_clock or None) if when else None,
         "copy_of": copy_of or None,
         "written": result.written if result else None,
-        "arm": result.identified.model.model.arm.name if result else None,
+        "arm": arm_of(result)[0] if result else None,
         "verdict": str(judged.level) if judged else row.status if row.status == UNFIT else None,
         "r": finite(lowest),
         "relative_rms": finite(worst),

@@ -61,6 +61,7 @@ class Result:
         runs: What was recorded.
         checked: Gives `ConventionReport.unfit`: why the data are unfit, empty where they are fit or were not tested.
             A function, since the test of the conventions may be under way while the page is drawn.
+        individual: Which arm of its type it is of, where whoever reads several results knows; empty: the only one.
     """
 
     identified: Identified
@@ -68,6 +69,7 @@ class Result:
     written: str
     runs: tuple[RecordedRun, ...] = ()
     checked: Callable[[], tuple[str, ...]] = tuple
+    individual: str = ""
 
     @property
     def moment(self) -> Moment | None:

@@ -88,9 +88,10 @@ class Trend:
 
 
 def arm_of(result: Result) -> Arm:
-    """What tells one arm from another: its name and joints."""
+    """What tells one arm from another: its name, with the individual of that type where it is known, and joints."""
     arm = result.identified.model.model.arm
-    return (arm.name, *arm.joint_names)
+    name = f"{result.individual} ({arm.name})" if result.individual else arm.name
+    return (name, *arm.joint_names)
 
 
 def runs_by_arm(results: Iterable[Result]) -> dict[Arm, list[Run]]:

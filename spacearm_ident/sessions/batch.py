@@ -29,7 +29,7 @@ from ..recording.ros_bags import is_mcap, is_ros_bag
 from ..recording.tables import is_log
 from ..recording.zstd import ZSTD_SUFFIX
 from ..report.folder import REPORT
-from ..report.index import unfit_reason
+from ..report.index import folder_of_arm, unfit_reason
 from ..report.summary import FAILED, IDENTIFIED, UNFIT, Row, write_summary
 from ..results.provenance import FITTED, OPTIONS, VALIDATED, versions
 from ..results.store import FIGURES, Result, load_prior, load_result
@@ -64,6 +64,7 @@ def identify_batch(
     jobs: int | None = None,
     scheduler: str | None = None,
     again: bool = False,
+    by_folder: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Identify every bag, write the summary and the index.
@@ -75,19 +76,24 @@ def identify_batch(
         jobs: Processes at a time on this machine; None: its cores.
         scheduler: Address of a Dask scheduler whose workers do it instead; they see the same files.
         again: Do again what is there already.
+        by_folder: Whether the first folder of a bag's name tells which arm it is, of several of one type.
         progress: Called with a share done in 0..1 and what is being done.
 
     Returns:
         The content of `summary.json`.
 
     Raises:
-        UserError: There is no bag, an option cannot be used with any, or the folder cannot be written.
+        UserError: There is no bag, one without the folder of its arm, an option cannot be used with any, or the folder
+            cannot be written.
     """
     report = progress or (lambda share, what: None)
     check(options)
     if jobs is not None and jobs < 1:
         raise UserError(f"--jobs {jobs}: give at least one process")
     bags = find_bags(paths)
+    homeless = next((bag for name, bag in bags.items() if not folder_of_arm(name)), None)
+    if by_folder and homeless is not None:
+        raise UserError(f"{homeless}: in no folder of an arm (--arm-by-folder): name the one above those of the arms")
     _make(directory)
     place, how = directory.resolve(), options.absolute()
     tasks = [Task(name, bag, place / name, how) for name, bag in bags.items()]
@@ -104,7 +110,7 @@ def identify_batch(
     for task, outcome in outcomes:
         rows[task.name] = _row(task, outcome)
         doing(len(rows) / len(tasks), f"{task.name}: {rows[task.name].status}")
-    return write_summary(directory, [rows[task.name] for task in tasks], within(report, 0.95, 1.0))
+    return write_summary(directory, [rows[task.name] for task in tasks], within(report, 0.95, 1.0), by_folder)
 
 
 def perform(task: Task) -> Row:
