@@ -357,6 +357,36 @@ def test_a_result_of_before_that_only_has_its_conventions_is_unfit_as_well(with_
     assert load_result(folder).unfit[0] == said[0] == load_result(with_degrees / "2").unfit[0]
 
 
+# --- recordings with issues, and logs ---------------------------------------------------------------------------
+
+
+def test_what_is_wrong_with_a_recording_that_can_be_used_is_in_its_row(tmp_path, capsys):
+    fleet, out = tmp_path / "fleet", tmp_path / "out"
+    fleet.mkdir()
+    run = replace(dated(0), effort=np.where(np.arange(800)[:, None] == 400, np.nan, dated(0).effort))
+    write_recording(fleet / "nan.mcap", run)
+    write_recording(fleet / "whole.mcap", dated(1))
+    write_recording(fleet / "cut.mcap", dated(2))
+    whole = (fleet / "cut.mcap").read_bytes()
+    (fleet / "cut.mcap").write_bytes(whole[: int(0.9 * len(whole))])
+    assert batch(fleet, "--out", out) == 0
+    shown, rows, page = capsys.readouterr().out, rows_of(out), text_of(out / "index.html")
+    assert rows["whole"]["issues"] == []
+    table = {one["run"]: one["issues"] for one in csv.DictReader((out / "summary.csv").open())}
+    for name, word in (("nan", "NaN"), ("cut", "breaks off")):
+        (issue,) = rows[name]["issues"]
+        assert word in issue and issue in shown and issue in page and issue == table[name]
+
+
+def test_a_folder_of_logs_without_a_mapping_is_told_what_it_lacks(tmp_path, capsys):
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("t,q1\n0,0\n")
+    assert batch(tmp_path, "--out", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert "2 logs without a mapping" in said and f"spacearm import {tmp_path / 'a.csv'}" in said
+    assert "mapping.yaml" in said and "docs/logs.md" in said and len(said.splitlines()) == 1
+
+
 # --- usage ------------------------------------------------------------------------------------------------------
 
 

@@ -93,6 +93,7 @@ def table(rows: list[dict[str, Any]], page: Path) -> str:
         share = "-" if row["relative_rms"] is None else f"{row['relative_rms']:.1%}"
         lines.append(
             f"{row['run']:<{width}}  {when:<17}{row.get('verdict') or '-':<9}{r:>8}{share:>10}"
+            + (f"  {'; '.join(row['issues'])}" if row["issues"] else "")
             + ("  as before" if row["skipped"] else "")
             + (f"  the same data as {row['copy_of']}: counted once" if row["copy_of"] else "")
             + (f"  {row['wrong_clock']}: in no trend over date" if row["wrong_clock"] else "")

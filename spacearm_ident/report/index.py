@@ -54,6 +54,11 @@ class Entry:
         return None if self.problem or self.copy_of else self.result
 
     @property
+    def issues(self) -> list[str]:
+        """What was found wrong with its recordings and what was done about it, a sentence each."""
+        return [issue for run in self.result.runs for issue in run.defects] if self.result else []
+
+    @property
     def wrong_clock(self) -> str:
         """Why its clock gives no date; empty where it does, or nothing is known."""
         when = self.result.moment if self.result else None

@@ -130,6 +130,7 @@ def _run(row: Row, result: Result | None, compared: Mapping[str, Any] | None, co
         "copy_of": copy_of or None,
         "written": result.written if result else None,
         "arm": arm_of(result)[0] if result else None,
+        "issues": [issue for run in result.runs for issue in run.defects] if result else None,
         "verdict": str(judged.level) if judged else row.status if row.status == UNFIT else None,
         "r": finite(lowest),
         "relative_rms": finite(worst),
@@ -175,7 +176,7 @@ def summary_csv(runs: Sequence[Mapping[str, Any]]) -> str:
     Numbers keep every digit; an empty cell is one that is not known.
     """
     about = ["run", "bag", "status", "reason", "recorded", "wrong_clock", "copy_of"]
-    about += ["written", "arm", "r", "relative_rms"]
+    about += ["written", "arm", "issues", "r", "relative_rms"]
     warm = list(dict.fromkeys(joint for run in runs for joint in (run["temperature_C"] or {})))
     names = list(dict.fromkeys(name for run in runs for name in (run["parameters"] or {})))
     joints = list(dict.fromkeys(joint for run in runs for joint in (run["relative_rms_by_joint"] or {})))
@@ -185,7 +186,7 @@ def summary_csv(runs: Sequence[Mapping[str, Any]]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*about, *columns])
     for run in runs:
-        cells = [run.get(key) for key in about]
+        cells = ["; ".join(run[key] or ()) if key == "issues" else run[key] for key in about]
         cells += [(run["relative_rms_by_joint"] or {}).get(joint) for joint in joints]
         cells += [*((run["temperature_C"] or {}).get(joint) for joint in warm)]
         for name in names:

@@ -24,7 +24,7 @@ from ..dynamics.model_file import load_model
 from ..errors import UnfitDataError, UserError, one_line
 from ..identification.identify import Progress
 from ..recording.bag import bag_files
-from ..recording.log_mapping import mapping_beside
+from ..recording.log_mapping import FOLDER_MAPPING, mapping_beside
 from ..recording.ros_bags import is_mcap, is_ros_bag
 from ..recording.tables import is_log
 from ..recording.zstd import ZSTD_SUFFIX
@@ -192,7 +192,7 @@ def find_bags(paths: Sequence[Path]) -> dict[str, Path]:
         except OSError as error:
             raise UserError(f"{error.filename}: {error.strerror}; check its permissions") from error
         if not found:
-            raise UserError(f"{path}: no bag in it (.mcap files, or rosbag2 folders with {METADATA})")
+            raise UserError(f"{path}: no bag in it (.mcap files, or rosbag2 folders with {METADATA}){_unmapped(path)}")
         for bag in found:
             inside = bag.relative_to(path) if bag != path else Path(bag.resolve().name)
             named.setdefault(bag.resolve(), inside.as_posix().removesuffix(ZSTD_SUFFIX).removesuffix(".mcap"))
@@ -221,6 +221,18 @@ def _bags_in(path: Path) -> Iterator[Path]:
 def _is_mapped(path: Path) -> bool:
     """Whether a file is a log with a mapping beside it: a folder holds other tables as well."""
     return is_log(path) and mapping_beside(path) is not None
+
+
+def _unmapped(path: Path) -> str:
+    """What the logs of a folder without a bag lack; empty where it holds none."""
+    logs = sorted(file for file in path.rglob("*") if file.is_file() and is_log(file))
+    if not logs:
+        return ""
+    them = "1 log" if len(logs) == 1 else f"{len(logs)} logs"
+    return (
+        f", but {them} without a mapping of the columns: 'spacearm import {logs[0]} --arm ARM' writes one; that of all "
+        f"in a folder may be called {FOLDER_MAPPING} (docs/logs.md)"
+    )
 
 
 def _from_above(bag: Path, name: str, named: dict[Path, str]) -> str:
