@@ -20,9 +20,11 @@ from test_index import text_of
 
 from spacearm_ident.cli.main import main
 from spacearm_ident.recording import Series, write_recording
+from spacearm_ident.recording.recording import Issue
 from spacearm_ident.report.summary import write_summary
 from spacearm_ident.report.text import percent
 from spacearm_ident.results.provenance import moment
+from spacearm_ident.results.recorded_runs import recorded_runs
 from spacearm_ident.results.store import load_result
 from spacearm_ident.results.trends import line
 from spacearm_ident.sessions.bags import Options
@@ -376,6 +378,12 @@ def test_what_is_wrong_with_a_recording_that_can_be_used_is_in_its_row(tmp_path,
     for name, word in (("nan", "NaN"), ("cut", "breaks off")):
         (issue,) = rows[name]["issues"]
         assert word in issue and issue in shown and issue in page and issue == table[name]
+
+
+def test_how_a_recording_was_read_is_no_issue_of_it(tmp_path):
+    with_issues = replace(dated(0), issues=(Issue("log", "columns read as time s"), Issue("gap", "1 gap", where_s=2.0)))
+    (found,) = recorded_runs([with_issues], [], small_arm.identified().model.arm)
+    assert found.defects == ("1 gap (from 2.000 s)",) and found.read_as == ("columns read as time s",)
 
 
 def test_a_folder_of_logs_without_a_mapping_is_told_what_it_lacks(tmp_path, capsys):

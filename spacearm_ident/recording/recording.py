@@ -7,6 +7,7 @@ order (`joints`), whatever order the messages had; time is seconds from `start_n
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from ..arrays import FloatArray
 
 TEMPERATURE_UNIT = "temperature_unit"
 """Kind of the issue that temperatures are beyond what a joint can have."""
+READINGS: Final = frozenset({"log", "effort_converted", "other_states"})
+"""Kinds of issue that say how a file was read."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,11 @@ class Issue:
     message: str
     count: int = 1
     where_s: float | None = None
+
+    @property
+    def is_reading(self) -> bool:
+        """Whether it says how the file was read, and no defect: columns, units, which topic."""
+        return self.kind in READINGS
 
 
 @dataclass(frozen=True)

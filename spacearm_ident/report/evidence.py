@@ -85,8 +85,8 @@ def fitted_runs(result: Result) -> Sequence[RecordedRun]:
 
 
 def defects(runs: Iterable[RecordedRun]) -> list[str]:
-    """A sentence for each defect of each recording."""
-    return [f"{run.name}: {defect}".rstrip(".") + "." for run in runs for defect in run.defects]
+    """A sentence for each defect of each recording, after how it was read."""
+    return [f"{run.name}: {said}".rstrip(".") + "." for run in runs for said in (*run.read_as, *run.defects)]
 
 
 def reached(result: Result) -> list[Reached]:

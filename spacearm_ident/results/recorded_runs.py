@@ -26,6 +26,7 @@ class RecordedRun:
         duration_s, rate_hz: Length, s, and median sample rate, Hz.
         samples: Samples used.
         defects: What was found wrong with it and what was done about it, a sentence each.
+        read_as: How its file was read where that had to be decided, a sentence each.
         time: (M,) s, thinned.
         position: (M, n) rad or m, joints in the order of the arm.
         largest_speed: (n,) rad/s or m/s, over all samples.
@@ -40,6 +41,7 @@ class RecordedRun:
     time: FloatArray
     position: FloatArray
     largest_speed: FloatArray
+    read_as: tuple[str, ...] = ()
 
 
 def recorded_runs(fitted: Sequence[Recording], held_out: Sequence[Recording], arm: Arm) -> tuple[RecordedRun, ...]:
@@ -67,10 +69,11 @@ def _run(recording: Recording, fitted: bool, arm: Arm) -> RecordedRun:
         float(ordered.time[-1] - ordered.time[0]),
         ordered.rate_hz,
         len(ordered.time),
-        tuple(_sentence(issue.message, issue.where_s) for issue in recording.issues),
+        tuple(_sentence(issue.message, issue.where_s) for issue in recording.issues if not issue.is_reading),
         ordered.time[kept],
         ordered.position[kept],
         np.broadcast_to(np.abs(velocity).max(axis=0), (len(arm.joints),)).copy(),
+        tuple(_sentence(issue.message, issue.where_s) for issue in recording.issues if issue.is_reading),
     )
 
 

@@ -205,6 +205,7 @@ def _plain(result: Result) -> dict[str, Any]:
             {
                 **{key: getattr(run, key) for key in ("name", "fitted", "duration_s", "rate_hz", "samples")},
                 "defects": list(run.defects),
+                "read_as": list(run.read_as),
             }
             for run in result.runs
         ],
@@ -271,7 +272,8 @@ def _rebuild(data: dict[str, Any], arrays: dict[str, Any], directory: Path) -> R
     )
     runs = tuple(
         RecordedRun(
-            **{**run, "defects": tuple(run["defects"])}, **{name: arrays[f"run_{k}_{name}"] for name in _RUN_ARRAYS}
+            **{**run, "defects": tuple(run["defects"]), "read_as": tuple(run.get("read_as", ()))},
+            **{name: arrays[f"run_{k}_{name}"] for name in _RUN_ARRAYS},
         )
         for k, run in enumerate(data.get("runs", ()))
     )
