@@ -14,7 +14,7 @@ from . import common, identify
 
 DESCRIPTION = """
 Identify every bag by itself, as 'spacearm identify BAG' does, side by side, into DIR/NAME; the last third of each is
-held out of its fit. DIR/index.html shows all, with trends of the parameters over date and temperature; summary.csv
+held out of its fit. DIR/index.html shows all, with trends and steps over date and temperature; summary.csv
 and summary.json have the same for programs. A bag that is unfit or cannot be read is a row with its reason. The same
 command again does only what is missing: a result of the same bag, options and versions stays.
 """

@@ -104,25 +104,25 @@ def fastest_seen(identified: IdentifiedModel, joint: str) -> float | None:
     return None if speed is None else float(speed)
 
 
-def friction_level(
-    identified: IdentifiedModel, joint: int, speed: float, covariance: FloatArray
-) -> tuple[float, float]:
-    """Half of what one joint's steady friction differs by in its two directions at a speed.
+def friction_levels(
+    identified: IdentifiedModel, joint: int, speeds: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Half of what one joint's steady friction differs by in its two directions, at several speeds.
 
     Args:
         identified: The model.
         joint: Its index; the arm is in its zero position.
-        speed: Of the joint, rad/s.
+        speeds: (K,) of the joint, above zero, rad/s.
         covariance: (p + c, p + c) of parameters and constants, or of more.
 
     Returns:
-        The torque and its standard error for given constants, N·m.
+        (K,) torques and their (K, K) covariance for given constants, N·m and (N·m)².
     """
     still = np.zeros(len(identified.model.arm.joint_names))
-    numbers, rows = _columns(identified, _steady(identified, joint, np.array([-speed, speed]), still), joint)
-    level = (rows[1:] - rows[:1]) / 2.0
-    error = _errors(level, covariance[np.ix_(numbers, numbers)])
-    return float((level @ identified.parameters[numbers])[0]), float(error[0])
+    motion = _steady(identified, joint, np.concatenate([-speeds, speeds]), still)
+    numbers, rows = _columns(identified, motion, joint)
+    levels = (rows[len(speeds) :] - rows[: len(speeds)]) / 2.0
+    return levels @ identified.parameters[numbers], levels @ covariance[np.ix_(numbers, numbers)] @ levels.T
 
 
 def _columns(

@@ -5,7 +5,8 @@ is noise alone: what differs between two days (temperature, payload) is what one
 leaves out moves estimates too. Values that rest on the prior are compared, but have no errors to count in.
 
 A joint's friction may have other terms in two results, and f_c beside a Stribeck term is another quantity than f_c
-beside a cubic one. There its parameters are shown and not counted; its torque is, at speeds that both have seen.
+beside a cubic one. There its parameters are shown and not counted. Its torque at speeds that both have seen is compared
+always: f_c and k_v1 go together in the fit, and each alone may be known far worse than their sum.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from ..dynamics.friction_curve import fastest_seen, friction_level, friction_terms
+from ..dynamics.friction_curve import fastest_seen, friction_terms
 from ..errors import UserError
-from ..estimate.identified import Determination, Estimate, Identified, JointValidation
+from ..estimate.identified import Estimate, Identified, JointValidation
 from ..identification.verdict import judge_result
+from ..results.quantities import SPEED_SHARES, friction_at
 from ..results.store import Result
 from ..results.tables import base, by_joint
 from .pages import render
@@ -28,8 +30,6 @@ FAR: Final = 3.0
 """Standard errors beyond which a parameter is said to have moved."""
 BY_CHANCE: Final = 0.0027
 """Share of normal differences beyond `FAR`."""
-SPEED_SHARES: Final = (0.25, 0.5, 1.0)
-"""Shares of the largest speed that both results have seen, at which friction of different laws is compared."""
 WIDEST: Final = 10.0
 """Standard errors at which a bar is full."""
 
@@ -114,7 +114,7 @@ def differences(first: Identified, second: Identified) -> list[Difference]:
     for joint in dict.fromkeys([*mine, *other]):
         pairs = _pairs(mine.get(joint, []), other.get(joint, []))
         found += [replace(pair, alike=pair.symbol not in laws.get(joint, ())) for pair in pairs]
-        found += _levels(first, second, joint) if joint in laws else []
+        found += _levels(first, second, joint)
     return found
 
 
@@ -148,22 +148,14 @@ def _other_laws(first: Identified, second: Identified) -> dict[str, frozenset[st
 
 
 def _levels(first: Identified, second: Identified, joint: str) -> list[Difference]:
-    """Friction torque of a joint at speeds that both results have seen; none where one does not say which."""
-    results = first, second
-    fastest = [fastest_seen(one.model, joint) for one in results]
-    known = [speed for speed in fastest if speed is not None]
-    if len(known) < len(results):
+    """Friction torque of a joint at speeds that both results have seen; none where one of them does not say which."""
+    seen = [fastest_seen(one.model, joint) for one in (first, second) if joint in one.model.model.arm.joint_names]
+    known = [speed for speed in seen if speed is not None]
+    if len(known) < 2 or joint in (*first.joints_at_rest, *second.joints_at_rest):
         return []
-    places = [one.model.model.arm.joint_names.index(joint) for one in results]
-    revolute = first.model.model.arm.joints[places[0]].revolute
-    unit, found = "N m" if revolute else "N", []
-    for speed in (share * min(known) for share in SPEED_SHARES):
-        symbol, pair = f"friction at {number(speed, 2)} {'rad/s' if revolute else 'm/s'}", []
-        for one, place in zip(results, places):
-            value, error = friction_level(one.model, place, speed, one.covariance)
-            pair.append(Estimate(symbol, joint, unit, value, error, Determination.DATA))
-        found.append(Difference(f"{symbol}[{joint}]", joint, pair[0], pair[1]))
-    return found
+    speeds = [share * min(known) for share in SPEED_SHARES]
+    pairs = zip(friction_at(first, joint, speeds), friction_at(second, joint, speeds))
+    return [Difference(mine.name, joint, mine, theirs) for mine, theirs in pairs]
 
 
 def _pairs(mine: Sequence[Estimate], theirs: Sequence[Estimate]) -> list[Difference]:

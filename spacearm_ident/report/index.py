@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -17,17 +18,22 @@ from urllib.parse import quote
 from ..errors import UserError, one_line
 from ..estimate.identified import Validation
 from ..identification.verdict import judge_result, relative_rms
+from ..results.changes import FEWEST_DIFFERENCES, Change, changes
+from ..results.course import LEVEL
 from ..results.store import FIGURES, Result, load_result
-from ..results.trends import arm_of, date_text, runs_by_arm
-from .comparison import FAR, Difference, comparison_html, differences, moved, named
+from ..results.trends import Arm, arm_of, date_text, runs_by_arm
+from .comparison import comparison_html
+from .figures import short
 from .folder import REPORT, replacing
 from .mismatch_folder import DOCUMENT
 from .pages import render
-from .text import minute
+from .text import minute, number
 from .trend_figures import trends_of
 
 INDEX: Final = "index.html"
 SUMMARY: Final = "summary.json"
+LONGEST_NAME: Final = 60
+"""Characters of a quantity's name in a row; a base parameter is a long sum."""
 
 
 @dataclass(frozen=True)
@@ -295,7 +301,8 @@ def index_html(title: str, entries: Sequence[Entry], mismatches: Sequence[Mismat
         entries=entries,
         runs=compared_runs(entries),
         residuals=_residuals(entries),
-        far=FAR,
+        level=LEVEL,
+        fewest=FEWEST_DIFFERENCES,
         trends=[found for arm, runs in arms.items() if (found := trends_of(arm, runs))],
         mismatches=mismatches,
     )
@@ -311,28 +318,39 @@ def compared_runs(entries: Sequence[Entry]) -> dict[str, dict[str, Any]]:
         Name -> its arm and verdict, `worst` and `lowest` (`merit`), `since`: the run before, of the same arm, and what
         changed since then (`changed`, in words `far`) of how many that could be `compared`; None where there is none.
     """
-    shown, last = {}, dict[tuple[str, ...], Entry]()
+    placed = [(entry, entry.placed) for entry in entries if entry.placed is not None]
+    names: dict[Arm, list[str]] = {}
+    for entry, result in placed:
+        names.setdefault(arm_of(result), []).append(entry.name)
+    arms = runs_by_arm(result for _, result in placed)
+    changed = {name: found for arm in names for name, found in zip(names[arm], changes(arms[arm]), strict=True)}
+    since = {name: last for those in names.values() for last, name in pairwise(those)}
+    shown = {}
     for entry in entries:
         if entry.result is None:
             continue
         result, arm = entry.result, arm_of(entry.result)
-        before = last.get(arm) if entry.placed else None
-        known = before.counted if before else None
-        found: list[Difference] = differences(known.identified, result.identified) if known else []
+        moved = _moved(changed.get(entry.name, ()))
         worst, lowest = merit(result.validation)
         shown[entry.name] = {
             "arm": arm[0],
             "verdict": judge_result(result.identified, result.validation, result.unfit),
             "worst": worst,
             "lowest": lowest,
-            "since": before.name if before else None,
-            "compared": sum(math.isfinite(item.errors) for item in found) if before else None,
-            "changed": moved(found),
-            "far": named(moved(found)),
+            "since": since.get(entry.name),
+            "compared": len(changed[entry.name]) if entry.name in since else None,
+            "changed": moved,
+            "far": [
+                f"{short(item.name, LONGEST_NAME)} ({number(item.errors, 2)}{'' if item.ordinary else '*'})"
+                for item in moved
+            ],
         }
-        if entry.placed:
-            last[arm] = entry
     return shown
+
+
+def _moved(found: Sequence[Change]) -> list[Change]:
+    """Those that are more than ordinary, least probable first."""
+    return sorted((item for item in found if item.moved), key=lambda item: (item.p_value, -abs(item.errors)))
 
 
 def _residuals(entries: Sequence[Entry]) -> list[dict[str, Any]]:

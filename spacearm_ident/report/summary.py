@@ -17,7 +17,7 @@ from ..estimate.identified import Estimate
 from ..identification.verdict import judge_result, relative_rms
 from ..results.store import Result
 from ..results.tables import by_joint
-from ..results.trends import DATE, TEMPERATURE, arm_of, runs_by_arm, trend_dict, trends
+from ..results.trends import arm_of, runs_by_arm, trend_dict, trends
 from .folder import replacing
 from .index import (
     INDEX,
@@ -91,8 +91,7 @@ def write_summary(
         "trends": [
             trend_dict(arm, trend)
             for arm, runs in runs_by_arm(counted[row.name] for row in rows if row.name in counted).items()
-            for over in (DATE, TEMPERATURE)
-            for trend in trends(runs, over)
+            for trend in trends(runs)
             if trend.slope is not None
         ],
     }
@@ -151,7 +150,9 @@ def _changed(compared: Mapping[str, Any] | None) -> dict[str, Any] | None:
             "joint": item.joint,
             "difference": finite(item.value),
             "unit": item.unit,
-            "standard_errors": finite(item.errors),
+            "error": finite(item.error),
+            "ordinary": item.ordinary,
+            "p_value": finite(item.p_value),
         }
         for item in compared["changed"]
     ]

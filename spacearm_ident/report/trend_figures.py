@@ -1,9 +1,10 @@
-"""Trends of parameters on a page: friction levels first, everything else behind a fold."""
+"""Trends of quantities on a page: friction torque first, everything else behind a fold."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 from markupsafe import Markup
@@ -11,14 +12,18 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from ..results.trends import DATE, LEVEL, TEMPERATURE, Arm, Run, Trend, trends
+from ..results.course import LEVEL, Slope, Step
+from ..results.trends import DATE, TEMPERATURE, Arm, Run, Trend, trends
 from .figures import short
 from .plotting import COLOUR, grid, to_svg
 from .text import MINUS, listed, measured, number, unit_text
 
-FRICTION = ("f_c", "f_b", "k_v1", "v_b")
+FRICTION = ("friction ", "f_c", "f_b", "k_v1", "v_b")
+"""How names of friction torque, and of its parameters where no speed is known, begin."""
 WORDS = {DATE: "the date of recording", TEMPERATURE: "the joint's mean temperature"}
 MOST_NAMED = 12
+LONGEST_NAME = 60
+"""Characters of a quantity's name in a sentence."""
 LONGEST_TITLE = 37
 """Characters, unit and all, that fit over a panel and its tick labels."""
 TITLE_AT = -0.27
@@ -62,29 +67,35 @@ def trends_of(arm: Arm, runs: Sequence[Run]) -> ArmTrends | None:
         arm: Name and joints, as `arm_of` gives them.
         runs: Of this arm, with the date and temperatures of their recordings.
     """
-    found = {what: trends(runs, what) for what in (DATE, TEMPERATURE)}
+    known = trends(runs)
+    found = {what: [trend for trend in known if trend.over == what] for what in (DATE, TEMPERATURE)}
     over = tuple(_over(those, what) for what, those in found.items() if those)
-    return ArmTrends(arm[0], len(runs), over) if over else None
+    return ArmTrends(arm[0], sum(run.moment is not None for run in runs), over) if over else None
 
 
 def _over(found: Sequence[Trend], what: str) -> Over:
-    friction = [one for symbol in FRICTION for one in found if one.estimates[0].symbol == symbol]
-    others = [one for one in found if one.estimates[0].symbol not in FRICTION]
+    friction = [one for symbol in FRICTION for one in found if one.name.startswith(symbol)]
+    others = [one for one in found if not one.name.startswith(FRICTION)]
     return Over(WORDS[what], _clear(found), _figure(friction, what), _figure(others, what), len(others))
 
 
 def _clear(found: Sequence[Trend]) -> str:
-    """The parameters that change by more than chance."""
+    """The quantities that change by more than chance: steps with their dates, then lines."""
     tested = [trend for trend in found if trend.slope is not None]
     if not tested:
         return "Too few runs to separate a trend from scatter."
-    clear = sorted(
-        (one for one in tested if one.slope and one.slope.clear), key=lambda one: one.slope.p_value if one.slope else 1
-    )
-    chance = f"by chance {number(LEVEL * len(tested), 1)} of {len(tested)} would (p < {LEVEL:g})"
-    if not clear:
-        return f"No parameter follows it clearly; {chance}."
-    return f"Clear trends: {listed([slope_text(one) for one in clear], MOST_NAMED)}; {chance}."
+    steps = sorted((one for one in tested if one.step and one.stepped), key=lambda one: -_far(one.step))
+    lines = sorted((one for one in tested if one.line), key=lambda one: -_far(one.line))
+    both = 2 if any(trend.step for trend in tested) else 1
+    chance = f"by chance {number(LEVEL * both * len(tested), 1)} of {len(tested)} would (p < {LEVEL:g}"
+    chance += " for a line, and for a step)" if both > 1 else ")"
+    said = [f"Steps: {listed([step_text(one) for one in steps], MOST_NAMED)}"] if steps else []
+    said += [f"Clear trends: {listed([slope_text(one) for one in lines], MOST_NAMED)}"] if lines else []
+    return f"{'. '.join(said)}; {chance}." if said else f"No quantity follows it clearly; {chance}."
+
+
+def _far(one: Slope | Step | None) -> float:
+    return abs(one.value) / one.error if one else 0.0
 
 
 def slope_text(trend: Trend) -> str:
@@ -92,7 +103,19 @@ def slope_text(trend: Trend) -> str:
     assert trend.slope is not None
     per, size = trend.per
     unit = unit_text(trend.estimates[0].unit) or "1"
-    return f"{trend.name} {measured(trend.slope.value * size, trend.slope.error * size)} {unit}/{per}"
+    name = short(trend.name, LONGEST_NAME)
+    return f"{name} {measured(trend.slope.value * size, trend.slope.error * size)} {unit}/{per}"
+
+
+def step_text(trend: Trend) -> str:
+    """`f_c[elbow] −1.35 ± 0.26 N·m between 2025-05-12 and 2025-05-26`; with the hour where both are of one day."""
+    assert trend.step is not None
+    before, after = (datetime.fromtimestamp(at, UTC) for at in trend.between)
+    digits = 10 if before.date() != after.date() else 16
+    first, second = (at.isoformat(sep=" ")[:digits] for at in (before, after))
+    unit = unit_text(trend.estimates[0].unit) or "1"
+    size = measured(trend.step.value, trend.step.error)
+    return f"{short(trend.name, LONGEST_NAME)} {size} {unit} between {first} and {second}"
 
 
 def _figure(found: Sequence[Trend], what: str) -> Markup | None:
@@ -112,9 +135,12 @@ def _draw(axes: Axes, trend: Trend) -> None:
     low, high = np.array([item.interval for item in trend.estimates]).T
     axes.vlines(x, low, high, color=COLOUR["data"], linewidth=1.1)
     axes.plot(x, values, "o", color=COLOUR["data"], markersize=3.6, markeredgewidth=0)
-    if trend.slope is not None and trend.slope.clear:
+    if trend.line is not None:
         ends = np.array([trend.x[0], trend.x[-1]])
-        axes.plot(x[[0, -1]], trend.slope.at_zero + trend.slope.value * ends, color=COLOUR["residual"], linewidth=1.1)
+        axes.plot(x[[0, -1]], trend.line.at_zero + trend.line.value * ends, color=COLOUR["residual"], linewidth=1.1)
+    if trend.stepped:
+        middle = np.mean(date2num(np.round(np.array(trend.between) * 1e3).astype("datetime64[ms]")))
+        axes.axvline(float(middle), color=COLOUR["residual"], linewidth=1.1)
     spread = float(np.ptp(values)) or abs(float(values[0])) or 1.0
     reach = WIDEST_BAR * spread
     bottom, top = max(low.min(), values.min() - reach), min(high.max(), values.max() + reach)
@@ -122,7 +148,7 @@ def _draw(axes: Axes, trend: Trend) -> None:
     item = trend.estimates[0]
     unit = unit_text(item.unit)
     behind = f", {unit}" if unit else ""
-    axes.set_title(short(item.name, LONGEST_TITLE - len(behind)) + behind, fontsize=7.5, x=TITLE_AT, pad=6)
+    axes.set_title(short(trend.name, LONGEST_TITLE - len(behind)) + behind, fontsize=7.5, x=TITLE_AT, pad=6)
     axes.margins(x=0.08)
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}".replace("-", MINUS)))
