@@ -11,6 +11,7 @@ import contextlib
 import io
 import os
 import tempfile
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from .excitation.trajectory_file import load_trajectory
 from .export.motion import steady
 from .export.write import export_model
 from .identification.effort import in_newton_metres
+from .identification.verdict import Verdict, judge_result
 from .mismatch.finding import Explanation
 from .recording import Recording, write_recording
 from .recording.from_arrays import from_arrays
@@ -145,12 +147,19 @@ class Result:
         identified: Estimates, covariance, model.
         validation: How well it predicts.
         folder: Where model.yaml and report.html are.
+        unfit: Why the data are unfit, a clause each; empty where they are fit.
     """
 
     identified: Identified
     validation: Validation
     folder: Path
+    unfit: tuple[str, ...] = ()
     _kept: Any = field(default=None, repr=False)
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the command says first: level, headline and reasons."""
+        return judge_result(self.identified, self.validation, self.unfit)
 
     @property
     def parameters(self) -> Any:
@@ -231,6 +240,9 @@ def identify(
         options: Fields of `spacearm_ident.sessions.bags.Options`, such as `friction="paper"`; not those that say how a
             recording is read (`OF_READ`), nor `prior`, `weighed` and `loaded`, which `spacearm identify` has.
 
+    Returns:
+        The result; of data that break a convention (an axis reversed, degrees) with a `UserWarning` that says so.
+
     Raises:
         UnfitDataError: The data cannot carry it.
         UserError: The runs do not fit the arm, or an option is wrong.
@@ -256,7 +268,10 @@ def identify(
         replace(Options(), **options).settings(arm),
         folder,
     )
-    return Result(session.identified, session.validation, folder, kept)
+    result = Result(session.identified, session.validation, folder, tuple(session.conventions.unfit), kept)
+    if result.unfit:
+        warnings.warn("\n".join(result.verdict.lines), stacklevel=2)
+    return result
 
 
 def mismatch(
@@ -339,4 +354,4 @@ def load(folder: PathLike) -> Result:
     from .results.store import load_result
 
     result = load_result(Path(folder))
-    return Result(result.identified, result.validation, Path(folder))
+    return Result(result.identified, result.validation, Path(folder), result.unfit)

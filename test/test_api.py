@@ -214,6 +214,18 @@ def test_arrays_are_identified_as_the_bag_of_the_same_numbers(kind, tmp_path):
         assert sa.mismatch(again, reference=made).verdict == "no_mismatch"
 
 
+def test_unfit_data_are_warned_of_and_have_the_verdict_of_the_command(tmp_path):
+    run = small_arm.recording(12.0)
+    (tmp_path / "arm.urdf").write_text(small_arm.URDF)
+    wrong = sa.recorded(run.time, np.degrees(run.position), run.effort, arm=tmp_path / "arm.urdf")
+    with pytest.warns(UserWarning, match="data unfit: .*degrees"):
+        result = sa.identify(wrong, out=tmp_path / "out")
+    assert result.verdict.level == "unfit" and not result.verdict.usable
+    assert sa.load(tmp_path / "out").verdict.headline == result.verdict.headline
+    right = sa.recorded(run.time, run.position, run.effort, arm=tmp_path / "arm.urdf")
+    assert sa.identify(right).verdict.level == "good"
+
+
 def test_arrays_that_do_not_fit_are_refused_in_one_line(tmp_path):
     run = small_arm.recording(4.0)
     (tmp_path / "arm.urdf").write_text(small_arm.URDF)
