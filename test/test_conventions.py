@@ -321,6 +321,15 @@ def test_a_joint_without_torque_is_said_and_the_others_are_still_checked(run, ar
     assert ("effort_sign", ("shoulder",)) in unfit(report)
 
 
+def test_a_channel_that_is_mostly_filled_with_zeros_is_no_torque(run, arm):
+    """As the wrist of a TIAGo: nine samples in ten, so that degrees or exchanged joints explained it best."""
+    gaps = np.where(np.arange(len(run.time)) % 10 == 0, 1.0, 0.0)
+    effort = run.effort.copy()
+    effort[:, 3] *= gaps
+    report = check_conventions([replace(run, effort=effort)], arm)
+    assert unfit(report) == [("no_effort", ("wrist",))] and "zero in 90% of the samples" in report.findings[0].statement
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 def test_seconds_in_which_the_arm_is_carried_are_named(run, noise):
     """Drives off: no torque but the noise of currents, half a per cent of the limits, while every joint moves."""
@@ -509,14 +518,18 @@ def test_joints_whose_speed_is_lost_are_not_said_to_be_at_rest(run):
         prepare([replace(lost, issues=(issue,))], NAMES)
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.01, False), (0.2, True)])
-def test_a_joint_that_would_be_at_rest_in_radians_tells_no_unit(share, told, arm):
-    """A position that is 57 times smaller takes its noise out of all torques, which are explained better for that."""
-    motions, _ = prepare([sound(share=(share, 1.0, 1.0, 1.0))], arm.joint_names)
+@pytest.mark.parametrize(
+    ("share", "factor", "told"), [(0.01, 180.0 / np.pi, False), (0.2, 180.0 / np.pi, True), (0.2, 1.0, False)]
+)
+def test_a_joint_that_would_hardly_have_moved_in_degrees_tells_no_unit(share, factor, told, arm):
+    """A position that is 57 times smaller takes the motion out of all torques: beside wrong CAD that explains more."""
+    run = sound(share=(share,) * 4)
+    motions, _ = prepare([scaled(run, "position", 0, factor)], arm.joint_names)
     scorer = Scorer(arm, rows_of(motions))
     start = scorer.score((), Setup.as_recorded(arm))
     assert 0 not in scorer.idle
-    assert is_testable(scorer, start, Change(Kind.DEGREES, (0,))) == told
+    for joints in ((0,), (0, 1, 2, 3)):
+        assert is_testable(scorer, start, Change(Kind.DEGREES, joints)) == told
 
 
 def test_stamps_in_batches_are_found_though_the_positions_are_noisy(run, arm):

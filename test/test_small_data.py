@@ -43,7 +43,7 @@ def outcome(directory, fitted: Recording, judged: Recording | None) -> str:
     except UnfitDataError as error:
         return str(error)
     figures = json.loads((directory / "validation.json").read_text())
-    assert figures["verdict"] in ("good", "fair", "poor", "suspect")
+    assert figures["verdict"] in ("good", "fair", "poor", "suspect", "unfit")
     assert np.isfinite(session.identified.model.parameters).all()
     return "ok"
 

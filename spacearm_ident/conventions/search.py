@@ -11,13 +11,15 @@ from ..forks import each
 from .change import PHYSICAL, TORQUE_SCALES, Change, Kind, discrete_changes
 from .evidence import CAD_SCALES, GAIN_SD
 from .physical import physical
-from .plain import REST_RAD
 from .scorer import SCREEN_ITERATIONS, Scored, Scorer, loaded_joints
 from .setup import Setup
 from .values import delays, refined_gravity, tilted, tilts, zeros
 
 SUSPECTED = 0.5
 """Share of those log odds from which a change is mentioned."""
+LEAST_MOTION_RAD = 0.05
+"""Motion, rad, of which degrees can be told: of 3 degrees gravity's torque changes by a twentieth, less than CAD is off
+by, and nobody records so little. Numbers that are in degrees range over tens."""
 SHORT_LIST, LONG_LIST = 6, 24
 """Changes that get a second look at least, and at most: all that the first look cannot surely tell from the best."""
 MOST_CHANGES = 4
@@ -167,11 +169,11 @@ def is_testable(scorer: Scorer, start: Scored, change: Change) -> bool:
     if change.kind is Kind.DEGREES:
         if any(one.kind is Kind.DEGREES and own & set(one.joints) for one in start.changes):
             return False
-        # In degrees the smallest motion is a large one, and a joint that would be at rest in radians tells no unit: a
-        # position that is 57 times smaller takes its noise out of all torques.
-        column = start.setup.position_from[change.joints[0]]
-        moved = np.radians(scorer.ranges.high[column] - scorer.ranges.low[column])
-        return len(own) > 1 or (column not in scorer.idle and bool(moved > REST_RAD))
+        # A position that is 57 times smaller takes the motion out of all torques; where CAD or a current is wrong that
+        # explains more than the motion does.
+        columns = start.setup.position_from[list(change.joints)]
+        moved = np.radians(scorer.ranges.high[columns] - scorer.ranges.low[columns])
+        return bool(moved.max() > LEAST_MOTION_RAD) and (len(own) > 1 or columns[0] not in scorer.idle)
     if change.kind is Kind.JOINTS_EXCHANGED:
         # Torque stays with its motion.
         return not own <= silent and not own & scorer.dead
