@@ -12,6 +12,7 @@ import pytest
 import small_arm
 import yaml
 from made_result import Page
+from planted_arm import Link, urdf_of
 from scipy.io import savemat
 
 from spacearm_ident.cli.main import main
@@ -211,6 +212,8 @@ def test_a_log_and_its_bag_identify_the_same_parameters(tmp_path, arm):
         ("motor_torque_percent[3]", "torque", "percent", 3),
         ("q_rad_4", "position", "rad", 4),
         ("qd_deg_s[5]", "velocity", "deg/s", 5),
+        ("velocity joint_3 [m/s]", "velocity", "rad/s", 3),
+        ("theta_m_2", "position", None, 2),
     ],
 )
 def test_names_of_columns_say_quantity_unit_and_joint(name, quantity, unit, number):
@@ -287,6 +290,17 @@ def test_columns_without_names_are_told_by_derivative_and_weight(tmp_path):
         "effort": "column 3",
     }
     assert found.mapping.units == {"position": "deg", "velocity": "deg/s", "effort": "N m"}
+
+
+def test_columns_of_joints_that_slide_and_turn_are_one_signal_whatever_their_units_are_written(tmp_path):
+    """As a SCARA's recorder writes them; in a mapping rad stands for m of a joint that slides."""
+    urdf = urdf_of([Link("lift", "prismatic", axis=(0, 0, 1)), Link("arm", parent="lift", axis=(0, 0, 1))])
+    motion = [RUN.time, 0.1 * RUN.position[:, :1], RUN.position[:, 1:], RUN.effort]
+    log = csv_of(tmp_path, ["t [s]", "q lift [m]", "q arm [rad]", "tau lift [N]", "tau arm [Nm]"], *motion)
+    found = propose_for(log, arm_file(tmp_path, urdf), {})[1]
+    assert not found.questions
+    assert found.mapping.columns["lift"] == {"position": "q lift [m]", "effort": "tau lift [N]"}
+    assert found.mapping.units == {"position": "rad", "effort": "N m"}
 
 
 def weight(folder: Path, position: np.ndarray) -> np.ndarray:

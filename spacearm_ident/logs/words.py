@@ -103,6 +103,8 @@ UNITS: dict[str, str] = {
     **dict.fromkeys(_words("ns nsec nsecs nanos nanosec nanosecs nanosecond nanoseconds"), "ns"),
 }
 """Unit as written -> as it is called here."""
+OF_SLIDING = {"m": "rad", "m/s": "rad/s", "n": "N m"}
+"""SI unit of a joint that slides, in brackets -> that of one that turns: in a mapping this stands for both."""
 OF_QUANTITY: dict[str, tuple[str, ...]] = {
     TIME: ("s", "ms", "us", "ns"),
     POSITION: ("rad", "deg", "turn", "mrad", "counts"),
@@ -176,7 +178,7 @@ def _without_unit(name: str) -> tuple[str, str | None]:
     The number of the joint may follow the unit (`torque_percent_1`, `angle_deg[0]`).
     """
     for found in re.finditer(r"[\[(]([^\[\]()]*)[\])]", name):
-        unit = _spelled(found.group(1))
+        unit = _spelled(found.group(1)) or OF_SLIDING.get(_plain(found.group(1).strip()))
         if unit is not None:
             return name[: found.start()] + " " + name[found.end() :], unit
     # Behind the last separator a single `a`, `s` or `d` may be part of the name; a written-out unit is not.
