@@ -13,8 +13,9 @@ from ..dynamics.regressor import rigid_body_torque
 WINDOW_S = 0.04
 """Time over which a difference of positions is compared with the mean velocity: encoder steps drown within it."""
 SLOWEST_HZ = 90.0
-FASTEST_HZ = 20_000.0
-"""Rates of rows of a log, Hz: below the first (contracts §1) nothing can be identified; no logger is faster."""
+FASTEST_HZ = 8_000.0
+"""Rates of rows of a log, Hz: below the first (contracts §1) nothing can be identified; the second is that of the
+shortest cycle of drives (EtherCAT, 125 us). Seconds of a log at 20 Hz would else be milliseconds at 20 kHz."""
 DERIVATIVE = 0.9
 """Correlation with the difference of the positions from which a column is their velocity: noise of the derivative over
 `WINDOW_S` is below a third of the motion in any recording at hand, and unrelated signals correlate below 0.5."""
