@@ -31,6 +31,11 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    """For completion: functions that are not imported yet are there, too."""
+    return sorted({*globals(), *__all__})
+
+
 class _CallableModule(ModuleType):
     """The subpackage `mismatch`, which is called as `api.mismatch` besides being imported from."""
 

@@ -58,6 +58,13 @@ def test_importing_the_package_imports_nothing_else():
     assert run.stdout.strip() == "['spacearm_ident']"
 
 
+def test_completion_shows_every_function_before_its_first_use_and_types_are_known_to_checkers():
+    code = "import spacearm_ident as sa; print(set(sa.__all__) - set(dir(sa)))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "set()"
+    assert (Path(sa.__file__).parent / "py.typed").is_file()
+
+
 def test_the_example_of_the_page_runs_and_finds_the_arm(tmp_path, monkeypatch):
     pytest.importorskip("clarabel", reason="needs clarabel")
     write_log(tmp_path)
