@@ -73,6 +73,16 @@ def test_identification_of_amperes_is_that_of_newton_metres_and_the_model_keeps_
     capsys.readouterr()
 
 
+def test_amperes_that_the_arm_declares_are_torque_to_the_check_and_without_are_another_unit(tmp_path, capsys):
+    write_recording(tmp_path / "current.mcap", in_unit(NM_PER_A))
+    arm = arm_file(tmp_path, {"unit": "A", "constants": constants(NM_PER_A)})
+    words = ["check", str(tmp_path / "current.mcap"), "--quiet", "--arm"]
+    assert main([*words, str(arm)]) == 0
+    assert "data fit: no mistake of convention found" in capsys.readouterr().out
+    assert main([*words, str(tmp_path / "arm.urdf")]) == 1
+    assert "not in N·m" in capsys.readouterr().out
+
+
 def test_a_model_file_keeps_the_declared_unit_and_has_none_where_none_was_declared(tmp_path):
     arm = load_arm(arm_file(tmp_path, {"unit": "percent", "constants": constants([80.0, 40.0])}))
     known = small_arm.identified()
