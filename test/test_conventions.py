@@ -155,6 +155,22 @@ def test_friction_that_builds_up_after_a_reversal_is_no_late_torque(seed, arm):
     assert finding.kind == "delay" and finding.values["value"][0] == pytest.approx(0.05, abs=0.004)
 
 
+def test_late_torque_makes_data_unfit_where_it_is_more_than_drives_and_recorders_delay_it(run, arm):
+    """30 ms may be a drive's filter; what is said of one joint alone may be its friction's hysteresis."""
+    assert [(one.kind, one.level) for one in check_conventions([late(run, 6)], arm).findings] == [("delay", Level.NOTE)]
+    effort = run.effort.copy()
+    effort[20:, 2] = effort[:-20, 2]
+    found = check_conventions([replace(run, effort=effort)], arm).findings
+    assert [(one.kind, one.joints, one.level) for one in found] == [("delay", ("elbow",), Level.NOTE)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_in_degrees_friction_that_builds_up_is_no_late_torque(seed, arm):
+    """The distance over which it does is one in rad: in degrees torque was 0.11 to 0.14 s late."""
+    report = check_conventions([turned(gentle(seed), slice(None), 180 / np.pi)], arm)
+    assert [(one.kind, one.joints) for one in report.findings] == [("degrees", NAMES)]
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_behind_friction_that_builds_up_a_zero_is_found(seed, arm):
     report = check_conventions([gentle(seed, zero=0.25)], arm)
@@ -308,8 +324,7 @@ def test_a_corrected_mistake_is_none(run, arm):
 def test_a_delay_is_corrected_by_its_own_remedy(run, arm):
     wrong = late(run, 20)
     (finding,) = check_conventions([wrong], arm).findings
-    # Friction that builds up over a distance looks the same, so the data are not called unfit.
-    assert (finding.kind, finding.joints, finding.level) == ("delay", NAMES, Level.NOTE)
+    assert (finding.kind, finding.joints, finding.level) == ("delay", NAMES, Level.UNFIT)
     data = {"joints": {"all": {"effort_delay_s": finding.values["value"][0]}}}
     assert finding.values["value"][0] == pytest.approx(0.1, abs=0.01)
     assert not check_conventions([read_corrections(data, NAMES, "arm.yaml").applied(wrong)], arm).findings

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ from .scorer import Scored, Scorer, carried, loaded_joints
 from .search import SUSPECTED, Step, search
 from .setup import Setup
 from .values import (
+    LATE_S,
     LEAST_TILT_RAD,
     SHORTEST_DELAY_S,
     ZERO_LARGE,
@@ -168,9 +169,13 @@ def _explained(findings: Sequence[Finding], inferred: Sequence[Finding]) -> list
 
 
 def _infer(
-    recording: Recording, arm: Arm, plain: Plain, *, base_held: bool = False
+    recording: Recording, arm: Arm, plain: Plain, *, base_held: bool = False, unit_known: bool = False
 ) -> tuple[list[Finding], list[str] | Untested]:
-    """What the arm's dynamics say, and what they cannot."""
+    """What the arm's dynamics say, and what they cannot.
+
+    Where positions are in another unit, all but that is said of them in rad: bandwidth, standstill, and the distance
+    over which friction builds up follow from the unit (`unit_known`: it was mended).
+    """
     motions, bandwidth = prepare([recording], arm.joint_names)
     widest = bandwidth.cutoff_hz
     # In a slow motion the direction of a joint would be lost in its encoder's noise, and the joint seem to rest.
@@ -191,6 +196,11 @@ def _infer(
     if any(one.level is Level.UNFIT for one in moved):
         return moved, Untested.TWO_ZEROS
     findings = [finding for step in steps if (finding := _finding(scorer, step, final)) is not None]
+    scaled = [one for one in findings if one.kind in (Kind.DEGREES, Kind.MOTOR_SIDE) and one.level is Level.UNFIT]
+    if scaled and not unit_known:
+        in_rad = reduce(lambda before, one: one.corrections.applied(before), scaled, recording)
+        rest, undecided = _infer(in_rad, arm, read_off(in_rad), base_held=base_held, unit_known=True)
+        return scaled + rest, undecided
     units = [one for one in findings if one.kind in (Kind.EFFORT_UNIT, Kind.EFFORT_GAIN)]
     if all(one.level is Level.NOTE for one in units):
         far = _far_from_cad(scorer, final)
@@ -321,8 +331,9 @@ def _finding(scorer: Scorer, step: Step, final: Scored) -> Finding | None:
     sure = step.gain > scorer.sure
     level = Level.UNFIT if sure else Level.NOTE
     if change.kind is Kind.DELAY:
-        # Friction whose hysteresis is wide lags behind the velocity like a late torque does, past a reversal as well.
-        level = Level.NOTE
+        # At one joint a wide hysteresis of friction lags behind the velocity like a late torque, past a reversal too.
+        shared = len(change.joints) == len(arm.joints) > 1
+        level = level if shared and abs(change.value[0]) > LATE_S else Level.NOTE
     elif change.kind is Kind.ENCODER_ZERO:
         if abs(change.value[0]) < ZERO_SMALL:
             return None

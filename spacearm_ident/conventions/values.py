@@ -33,7 +33,8 @@ TILT_STEPS = 12
 LEAST_TILT_RAD = 0.17
 """Tilt of the base from which it is looked for (10 degrees); less is for `spacearm mismatch`."""
 LATE_S = 0.04
-"""Delay from which the data are unfit, s: a first-order filter at 4 Hz; sound drives and recorders have shown 29 ms."""
+"""Delay of all joints from which the data are unfit, s: a first-order filter at 4 Hz; sound drives and recorders have
+shown 29 ms. One joint's is not mentioned below it."""
 CLOSE_S = 0.001
 """Span of trial delays from which the best of them is good enough, s."""
 SHORTEST_DELAY_S = 0.01
