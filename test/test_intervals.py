@@ -101,6 +101,17 @@ def test_what_is_held_has_no_width_and_what_shares_its_torque_is_wider():
     assert beside.half_width(0, first) > 5.0 * alone.half_width(0, first) > 0.0
 
 
+def test_what_the_data_do_not_tell_has_no_end_of_its_interval():
+    """Of one torque twice only the sum is told, and of none nothing."""
+    torque = np.random.default_rng(0).standard_normal(ROWS)
+    _, made = fitted(torque, [WAVE, WAVE, np.zeros(ROWS)])
+    assert np.isfinite(made.half_width(0, np.array([1.0, 1.0, 0.0])))
+    for slope in ([1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]):
+        assert made.half_width(0, np.array(slope)) == np.inf
+    _, held = fitted(torque, [WAVE, np.zeros(ROWS)], held=[1])
+    assert held.half_width(0, np.array([0.0, 1.0])) == 0.0
+
+
 def test_a_constant_is_as_sure_as_its_derivative_is_large(monkeypatch):
     """A wave whose rate is looked for: its error is that of least squares in the rate."""
     monkeypatch.setattr(

@@ -215,6 +215,24 @@ def test_more_friction_is_friction_drift():
     assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
     change = answer.findings[0].parameters["df_c"]
     assert change.value == pytest.approx(0.9, abs=0.1) and change.low > 0.5
+    # Over less than one radian a cycle of friction over position is as good, and what changes less often.
+    assert any(other.effect == "position_friction" for other in answer.findings[0].alternatives)
+    assert answer.findings[0].confidence > 0.8
+
+
+@pytest.mark.parametrize(
+    ("size", "share", "phase", "name"), [(0.35, 0.9, 0.8, "friction_drift"), (0.5, np.inf, 1.6, "position_friction")]
+)
+def test_friction_that_grew_is_its_level_where_that_explains_nearly_as_much(size, share, phase, name):
+    """By a size and so much of it over position, which is more than the level where it turns its sign."""
+    level, swing = (0.0, size) if np.isinf(share) else (size, size * share)
+
+    def changed(planted):
+        grown = level + swing * np.cos(planted.q[:, 0] - phase)
+        return np.outer(grown * np.sign(planted.qd[:, 0]), [1.0, 0.0])
+
+    answer = explained(changed, *SLOW_ONES)
+    assert [(f.effect, f.joints) for f in answer.findings] == [(name, ("shoulder",))]
 
 
 @pytest.mark.parametrize(("elbow", "said"), [(1.2, "higher at 2 of 2 joints"), (0.8, "")])

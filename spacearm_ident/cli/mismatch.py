@@ -329,7 +329,8 @@ def _finding_lines(finding: Finding) -> list[str]:
     sure = f"{finding.confidence:.2f}{' that no known effect is the cause' if finding.effect == UNKNOWN else ''}"
     lines = [f"{finding.effect} at {', '.join(finding.joints)} (confidence {sure}): {finding.where}"]
     values = [
-        f"{name} {q.value:.4g} [{q.low:.4g}, {q.high:.4g}]{_unit(q.unit)}" for name, q in finding.parameters.items()
+        f"{name} {q.value:.4g} [{q.low:.4g}, {q.high:.4g}]{_unit(q.unit)}" if q.known else f"{name} unknown"
+        for name, q in finding.parameters.items()
     ]
     if values:
         lines.append(f"    {'; '.join(values)}")

@@ -16,7 +16,7 @@ from .finding import Alternative, Finding, Quantity
 from .intervals import Intervals, step_of
 from .residuals import Residuals, unwhitened
 from .rivals import UNKNOWN
-from .scored import TEMPER, TEMPER_SHARE, Scored, feels
+from .scored import Scored, exponent, feels
 from .stacked import stacked_effect
 
 NEAR_RESONANCE = 1.2
@@ -248,8 +248,7 @@ def _confidence(winner: Scored, others: Sequence[Scored]) -> float:
     """Weight of the winner among the named explanations that were compared."""
     kind = winner.candidate.effect.kind
     named = [other for other in others if other.named and other.candidate.effect.kind != kind]
-    unit = TEMPER + TEMPER_SHARE * winner.score
-    weights = [1.0, *(np.exp(min(0.0, (other.score - winner.score) / unit)) for other in named)]
+    weights = [1.0, *(np.exp(min(0.0, exponent(other, winner))) for other in named)]
     return float(np.clip(weights[0] / sum(weights), 0.01, 0.99))
 
 

@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations
 
 from .candidate import refit
 from .current_model import CurrentModel
-from .scored import TEMPER, TEMPER_SHARE, Scored, freedom, penalty
+from .scored import RARER, TEMPER, TEMPER_SHARE, Scored, freedom, penalty
 
 NAMED_SHARE, NAMED_PAIR = 0.8, 0.9
 """A named effect stands if it explains this share of what the best generic rival does, or two of them this share."""
@@ -82,7 +83,7 @@ def is_outdone(scored: Scored, ranked: Sequence[Scored], current: CurrentModel) 
 
     An effect of several joints is ranked beside effects of one, which explain less of the whole; and what changed a
     little at each joint passes for one cause where no joint by itself is above the gate. As much is as far as scores
-    tell: what their freedom costs is in them.
+    tell, what their freedom costs is in them, and base rates (`RARER`).
 
     Args:
         scored: The effect; `imitated_by` is the kind that is compared with it.
@@ -102,4 +103,4 @@ def is_outdone(scored: Scored, ranked: Sequence[Scored], current: CurrentModel) 
     score = after.gain - before.gain - sum(penalty(one.effect, current.evidence.rows) for one in alone)
     score += current.squares_on_held_out(current.accepted, before.values)
     score -= current.squares_on_held_out(all_of_them, after.values)
-    return bool(alone) and score > scored.score - TEMPER - TEMPER_SHARE * scored.score
+    return bool(alone) and score > scored.score - math.log(RARER) * TEMPER - TEMPER_SHARE * scored.score

@@ -16,12 +16,17 @@ MISMATCH, NO_MISMATCH, DATA_UNFIT = "mismatch", "no_mismatch", "data_unfit"
 
 @dataclass(frozen=True)
 class Quantity:
-    """A value with its 95 % interval."""
+    """A value with its 95 % interval, which is infinite where the data do not tell the value."""
 
     value: float
     unit: str
     low: float
     high: float
+
+    @property
+    def known(self) -> bool:
+        """Whether the data tell it at all."""
+        return math.isfinite(self.low) or math.isfinite(self.high)
 
 
 @dataclass(frozen=True)

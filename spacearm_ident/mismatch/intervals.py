@@ -31,13 +31,15 @@ from ..dynamics.effects.friction import (
 )
 from ..dynamics.effects.position import HarnessSpring
 from ..estimate.identified import GAIN_DEVIATION
-from .candidate import Candidate, inverse_among, with_own
+from .candidate import SINGULAR, Candidate, inverse_among, with_own
 from .evidence import Evidence
 from .scored import PARTS
 from .stacked import stacked_effect
 
 STEP = 1e-3
 """Relative step of a value for a derivative."""
+LEANS = 1e-3
+"""Share of a value's slope along a direction that the data do not tell from which they do not tell the value."""
 SURE = 0.975
 PER_FIT, PER_PARTS = float(norm.ppf(SURE)), float(t.ppf(SURE, PARTS - 1))
 """Standard errors to either side: of the fit, and of a few parts."""
@@ -76,12 +78,14 @@ class Intervals:
         """Take effects and their parameters, one after the other (k,)."""
         self.fit: list[FloatArray] = []
         self.parts: list[FloatArray] = []
+        self._untold: list[FloatArray] = []
         if not accepted:
             return
         changes, free = _tangents(evidence, accepted, values)
         beyond = evidence.beyond_base(changes)
         information = changes.T @ beyond + np.diag(_known_before(accepted))
-        inverse = inverse_among(information, free & (np.diag(information) > 0.0))
+        told = free & (np.diag(information) > 0.0)
+        inverse, untold = inverse_among(information, told), _untold(information, free, told)
         blame = _scores(beyond * evidence.residual_beside(accepted)[:, None], evidence.field.part(PARTS))
         # What the reference says of the base is not in these rows; there the fit is believed.
         elsewhere = information - beyond.T @ beyond
@@ -94,12 +98,30 @@ class Intervals:
             law = _of_the_law(candidate, parameters)
             self.fit.append((inverse + lasting)[own, own] + law)
             self.parts.append((sandwich + lasting)[own, own] + law)
+            self._untold.append(untold[own])
             first = own.stop
 
     def half_width(self, number: int, slope: FloatArray) -> float:
-        """Half the 95 % interval of what changes by `slope` (k,) with parameters and constants of one effect."""
+        """Half the 95 % interval of what changes by `slope` (k,) with parameters and constants of one effect.
+
+        Infinite where the data do not tell it: a moment about an axis that no motion turns, for instance.
+        """
+        across = np.abs(slope @ self._untold[number]) if self._untold[number].size else np.zeros(1)
+        if across.max() > LEANS * max(float(np.abs(slope).max()), 1e-30):
+            return float("inf")
         errors = [np.sqrt(max(float(slope @ c[number] @ slope), 0.0)) for c in (self.fit, self.parts)]
         return float(max(PER_FIT * errors[0], PER_PARTS * errors[1]))
+
+
+def _untold(information: FloatArray, free: np.ndarray, told: np.ndarray) -> FloatArray:
+    """(k, m) directions of unit length in which the free values may go without a change of the whitened torque."""
+    alone = np.eye(len(free))[:, free & ~told]
+    rows = np.flatnonzero(told)
+    unit = np.sqrt(np.diag(information)[rows])
+    sizes, directions = np.linalg.eigh(information[np.ix_(rows, rows)] / np.outer(unit, unit))
+    null = np.zeros((len(free), int(np.sum(sizes < SINGULAR * sizes.max(initial=0.0)))))
+    null[rows] = directions[:, : null.shape[1]] / unit[:, None]
+    return np.hstack([alone, null / np.linalg.norm(null, axis=0)])
 
 
 def step_of(value: float) -> float:

@@ -164,6 +164,7 @@ class LoadFriction(_Friction):
 
     kind: ClassVar[str] = "load_friction"
     shown_over = ("friction_position", "position")
+    imitated_by: ClassVar[str] = FrictionDrift.kind
     words: ClassVar[str] = "friction grows with the load on the gear"
     equation: ClassVar[str] = "mu |tau_load| sgn(qd); by the input: tau_load = load + all friction, this one included"
     source: ClassVar[str] = "Hamon, Gautier and Garrec 2010"
@@ -207,6 +208,7 @@ class GearEfficiency(_Friction):
 
     kind: ClassVar[str] = "gear_efficiency"
     shown_over = ("friction_position", "position")
+    imitated_by: ClassVar[str] = FrictionDrift.kind
     words: ClassVar[str] = "the gear loses a share of the power it transmits"
     equation: ClassVar[str] = "tau_load (1/eta - 1) driving, tau_load (eta - 1) driven"
     source: ClassVar[str] = "Chevallereau and Khalil 1987"
@@ -276,6 +278,7 @@ class PositionFriction(_Friction):
 
     kind: ClassVar[str] = "position_friction"
     follows: ClassVar[str] = "friction_position"
+    imitated_by: ClassVar[str] = FrictionDrift.kind
     words: ClassVar[str] = "friction depends on the joint's position"
     equation: ClassVar[str] = "[a sin(n q) + b cos(n q)] sgn(qd), or a exp(-((q - q_0)/w)^2) sgn(qd)"
     source: ClassVar[str] = "Simoni et al. 2017"
@@ -367,6 +370,7 @@ class Stribeck(_Friction):
     kind: ClassVar[str] = "stribeck"
     one_form: ClassVar[bool] = True
     follows: ClassVar[str] = "velocity"
+    imitated_by: ClassVar[str] = FrictionDrift.kind
     words: ClassVar[str] = "friction is higher at low speeds"
     equation: ClassVar[str] = "f exp(-(qd/v)^2) sgn(qd), or f exp(-|qd/v|) sgn(qd)"
     source: ClassVar[str] = "paper eq. 2; Tustin 1947; Bo and Pavelescu 1982"
