@@ -52,6 +52,17 @@ def test_a_first_joint_of_vertical_axis_shows_its_inertia_about_it_and_nothing_e
     assert "base parameter" in three_links["J_m[waist]"].note
 
 
+def test_a_quadratic_term_says_what_it_is_multiplied_by():
+    """Rebuilt with the wrong one of qd^2 and qd |qd| torque is off in one direction by twice the term."""
+    planted = two_link_run((Friction(k_v2=0.5), Friction(k_v2=0.5)), rate_hz=RATE_HZ)
+    arm = arm_from_urdf(planted.urdf)
+    forms = structure_of(arm) | {"viscous_friction": {"quadratic": {"shoulder": "even", "elbow": "odd"}}}
+    result = identify([planted.recording(noise=0.1)], arm, Settings(structure=forms))
+    notes = {estimate.name: estimate.note for estimate in result.estimates}
+    assert notes["k_v2[shoulder]"].startswith("times qd^2") and "times qd |qd|" in notes["k_v2[elbow]"]
+    assert "times qd^3" in notes["k_v3[elbow]"] and "times" not in notes["k_v1[elbow]"]
+
+
 def test_what_the_prior_or_a_combination_decides_has_no_standard_error(three_links):
     for name in marks(three_links, Determination.PRIOR) | marks(three_links, Determination.COMBINED):
         assert np.isnan(three_links[name].standard_error) or not three_links[name].identifiable

@@ -208,6 +208,14 @@ class ViscousFriction(Term):
         form = quadratic.get(parameter.joint, "even") if isinstance(quadratic, Mapping) else quadratic
         return parameter.dimension[1] == 2 and (form == "odd" or parameter.symbol == self.ODD)
 
+    def multiplied(self, parameter: Parameter) -> str:
+        """What k_v2 or k_v3 is multiplied by, in words: a symbol alone does not say it. Empty of k_v1."""
+        if not self.high_order(parameter):
+            return ""
+        power = "qd^3" if parameter.dimension[1] == 3 else "qd |qd|" if self.is_odd(parameter) else "qd^2"
+        fastest = self.options.get("fastest", {}).get(parameter.joint)
+        return f"times {power}" + (f", beyond {fastest:.3g} rad/s linear in speed" if fastest else "")
+
     @classmethod
     def high_order(cls, parameter: Parameter) -> bool:
         """Whether a parameter is k_v2, in either form, or k_v3."""

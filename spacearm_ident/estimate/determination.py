@@ -8,6 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..dynamics.base_parameters import BaseParameters
+from ..dynamics.friction import ViscousFriction
 from ..dynamics.model import TorqueModel
 from ..dynamics.term import Constant, Parameter
 from ..regression.prior import Prior
@@ -64,6 +65,8 @@ def judge(
     estimates = []
     left = _left_by_bounds(active_bounds(model, parameters, prior.scale), covariance[:count, :count])
     correlation, alone = _correlations(covariance[:count, :count])
+    viscous = [term for term in model.terms if isinstance(term, ViscousFriction)]
+    multiplied = {parameter.name: term.multiplied(parameter) for term in viscous for parameter in term.parameters}
     for k, parameter in enumerate(model.parameters):
         determination, note = _parameter(parameter, k, base, float(errors[k]), float(prior.scale[k]))
         value = float(parameters[k])
@@ -77,6 +80,8 @@ def judge(
             determination, note = Determination.BOUND, "held by what a body's inertia can be, more than by the data"
         if parameter.symbol == "f_b" and parameter.joint in unseen_constants and determination is Determination.DATA:
             determination, note = Determination.PRIOR, "its Stribeck velocity is not excited in these data"
+        if determination is not Determination.FIXED and (law := multiplied.get(parameter.name)):
+            note = f"{law}; {note}" if note else law
         error = float("nan") if determination in (Determination.FIXED, Determination.PRIOR) else float(errors[k])
         if determination is Determination.COMBINED:
             error = float("nan")
