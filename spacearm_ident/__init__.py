@@ -5,8 +5,8 @@
     run = sa.read("log.csv", arm="arm.urdf")
     result = sa.identify(run)
 
-`read`, `recorded`, `identify`, `mismatch`, `excite` and `load` come from `api`, and it with all they need when one is
-first used.
+`read`, `recorded`, `identify`, `mismatch`, `compare`, `excite` and `load` come from `api`, and it with all they need
+when one is first used.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import Result, Run, excite, identify, load, mismatch, read, recorded
+    from .api import Result, Run, compare, excite, identify, load, mismatch, read, recorded
 
 __version__ = "0.1.0"
-__all__ = ["Result", "Run", "__version__", "excite", "identify", "load", "mismatch", "read", "recorded"]
+__all__ = ["Result", "Run", "__version__", "compare", "excite", "identify", "load", "mismatch", "read", "recorded"]
 
 
 def __getattr__(name: str) -> Any:

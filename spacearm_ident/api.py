@@ -30,6 +30,7 @@ from .export.motion import steady
 from .export.write import export_model
 from .identification.effort import in_newton_metres
 from .identification.verdict import Verdict, judge_result
+from .layers.comparison import Comparison
 from .mismatch.finding import Explanation
 from .recording import Recording, write_recording
 from .recording.from_arrays import from_arrays
@@ -37,6 +38,7 @@ from .sessions.bags import Options
 from .sessions.identification import find_arm, identify_session
 from .sessions.mismatch import explain_session
 from .sessions.reading import Comparing, Reading
+from .sessions.simulation import compare_session
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -225,8 +227,8 @@ class Result:
 
 
 def identify(
-    runs: Run | Sequence[Run],
-    validate: Run | Sequence[Run] = (),
+    runs: Run | PathLike | Sequence[Run | PathLike],
+    validate: Run | PathLike | Sequence[Run | PathLike] = (),
     *,
     out: PathLike | None = None,
     **options: Any,
@@ -234,7 +236,7 @@ def identify(
     """Identify an arm, as `spacearm identify`.
 
     Args:
-        runs: To fit, of one arm.
+        runs: To fit, of one arm: runs, or paths, which `read` is called with.
         validate: To validate on; none: the last third of the last run is held out.
         out: Result folder; None: a temporary one, there as long as the result is.
         options: Fields of `spacearm_ident.sessions.bags.Options`, such as `friction="paper"`; not those that say how a
@@ -247,8 +249,7 @@ def identify(
         UnfitDataError: The data cannot carry it.
         UserError: The runs do not fit the arm, or an option is wrong.
     """
-    fitted = [runs] if isinstance(runs, Run) else list(runs)
-    judges = [validate] if isinstance(validate, Run) else list(validate)
+    fitted, judges = ([_run(one) for one in _several(some)] for some in (runs, validate))
     if not fitted:
         raise UserError("nothing to identify from: give a run, as sa.read returns it")
     for name in options:
@@ -281,6 +282,7 @@ def mismatch(
     *,
     out: PathLike | None = None,
     arm: PathLike | None = None,
+    without: Sequence[str] = (),
 ) -> Explanation:
     """Explain what an arm does that its model or its healthy self does not, as `spacearm mismatch`.
 
@@ -290,14 +292,12 @@ def mismatch(
         validate: To judge on; none: the last third of each of `field_runs`.
         out: Result folder; None: nothing stays on disk.
         arm: URDF or arm YAML; None: what the runs were read with, else the reference model's, or of the bags.
+        without: Names of effects to leave out.
 
     Raises:
         UserError: As `spacearm mismatch`.
     """
-    every = [*_several(field_runs), *_several(reference), *_several(validate)]
-    how = next((one._how for one in every if isinstance(one, Run)), Comparing())
-    if arm is not None:
-        how = replace(how, reading=replace(how.reading, arm=Path(arm)))
+    how = _comparing([*_several(field_runs), *_several(reference), *_several(validate)], arm, without)
     with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
         session = explain_session(
             _paths(field_runs),
@@ -307,6 +307,47 @@ def mismatch(
             how,
         )
     return session.explanation
+
+
+def compare(
+    simulation: Run | PathLike | Sequence[Run | PathLike],
+    field_runs: Run | PathLike | Sequence[Run | PathLike],
+    validate: Run | PathLike | Sequence[Run | PathLike] = (),
+    *,
+    out: PathLike | None = None,
+    arm: PathLike | None = None,
+    without: Sequence[str] = (),
+) -> Comparison:
+    """Compare an arm with a simulation of it, layer by layer, as `spacearm mismatch --simulation`.
+
+    Args:
+        simulation: MJCF, URDF, SDF or model.yaml, or runs or bags that a simulator wrote.
+        field_runs: Of the arm: runs, or paths of bags and logs.
+        validate: To judge on; none: the last third of each of `field_runs`.
+        out: Result folder, with the corrected file; None: nothing stays on disk.
+        arm: URDF or arm YAML of the arm; None: what the runs were read with, else the simulation's, or of the bags.
+        without: Names of effects to leave out.
+
+    Raises:
+        UserError: As `spacearm mismatch --simulation`.
+    """
+    how = _comparing([*_several(field_runs), *_several(validate)], arm, without)
+    with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
+        folder = Path(scratch) / "compare" if out is None else Path(out)
+        session = compare_session(_paths(simulation), _paths(field_runs), _paths(validate), folder, how)
+    return session.comparison
+
+
+def _run(one: Run | PathLike) -> Run:
+    return one if isinstance(one, Run) else read(one)
+
+
+def _comparing(runs: Sequence[Run | PathLike], arm: PathLike | None, without: Sequence[str]) -> Comparing:
+    """How recordings are compared: as the first of them that was read."""
+    how = next((one._how for one in runs if isinstance(one, Run)), Comparing())
+    if arm is not None:
+        how = replace(how, reading=replace(how.reading, arm=Path(arm)))
+    return replace(how, excluded=tuple([without] if isinstance(without, str) else without))
 
 
 def _several(runs: Run | PathLike | Sequence[Run | PathLike]) -> list[Run | PathLike]:

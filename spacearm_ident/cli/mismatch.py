@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import FloatArray
-from ..dynamics.effects import EFFECTS
 from ..errors import UserError
 from ..layers.comparison import Comparison
 from ..layers.document import comparison_document, verdict
@@ -68,9 +67,6 @@ def add(command: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read, explain, write."""
-    for name in options.without:
-        if name not in EFFECTS:
-            raise UserError(f"no effect {name!r}: there are {', '.join(EFFECTS)}")
     if options.simulation:
         return _simulation(options)
     bags, references, judges = sort_bags(options.bags, options.reference, options.validate)

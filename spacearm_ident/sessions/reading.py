@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..dynamics.arm import load_arm
-from ..errors import UnfitDataError
+from ..dynamics.effects import EFFECTS
+from ..errors import UnfitDataError, UserError
 from ..identification.identify import Progress
 from ..logs.read import read_log
 from ..recording import Recording, read_recording, recordings_in
@@ -80,8 +81,17 @@ class Comparing:
         reading: How they are read.
         gravity: (3,) m/s^2 in the base frame, instead of the arm's; None: the arm's.
         excluded: Effects that are not to be considered.
+
+    Raises:
+        UserError: There is no effect of a name that is excluded.
     """
 
     reading: Reading = field(default_factory=Reading)
     gravity: tuple[float, ...] | None = None
     excluded: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        for name in self.excluded:
+            if name not in EFFECTS:
+                raise UserError(f"no effect {name!r}: there are {', '.join(EFFECTS)}")
