@@ -74,7 +74,18 @@ class CurrentModel:
 
     def energy(self, candidates: Sequence[Candidate], values: FloatArray, event: Candidate | None = None) -> FloatArray:
         """(n,) sum of squares by joint of what effects add to the torque, in all rows or in those of an event."""
-        torque = self.evidence.added(candidates, values)
+        return self._by_joint(self.evidence.added(candidates, values), event)
+
+    def energy_beside(self, candidate: Candidate, event: Candidate | None = None) -> FloatArray:
+        """(n,) the same of what all effects add, more than those accepted did without a candidate.
+
+        What has the freedom of an accepted effect takes over a part of its torque, which is nothing new.
+        """
+        every = [*self.accepted, candidate]
+        whole = self.evidence.added(every, refit(every).values)
+        return self._by_joint(whole - self.evidence.added(self.accepted, refit(self.accepted).values), event)
+
+    def _by_joint(self, torque: FloatArray, event: Candidate | None) -> FloatArray:
         if event is not None:
             during = np.zeros(len(torque), dtype=bool)
             during[event.stacked.rows] = np.any(event.stacked.columns != 0.0, axis=1)
