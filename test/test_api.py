@@ -183,6 +183,25 @@ def test_mismatch_is_a_function_and_a_package(tmp_path):
     assert isinstance(found, Explanation) and found.verdict == NO_MISMATCH
 
 
+def test_an_arm_is_compared_with_its_simulation(tmp_path):
+    pytest.importorskip("clarabel", reason="needs clarabel")
+    write_recording(tmp_path / "field.mcap", small_arm.recording(16.0, seed=1))
+    (tmp_path / "arm.urdf").write_text(small_arm.URDF)
+    out = tmp_path / "out"
+    found = sa.compare(tmp_path / "arm.urdf", tmp_path / "field.mcap", out=out, without=["torque_ripple"])
+    assert found.fit and (out / "report.html").is_file()
+    with pytest.raises(UserError, match="no effect 'gremlins'"):
+        sa.compare(tmp_path / "arm.urdf", tmp_path / "field.mcap", without="gremlins")
+
+
+def test_identify_reads_a_path_as_read_does(tmp_path):
+    pytest.importorskip("clarabel", reason="needs clarabel")
+    path = tmp_path / "run.mcap"
+    write_recording(path, small_arm.recording(seed=0))
+    of_path, of_run = (sa.identify(one, friction="coulomb-viscous", cutoff_hz=5.0) for one in (path, sa.read(path)))
+    np.testing.assert_array_equal(of_path.identified.model.parameters, of_run.identified.model.parameters)
+
+
 class Frame:
     """What of a pandas DataFrame is used: columns, columns by their names, and numbers."""
 

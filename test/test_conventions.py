@@ -561,6 +561,16 @@ def test_effort_beyond_the_limits_is_noted_where_the_inertials_tell_no_unit(run,
     assert finding.level is Level.NOTE and "shoulder" in finding.joints
 
 
+def test_a_unit_of_torque_is_one_by_the_joints_that_show_it(run, arm):
+    """Those that stand still, or carry nothing, have the gain that was assumed: the unit was a note beside them."""
+    rest = sound(share=(0.0, 1.0, 0.0, 0.0))
+    report = check_conventions([scaled(rest, "effort", slice(None), [60.0, 90.0, 110.0, 75.0])], arm)
+    (finding,) = [one for one in report.findings if one.level is Level.UNFIT]
+    assert finding.kind == "effort_unit"
+    factors = [finding.corrections.joints[name].effort_scale for name in NAMES]
+    assert max(factors) < 1 / 40.0 and factors[1] == pytest.approx(1 / 90.0, rel=0.2)
+
+
 def test_samples_that_are_uneven_by_their_stamps_are_sound(arm):
     base = sound(seed=3)
     uneven = kept(base, np.sort(np.random.default_rng(0).choice(len(base.time), 3500, replace=False)))

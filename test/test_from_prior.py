@@ -148,6 +148,23 @@ def test_changes_widen_friction_only_and_f_b_follows_f_c():
     assert moved[0] < moved[1] and abs(moved[1] - 2.0) < 0.5
 
 
+def test_f_b_of_a_ground_model_without_stribeck_friction_is_f_c_afterwards_as_well():
+    """It moves no torque there: with an error and a value of its own it was called determined by the data."""
+    structure = FRICTION_LAWS["coulomb-viscous"]
+    arm = arm_from_urdf(urdf_of(TWO_LINKS))
+    laws = (Friction(f_c=5.0, k_v2=0.0, k_v3=0.0), Friction(f_c=3.0, k_v2=0.0, k_v3=0.0))
+    whole = {"rigid_body": {}, "rotor_inertia": {}, **structure}
+    ground_run = two_link_run(laws, 20.0, 250.0, 1).recording(0.2)
+    prior = GroundPrior.of(identify([ground_run], arm, Settings(structure=whole)))
+    after = tuple(replace(law, f_c=1.2 * law.f_c) for law in laws)
+    run = two_link_run(after, 5.0, 250.0, 2).recording(0.2, 5)
+    found = {one.name: one for one in identify([run], arm, Settings(prior=prior)).estimates}
+    for joint in arm.joint_names:
+        level, static = found[f"f_c[{joint}]"], found[f"f_b[{joint}]"]
+        assert static.value == pytest.approx(level.value, rel=1e-6) and not static.identifiable
+        assert "equal to f_c" in static.note
+
+
 def test_an_identified_ground_run_is_a_prior():
     """Ground: 20 s, identified. Orbit: five seconds, friction 20 % lower; the update predicts another run better."""
     before = (Friction(f_c=5.0, k_v2=0.0, k_v3=0.0), Friction(f_c=3.0, k_v1=2.0, J_m=0.2, k_v2=0.0, k_v3=0.0))

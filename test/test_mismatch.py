@@ -220,6 +220,24 @@ def test_more_friction_is_friction_drift():
     assert answer.findings[0].confidence > 0.8
 
 
+def test_what_a_level_leaves_of_its_law_does_not_make_it_unknown():
+    """A free function of speed takes the level over, and is none the larger for that.
+
+    Coulomb friction that grows with its Stribeck part, of an arm with little noise.
+    """
+
+    def quiet(seed, grown=0.0):
+        planted = two_link_run(LAWS, seconds=16.0, rate_hz=250.0, seed=seed, speed=1.0)
+        speed = planted.qd[:, 0]
+        more = grown * np.sign(speed) * (1.0 + 0.15 * np.exp(-np.abs(speed) / 0.08))
+        changed = replace(planted, torque=planted.torque + np.outer(more, [1.0, 0.0]))
+        return changed.recording(noise=[noise / 10.0 for noise in NOISE], seed=seed + 100)
+
+    answer = explain(ARM, RunSet([quiet(2, 1.5)], [quiet(1)], [quiet(3, 1.5)]), SLOW_ONES)
+    assert [(f.effect, f.joints) for f in answer.findings] == [("friction_drift", ("shoulder",))]
+    assert answer.findings[0].parameters["df_c"].value == pytest.approx(1.5, abs=0.1)
+
+
 @pytest.mark.parametrize(
     ("size", "share", "phase", "name"), [(0.35, 0.9, 0.8, "friction_drift"), (0.5, np.inf, 1.6, "position_friction")]
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,6 +51,16 @@ def test_without_other_recordings_the_last_third_is_held_out(runs, tmp_path):
         held_out.identified.rows.max()
         < 0.7 * identify_session(runs[:1], runs[1:], ARM, QUICK, tmp_path).identified.rows.max()
     )
+
+
+def test_a_copy_of_a_recording_is_said_and_counts_once(runs, tmp_path):
+    """Under another name, with other stamps: variances were halved, and terms that fit one predicted the other."""
+    later = replace(runs[0], time=runs[0].time + 3600.0)
+    alone = identify_session(runs[:1], runs[1:], ARM, QUICK, tmp_path / "alone").identified
+    twice = identify_session([runs[0], later], runs[1:], ARM, QUICK, tmp_path / "twice").identified
+    assert np.array_equal(alone.covariance, twice.covariance)
+    assert [note for note in twice.notes if "is a copy of 0.mcap: it is counted once" in note]
+    assert not [note for note in alone.notes if "copy" in note]
 
 
 def test_a_bag_of_the_fit_does_not_pass_for_validation(runs, tmp_path):

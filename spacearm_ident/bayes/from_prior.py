@@ -87,7 +87,11 @@ class GroundPrior:
                 continue
             value = float(self.model.parameters[number])
             partner = numbers.get(f"f_c[{joint}") if symbol == "f_b" else None
-            if partner is not None:
+            if partner is not None and self.model.model.parameters[number].held:
+                # Without a Stribeck term f_b is f_c, whatever that becomes. f_c is before it, and widened already.
+                covariance[number], covariance[:, number] = covariance[partner], covariance[:, partner]
+                covariance[number, number] = covariance[partner, partner]
+            elif partner is not None:
                 level = float(self.model.parameters[partner])
                 common = (changes.get("f_c", 0.0) * level) ** 2
                 covariance[number, number] += common + (changes[symbol] * (value - level)) ** 2

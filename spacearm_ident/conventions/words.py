@@ -21,6 +21,10 @@ def joint_names(arm: Arm, change: Change) -> tuple[str, ...]:
     return tuple(arm.joint_names[k] for k in change.joints)
 
 
+GAIN_TOLD = 0.5
+"""Standard error of the logarithm of a gain below which the data tell it: a factor of 1.6 either way."""
+
+
 def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
     """A sentence that says how a recording departs from the conventions.
 
@@ -100,8 +104,11 @@ def _gain(arm: Arm, change: Change, evidence: Evidence) -> str:
     if change.kind is Kind.EFFORT_UNIT:
         if change.value:
             return f"the torque is recorded in {_unit(arm, change)}, not N·m"
-        listed = ", ".join(f"{name} {gain:.3g}" for name, gain in zip(names, gains))
-        return f"the torque is not in N·m{_guess(gains)}: recorded over expected from CAD masses is {listed}"
+        errors = evidence.gain_errors
+        seen = [k for k in change.joints if errors[k] < GAIN_TOLD] or change.joints
+        listed = ", ".join(f"{names[k]} {gains[k]:.3g}" for k in seen)
+        guess = _guess(_told(change, evidence))
+        return f"the torque is not in N·m{guess}: recorded over expected from CAD masses is {listed}"
     joint = change.joints[0]
     error = float(evidence.gain_errors[joint])
     where = "that carries the arm" if len(change.joints) > 1 else f"of {names[joint]}"
@@ -122,8 +129,17 @@ def is_unit(change: Change, evidence: Evidence) -> bool:
     """
     if change.kind is Kind.EFFORT_RATED or (change.kind is Kind.EFFORT_UNIT and change.value):
         return True
-    logs = np.abs(np.log(evidence.gains[list(change.joints)]))
-    return bool(np.median(logs) > np.log(UNIT_FACTOR))
+    return bool(np.median(np.abs(np.log(_told(change, evidence)))) > np.log(UNIT_FACTOR))
+
+
+def _told(change: Change, evidence: Evidence) -> FloatArray:
+    """Gain of each of the change's joints; of one that the data do not tell, which has its prior's, the others' median.
+
+    A joint that gravity does not load, or that stands still, shows no gain.
+    """
+    gains, errors = (values[list(change.joints)] for values in (evidence.gains, evidence.gain_errors))
+    told = errors < GAIN_TOLD
+    return np.where(told, gains, np.exp(np.median(np.log(gains[told])))) if told.any() else gains
 
 
 def rated_factors(change: Change, evidence: Evidence) -> tuple[float, ...]:
@@ -230,7 +246,7 @@ def _torque_factors(change: Change, evidence: Evidence) -> list[float]:
         return list(change.value)
     if change.kind is Kind.EFFORT_RATED:
         return list(rated_factors(change, evidence))
-    factors = 1.0 / evidence.gains[list(change.joints)]
+    factors = 1.0 / _told(change, evidence)
     if change.kind is Kind.EFFORT_GAIN:
         factors[:] = factors[0]
     return [float(factor) for factor in factors]

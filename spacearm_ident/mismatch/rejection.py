@@ -146,7 +146,11 @@ def is_negligible(case: Case) -> bool:
     event = None if lasting else case.scored.candidate
     large = current.energy([candidate for candidate, _ in beside], own, event)
     minor = MINOR_SHARE if case.scored.named and lasting else MINOR_UNKNOWN
-    small = np.minimum(case.energy, current.energy_beside(case.scored.candidate, event))
+    small = case.energy
+    if not case.scored.named:
+        # An effect may take the place of an accepted one, which is idle then; a free function that could adds only
+        # what it explains more.
+        small = np.minimum(small, current.energy_beside(case.scored.candidate, event))
     # Joint by joint: what shows at all of them may be small beside another cause at one. What no joint feels has no
     # median (NaN), and is negligible.
     return not float(np.median(small[case.felt] - minor * large[case.felt])) > 0.0

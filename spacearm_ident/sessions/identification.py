@@ -6,8 +6,9 @@ same because the code is.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..bayes.from_prior import GroundPrior
-from ..conventions.check import check_conventions
+from ..conventions.check import check_conventions, recording_name
 from ..conventions.finding import ConventionReport
 from ..dynamics.arm import Arm, arm_from_urdf, load_arm, without_joints
 from ..dynamics.effects import Effect
@@ -78,6 +79,8 @@ def identify_session(
         UserError: The recordings do not fit the arm, or the folder cannot be written.
     """
     report = progress or (lambda share, what: None)
+    same, (fitted, copies) = validated is fitted, _without_copies(fitted)
+    validated = fitted if same else validated
     whole, what = corrected(fitted, arm), _what(fitted, validated or ())
     judges = whole if validated is fitted else corrected(validated or (), arm)
     every = [*whole, *([] if judges is whole else judges)]
@@ -103,6 +106,8 @@ def identify_session(
             # What is wrong with the recordings is said before what could not be made of them.
             checked()
             raise
+        if known is None:
+            identified = replace(identified, notes=(*identified.notes, *copies))
         identified = with_provenance(identified, _origin(fitted, validated or fitted[-1:], command, settings, asked))
         found = cache(checked)
         further = partial(_further, identified, settings, found)
@@ -162,6 +167,24 @@ def _what(fitted: Sequence[Recording], validated: Sequence[Recording]) -> str:
     seen = {source.sha256 for recording in fitted for source in recording.sources}
     again = any(source.sha256 in seen for recording in validated for source in recording.sources)
     return ON_THE_FITTED if again else ON_OTHERS
+
+
+def _without_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list[str]]:
+    """Recordings without those of the same samples as one before, and a note on each that is left out.
+
+    A copy would halve variances, and a term that fits one would be found to predict the other.
+    """
+    kept: dict[str, Recording] = {}
+    notes = []
+    for recording in recordings:
+        content = hashlib.sha256("".join(recording.joints).encode())
+        for values in (recording.position, recording.effort):
+            content.update(np.ascontiguousarray(values).tobytes())
+        first = kept.setdefault(content.hexdigest(), recording)
+        if first is not recording:
+            one, other = recording_name(recording), recording_name(first)
+            notes.append(f"{one} is a copy of {other}: it is counted once")
+    return [*kept.values()], notes
 
 
 def find_arm(
