@@ -444,6 +444,9 @@ def test_a_payload_is_found_however_it_is_held_in_the_other_recording(there):
         assert finding.parameters[f"moment_{axis}"].value == pytest.approx(0.7 * place, abs=0.02)
     assert ("at another position" in finding.where) == (there != here)
     assert finding.explained > 0.9
+    # The arm is planar: no motion turns the moment that is along its axes.
+    assert not finding.parameters["moment_y"].known
+    assert set(to_document(answer)["findings"][0]["parameters"]) == {"mass", "moment_x", "moment_z"}
 
 
 @pytest.mark.parametrize("times", [0.01, 300.0])

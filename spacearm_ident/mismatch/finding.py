@@ -26,7 +26,7 @@ class Quantity:
     @property
     def known(self) -> bool:
         """Whether the data tell it at all."""
-        return math.isfinite(self.low) or math.isfinite(self.high)
+        return not (self.low == -math.inf and self.high == math.inf)
 
 
 @dataclass(frozen=True)
