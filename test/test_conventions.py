@@ -747,6 +747,26 @@ def test_a_fixed_joint_that_rests_or_is_of_another_robot_is_not_mentioned(run):
     assert not moving_though_fixed(replace(run, joints=("gripper", *NAMES[1:])), arm)
 
 
+def test_wheels_that_turn_are_asked_about_where_no_sensor_is_on_the_base(run, arm):
+    """The bag describes them; the arm's own file, as `new-arm` writes it, has them fixed."""
+    wheel = '<joint name="WHEEL" type="TYPE"><parent link="LINK"/><child link="WHEEL_link"/><axis xyz="0 1 0"/></joint>'
+
+    def beside(kind: str, link: str) -> list[Finding]:
+        robot = run.urdf
+        for name in ("left", "right"):
+            own = wheel.replace("WHEEL", name).replace("TYPE", kind).replace("LINK", link)
+            robot = robot.replace("</robot>", f'<link name="{name}_link"/>{own}</robot>')
+        there = replace(run, urdf=robot, effortless={"left": (0.0, 6.5), "right": (0.0, 6.3)})
+        return moving_though_fixed(there, arm_from_urdf(locked(robot, ("left", "right"))))
+
+    (finding,) = beside("continuous", "base")
+    assert (finding.joints, finding.level) == (("left", "right"), Level.NOTE)
+    assert "drive the base" in finding.statement and "/base_imu" in finding.remedy
+    # A pair of slides beside the arm, or what the arm carries, is none.
+    assert not beside("prismatic", "base")
+    assert all("drive the base" not in one.statement for one in beside("continuous", "wrist_link"))
+
+
 def test_another_arm_on_the_same_base_may_move(run):
     beside = [*(replace(one, parent="base") if one.name == "elbow" else one for one in LINKS)]
     there = replace(run, urdf=urdf_of(beside))

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..dynamics.arm import Arm
 from ..dynamics.urdf_chain import JointTree, of_a_hand
+from ..errors import UserError
 from ..recording.recording import Recording
 from .finding import Finding, Level
 from .plain import FIXED_RANGE
@@ -20,9 +21,9 @@ def moving_though_fixed(recording: Recording, arm: Arm) -> list[Finding]:
     """Recorded joints that move and are fixed in the arm's description.
 
     Where one carries a joint of the arm, the arm's base moves in a way that the model does not know, unless a sensor
-    behind that joint has recorded it. Where a joint of the arm carries one, the payload changes. All others, such as
-    those of another arm on the same base, say nothing of this arm. A joint that is fixed since a recording lacks it, or
-    its effort, and that is no gripper's, is one of the arm: what it moves is no payload.
+    behind that joint has recorded it. Where a joint of the arm carries one, the payload changes. Wheels may drive the
+    base. All others, such as those of another arm on the same base, say nothing of this arm. A joint that is fixed
+    since a recording lacks it, or its effort, and that is no gripper's, is one of the arm: what it moves is no payload.
 
     Args:
         recording: With all joints that were recorded, the arm's and others.
@@ -54,6 +55,8 @@ def moving_though_fixed(recording: Recording, arm: Arm) -> list[Finding]:
 
     carriers = [name for name in moving if name in carrying and name not in measured]
     carried = [name for name in moving if name not in carrying and above[name] & set(arm.joint_names)]
+    described = _described(recording) or tree
+    wheels = [name for name in moving if base is None and name not in carrying and _is_wheel(described, name)]
     lacking = [name for name in (*carriers, *carried) if name in arm.locked and not of_a_hand(name)]
     carriers, carried = ([name for name in names if name not in lacking] for names in (carriers, carried))
     return [
@@ -65,4 +68,27 @@ def moving_though_fixed(recording: Recording, arm: Arm) -> list[Finding]:
         ),
         *finding(carriers, Level.UNFIT, "the model does not know how they move the arm that they carry"),
         *finding(carried, Level.NOTE, "they are taken for a rigid part of the arm's payload"),
+        *finding(
+            wheels,
+            Level.NOTE,
+            "if they drive the base, it accelerates the arm, and the model does not know",
+            "record /base_imu or /base_odometry as well, or a run in which the base stands",
+        ),
     ]
+
+
+def _described(recording: Recording) -> JointTree | None:
+    """The robot of the recording's own description: an arm's file has fixed what is not the arm's."""
+    try:
+        return JointTree(recording.urdf) if recording.urdf else None
+    except UserError:
+        return None
+
+
+def _is_wheel(tree: JointTree, name: str) -> bool:
+    """Whether a joint is one as of a wheel: it turns without end, carries none, and at most a swivel carries it."""
+    joint = tree.by_name.get(name)
+    if joint is None or joint.kind != "continuous" or name in tree.moving_below():
+        return False
+    above = [one.kind for one in tree.path(joint.parent) if one.driven]
+    return above in ([], ["continuous"])
