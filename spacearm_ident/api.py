@@ -12,7 +12,7 @@ import io
 import os
 import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -298,14 +298,8 @@ def mismatch(
         UserError: As `spacearm mismatch`.
     """
     how = _comparing([*_several(field_runs), *_several(reference), *_several(validate)], arm, without)
-    with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
-        session = explain_session(
-            _paths(field_runs),
-            _paths(reference),
-            _paths(validate),
-            Path(scratch) / "mismatch" if out is None else Path(out),
-            how,
-        )
+    with _place(out, "mismatch") as folder:
+        session = explain_session(_paths(field_runs), _paths(reference), _paths(validate), folder, how)
     return session.explanation
 
 
@@ -332,10 +326,16 @@ def compare(
         UserError: As `spacearm mismatch --simulation`.
     """
     how = _comparing([*_several(field_runs), *_several(validate)], arm, without)
-    with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
-        folder = Path(scratch) / "compare" if out is None else Path(out)
+    with _place(out, "compare") as folder:
         session = compare_session(_paths(simulation), _paths(field_runs), _paths(validate), folder, how)
     return session.comparison
+
+
+@contextlib.contextmanager
+def _place(out: PathLike | None, name: str) -> Iterator[Path]:
+    """Where to write: `out`, or where that is None a temporary place, which does not outlast its use."""
+    with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
+        yield Path(scratch) / name if out is None else Path(out)
 
 
 def _run(one: Run | PathLike) -> Run:
@@ -369,8 +369,7 @@ def excite(arm: PathLike, out: PathLike | None = None, **options: Any) -> Trajec
     Raises:
         UserError: An option is wrong, or no motion keeps the limits.
     """
-    with tempfile.TemporaryDirectory(prefix="spacearm_") as scratch:
-        file = Path(scratch) / "trajectory.yaml" if out is None else Path(out)
+    with _place(out, "trajectory.yaml") as file:
         words = ["excite", "--arm", str(arm), "--out", str(file), "--quiet", "--json"]
         for name, value in options.items():
             several = value if isinstance(value, (list, tuple)) else [value]

@@ -102,7 +102,7 @@ def test_what_is_held_has_no_width_and_what_shares_its_torque_is_wider():
 
 
 def test_what_the_data_do_not_tell_has_no_end_of_its_interval():
-    """Of one torque twice only the sum is told, and of none nothing."""
+    """Of two equal columns their sum alone is determined, and of a column of zeros nothing."""
     torque = np.random.default_rng(0).standard_normal(ROWS)
     _, made = fitted(torque, [WAVE, WAVE, np.zeros(ROWS)])
     assert np.isfinite(made.half_width(0, np.array([1.0, 1.0, 0.0])))

@@ -121,8 +121,8 @@ def _estimates(result: Updated, values: FloatArray) -> tuple[Estimate, ...]:
         value, error = float(centre[k]), float(errors[k])
         is_f_c = item.symbol == "f_b" and model.parameters[k].held
         if result.before[k] <= 0 or is_f_c:
-            note = "held at the prior's value" if value else "not in the prior"
-            note = "equal to f_c, not in the prior" if is_f_c else note
+            held = "held at the prior's value" if value else "not in the prior"
+            note = "equal to f_c, not in the prior" if is_f_c else held
             estimates.append(
                 Estimate(item.symbol, item.joint, item.unit, value, float("nan"), Determination.FIXED, note)
             )

@@ -48,6 +48,9 @@ FREE_UNIT_SD = 3.4
 """The same of a torque in another unit: a factor of 30 either way."""
 UNIT_FACTOR = 4.0
 """Gain from which a torque is in another unit: no published motor constant or CAD mass is off by so much."""
+GAIN_KNOWN = 0.5
+"""Standard error of the logarithm of a gain below which the data determine it, a factor of 1.6 either way: the error of
+one that is not determined is `FREE_UNIT_SD`, and `UNIT_FACTOR` is nearly three such errors off."""
 PRIOR = 0.02
 """Probability of each kind of mistake before any data, shared by the joints it may be at."""
 

@@ -55,8 +55,9 @@ def moving_though_fixed(recording: Recording, arm: Arm) -> list[Finding]:
 
     carriers = [name for name in moving if name in carrying and name not in measured]
     carried = [name for name in moving if name not in carrying and above[name] & set(arm.joint_names)]
-    described = _described(recording) or tree
-    wheels = [name for name in moving if base is None and name not in carrying and _is_wheel(described, name)]
+    beside = [] if base is not None else [name for name in moving if name not in carrying and name not in carried]
+    described = (_described(recording) or tree) if beside else tree
+    wheels = [name for name in beside if _is_wheel(described, name)]
     lacking = [name for name in (*carriers, *carried) if name in arm.locked and not of_a_hand(name)]
     carriers, carried = ([name for name in names if name not in lacking] for names in (carriers, carried))
     return [

@@ -7,7 +7,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..dynamics.arm import Arm
 from ..recording.corrections import Corrections, JointCorrection
-from .change import TORQUE_SCALES, UNIT_FACTOR, Change, Kind, unit_factors
+from .change import GAIN_KNOWN, TORQUE_SCALES, UNIT_FACTOR, Change, Kind, unit_factors
 from .evidence import Evidence
 
 
@@ -19,10 +19,6 @@ def joint_names(arm: Arm, change: Change) -> tuple[str, ...]:
         change: With numbers of joints.
     """
     return tuple(arm.joint_names[k] for k in change.joints)
-
-
-GAIN_TOLD = 0.5
-"""Standard error of the logarithm of a gain below which the data tell it: a factor of 1.6 either way."""
 
 
 def statement(arm: Arm, change: Change, evidence: Evidence) -> str:
@@ -104,10 +100,8 @@ def _gain(arm: Arm, change: Change, evidence: Evidence) -> str:
     if change.kind is Kind.EFFORT_UNIT:
         if change.value:
             return f"the torque is recorded in {_unit(arm, change)}, not N·m"
-        errors = evidence.gain_errors
-        seen = [k for k in change.joints if errors[k] < GAIN_TOLD] or change.joints
-        listed = ", ".join(f"{names[k]} {gains[k]:.3g}" for k in seen)
-        guess = _guess(_told(change, evidence))
+        listed = ", ".join(f"{names[k]} {gains[k]:.3g}" for k in _with_known_gain(change, evidence))
+        guess = _guess(_gains(change, evidence))
         return f"the torque is not in N·m{guess}: recorded over expected from CAD masses is {listed}"
     joint = change.joints[0]
     error = float(evidence.gain_errors[joint])
@@ -129,17 +123,22 @@ def is_unit(change: Change, evidence: Evidence) -> bool:
     """
     if change.kind is Kind.EFFORT_RATED or (change.kind is Kind.EFFORT_UNIT and change.value):
         return True
-    return bool(np.median(np.abs(np.log(_told(change, evidence)))) > np.log(UNIT_FACTOR))
+    return bool(np.median(np.abs(np.log(_gains(change, evidence)))) > np.log(UNIT_FACTOR))
 
 
-def _told(change: Change, evidence: Evidence) -> FloatArray:
-    """Gain of each of the change's joints; of one that the data do not tell, which has its prior's, the others' median.
+def _with_known_gain(change: Change, evidence: Evidence) -> list[int]:
+    """Those of the change's joints whose gain the data determine; all of them where they determine none.
 
     A joint that gravity does not load, or that stands still, shows no gain.
     """
-    gains, errors = (values[list(change.joints)] for values in (evidence.gains, evidence.gain_errors))
-    told = errors < GAIN_TOLD
-    return np.where(told, gains, np.exp(np.median(np.log(gains[told])))) if told.any() else gains
+    return [k for k in change.joints if evidence.gain_errors[k] < GAIN_KNOWN] or list(change.joints)
+
+
+def _gains(change: Change, evidence: Evidence) -> FloatArray:
+    """Gain of each of the change's joints; of one that the data do not determine, the median of those they do."""
+    known = _with_known_gain(change, evidence)
+    usual = np.exp(np.median(np.log(evidence.gains[known])))
+    return np.array([evidence.gains[k] if k in known else usual for k in change.joints])
 
 
 def rated_factors(change: Change, evidence: Evidence) -> tuple[float, ...]:
@@ -246,7 +245,7 @@ def _torque_factors(change: Change, evidence: Evidence) -> list[float]:
         return list(change.value)
     if change.kind is Kind.EFFORT_RATED:
         return list(rated_factors(change, evidence))
-    factors = 1.0 / _told(change, evidence)
+    factors = 1.0 / _gains(change, evidence)
     if change.kind is Kind.EFFORT_GAIN:
         factors[:] = factors[0]
     return [float(factor) for factor in factors]

@@ -19,8 +19,9 @@ from .stacked import Stacked
 INVISIBLE = 1e-12
 """Share of its energy below which what the base leaves of a column is rounding."""
 
-SINGULAR = 1e-9
-"""Share of the largest eigenvalue of a Gram matrix, of columns of equal length, below which a direction is not told."""
+RANK_TOLERANCE = 1e-9
+"""Share of the largest eigenvalue of a Gram matrix, of columns of equal length, below which an eigenvector is in its
+null space. Chosen."""
 
 UNDERFLOW = 1e-200
 """Energy of a column of which no inverse can be taken."""
@@ -137,7 +138,7 @@ def inverse_among(gram: FloatArray, free: np.ndarray) -> FloatArray:
     inverse = np.zeros_like(gram)
     if free.any():
         units = unit[..., :, None] * unit[..., None, :]
-        inverted = np.linalg.pinv(gram[..., rows, columns] / units, rcond=SINGULAR, hermitian=True)
+        inverted = np.linalg.pinv(gram[..., rows, columns] / units, rcond=RANK_TOLERANCE, hermitian=True)
         inverse[..., rows, columns] = inverted / units
     return inverse
 

@@ -103,4 +103,6 @@ def is_outdone(scored: Scored, ranked: Sequence[Scored], current: CurrentModel) 
     score = after.gain - before.gain - sum(penalty(one.effect, current.evidence.rows) for one in alone)
     score += current.squares_on_held_out(current.accepted, before.values)
     score -= current.squares_on_held_out(all_of_them, after.values)
+    # The share is doubt of the score itself, whatever is commoner. Multiplied as well it would exceed the gate at large
+    # scores, and what the commoner effects leave would be found beside them without a name.
     return bool(alone) and score > scored.score - math.log(RARER) * TEMPER - TEMPER_SHARE * scored.score

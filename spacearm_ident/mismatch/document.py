@@ -64,10 +64,9 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "where": finding.where,
         "equation": finding.equation,
         "parameters": {
-            # What the data do not tell is left out: it has neither value nor interval.
             name: {"value": finite(q.value), "unit": q.unit, "ci95": [finite(q.low), finite(q.high)]}
             for name, q in finding.parameters.items()
-            if q.known
+            if q.known  # Else it has neither value nor interval.
         },
         "confidence": finding.confidence,
         "visibility": finite(finding.visibility),

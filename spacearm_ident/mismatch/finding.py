@@ -16,7 +16,7 @@ MISMATCH, NO_MISMATCH, DATA_UNFIT = "mismatch", "no_mismatch", "data_unfit"
 
 @dataclass(frozen=True)
 class Quantity:
-    """A value with its 95 % interval, which is infinite where the data do not tell the value."""
+    """A value with its 95 % interval, which is infinite where the data do not determine the value."""
 
     value: float
     unit: str
@@ -25,7 +25,7 @@ class Quantity:
 
     @property
     def known(self) -> bool:
-        """Whether the data tell it at all."""
+        """Whether the data determine it at all."""
         return not (self.low == -math.inf and self.high == math.inf)
 
 

@@ -31,15 +31,16 @@ from ..dynamics.effects.friction import (
 )
 from ..dynamics.effects.position import HarnessSpring
 from ..estimate.identified import GAIN_DEVIATION
-from .candidate import SINGULAR, Candidate, inverse_among, with_own
+from .candidate import RANK_TOLERANCE, Candidate, inverse_among, with_own
 from .evidence import Evidence
 from .scored import PARTS
 from .stacked import stacked_effect
 
 STEP = 1e-3
 """Relative step of a value for a derivative."""
-LEANS = 1e-3
-"""Share of a value's slope along a direction that the data do not tell from which they do not tell the value."""
+NULL_SHARE = 1e-3
+"""Share of a value's slope, along a direction in the null space, from which the data do not determine the value:
+`STEP`, to which slopes are known."""
 SURE = 0.975
 PER_FIT, PER_PARTS = float(norm.ppf(SURE)), float(t.ppf(SURE, PARTS - 1))
 """Standard errors to either side: of the fit, and of a few parts."""
@@ -78,14 +79,14 @@ class Intervals:
         """Take effects and their parameters, one after the other (k,)."""
         self.fit: list[FloatArray] = []
         self.parts: list[FloatArray] = []
-        self._untold: list[FloatArray] = []
+        self._null: list[FloatArray] = []
         if not accepted:
             return
         changes, free = _tangents(evidence, accepted, values)
         beyond = evidence.beyond_base(changes)
         information = changes.T @ beyond + np.diag(_known_before(accepted))
-        told = free & (np.diag(information) > 0.0)
-        inverse, untold = inverse_among(information, told), _untold(information, free, told)
+        acting = free & (np.diag(information) > 0.0)
+        inverse, null = inverse_among(information, acting), _null_space(information, free, acting)
         blame = _scores(beyond * evidence.residual_beside(accepted)[:, None], evidence.field.part(PARTS))
         # What the reference says of the base is not in these rows; there the fit is believed.
         elsewhere = information - beyond.T @ beyond
@@ -98,28 +99,28 @@ class Intervals:
             law = _of_the_law(candidate, parameters)
             self.fit.append((inverse + lasting)[own, own] + law)
             self.parts.append((sandwich + lasting)[own, own] + law)
-            self._untold.append(untold[own])
+            self._null.append(null[own])
             first = own.stop
 
     def half_width(self, number: int, slope: FloatArray) -> float:
         """Half the 95 % interval of what changes by `slope` (k,) with parameters and constants of one effect.
 
-        Infinite where the data do not tell it: a moment about an axis that no motion turns, for instance.
+        Infinite where the data do not determine it: a moment about an axis that no motion turns, for instance.
         """
-        across = np.abs(slope @ self._untold[number]) if self._untold[number].size else np.zeros(1)
-        if across.max() > LEANS * max(float(np.abs(slope).max()), 1e-30):
+        along = np.abs(slope @ self._null[number]).max(initial=0.0)
+        if along > NULL_SHARE * np.abs(slope).max(initial=0.0):
             return float("inf")
         errors = [np.sqrt(max(float(slope @ c[number] @ slope), 0.0)) for c in (self.fit, self.parts)]
         return float(max(PER_FIT * errors[0], PER_PARTS * errors[1]))
 
 
-def _untold(information: FloatArray, free: np.ndarray, told: np.ndarray) -> FloatArray:
-    """(k, m) directions of unit length in which the free values may go without a change of the whitened torque."""
-    alone = np.eye(len(free))[:, free & ~told]
-    rows = np.flatnonzero(told)
+def _null_space(information: FloatArray, free: np.ndarray, acting: np.ndarray) -> FloatArray:
+    """(k, m) directions of unit length in which free values do not change the torque; those not `acting` are some."""
+    alone = np.eye(len(free))[:, free & ~acting]
+    rows = np.flatnonzero(acting)
     unit = np.sqrt(np.diag(information)[rows])
     sizes, directions = np.linalg.eigh(information[np.ix_(rows, rows)] / np.outer(unit, unit))
-    null = np.zeros((len(free), int(np.sum(sizes < SINGULAR * sizes.max(initial=0.0)))))
+    null = np.zeros((len(free), int(np.sum(sizes < RANK_TOLERANCE * sizes.max(initial=0.0)))))
     null[rows] = directions[:, : null.shape[1]] / unit[:, None]
     return np.hstack([alone, null / np.linalg.norm(null, axis=0)])
 

@@ -6,7 +6,6 @@ same because the code is.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -79,8 +78,8 @@ def identify_session(
         UserError: The recordings do not fit the arm, or the folder cannot be written.
     """
     report = progress or (lambda share, what: None)
-    same, (fitted, copies) = validated is fitted, _without_copies(fitted)
-    validated = fitted if same else validated
+    kept, copies = _without_copies(fitted)
+    fitted, validated = kept, kept if validated is fitted else validated
     whole, what = corrected(fitted, arm), _what(fitted, validated or ())
     judges = whole if validated is fitted else corrected(validated or (), arm)
     every = [*whole, *([] if judges is whole else judges)]
@@ -174,17 +173,21 @@ def _without_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], l
 
     A copy would halve variances, and a term that fits one would be found to predict the other.
     """
-    kept: dict[str, Recording] = {}
+    kept: list[Recording] = []
     notes = []
     for recording in recordings:
-        content = hashlib.sha256("".join(recording.joints).encode())
-        for values in (recording.position, recording.effort):
-            content.update(np.ascontiguousarray(values).tobytes())
-        first = kept.setdefault(content.hexdigest(), recording)
-        if first is not recording:
-            one, other = recording_name(recording), recording_name(first)
-            notes.append(f"{one} is a copy of {other}: it is counted once")
-    return [*kept.values()], notes
+        first = next((one for one in kept if _same_samples(one, recording)), None)
+        if first is None:
+            kept.append(recording)
+        else:
+            notes.append(f"{recording_name(recording)} is a copy of {recording_name(first)}: it is counted once")
+    return kept, notes
+
+
+def _same_samples(one: Recording, other: Recording) -> bool:
+    """Whether two recordings have the same positions and efforts of the same joints; a copy may have other stamps."""
+    pairs = ((one.position, other.position), (one.effort, other.effort))
+    return one.joints == other.joints and all(np.array_equal(*pair, equal_nan=True) for pair in pairs)
 
 
 def find_arm(
